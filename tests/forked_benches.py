@@ -21,6 +21,8 @@ import sys
 from pathlib import Path
 from typing import BinaryIO
 
+from lightopt.rig.simulated import _bench_process
+
 MOST_BYTES = 1 << 18
 """Longest request."""
 
@@ -75,6 +77,7 @@ class ForkingProcess:
             )
             theirs.close()
         request = {"spec": spec, "folder": str(Path.cwd()), "environment": dict(os.environ)}
+        request["faulty"] = "faulty_bench" in _bench_process._START
         stdin, our_stdin = os.pipe()
         our_stdout, stdout = os.pipe()
         our_status, status = os.pipe()
@@ -112,7 +115,10 @@ def _serve(requests: socket.socket) -> None:
     import lightopt.rig.simulated._host
     import lightopt.rig.simulated._optics
 
-    _ = embreex, trimesh, lightopt
+    sys.path.append(str(Path(__file__).resolve().parent / "hardware"))
+    import faulty_bench
+
+    _ = embreex, trimesh, lightopt, faulty_bench
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     gc.freeze()
     has_rendered = False
@@ -168,6 +174,10 @@ def _become_bench(request: dict, stdin: int, stdout: int, stderr: int) -> None:
     os.environ.clear()
     os.environ.update(request["environment"])
     sys.argv[:] = ["bench", request["spec"]]
+    if request["faulty"]:
+        import faulty_bench
+
+        faulty_bench.install()
     code = 0
     try:
         runpy.run_module("lightopt.rig.simulated", run_name="__main__", alter_sys=True)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from fault_cases import Case
+from faulty_bench import set_fault, with_faults
 
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError
@@ -92,7 +93,8 @@ def undisturbed(rig: Path, part: Path, folder: Path) -> tuple[dict[str, int], in
     counted: list[Steps] = []
 
     def connect(plan: CapturePlan) -> Devices:
-        bench = start_bench(loaded_rig, plan.wiring, part=loaded_part)
+        with with_faults():
+            bench = start_bench(loaded_rig, plan.wiring, part=loaded_part)
         devices = connect_devices(loaded_rig, plan.wiring, part=loaded_part, plan=plan, bench=bench)
         counted.append(Steps(None, bench.kill))
         counted[0].watch(devices)
@@ -114,12 +116,13 @@ def suffer(case: Case, rig: Path, part: Path, folder: Path, truth: Path) -> Outc
     benches: list[BenchProcess] = []
 
     def connect(plan: CapturePlan) -> Devices:
-        bench = start_bench(loaded_rig, plan.wiring, part=loaded_part)
+        with with_faults():
+            bench = start_bench(loaded_rig, plan.wiring, part=loaded_part)
         benches.append(bench)
         bench.request("camera")  # the scene is built, so that steps take the same time in every run
         devices = connect_devices(loaded_rig, plan.wiring, part=loaded_part, plan=plan, bench=bench)
         if case.device is not None:
-            bench.set_fault(case.device, case.fault, **case.options)
+            set_fault(bench, case.device, case.fault, **case.options)
         else:
             Steps(case.step, bench.kill).watch(devices)
         return devices

@@ -25,6 +25,7 @@ from unittest import mock
 
 from fault_cases import make_rig
 from fault_runs import OPTIONS, Steps, differences
+from faulty_bench import set_fault, with_faults
 
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError, InputError, LightoptError
@@ -146,13 +147,14 @@ def undergo(case: RigCase, rig: Path, part: Path, folder: Path, truth: Path) -> 
     benches: list[BenchProcess] = []
 
     def connect(plan: CapturePlan) -> Devices:
-        bench = start_bench(loaded_rig, plan.wiring, part=loaded_part, truth=case.truth)
+        with with_faults():
+            bench = start_bench(loaded_rig, plan.wiring, part=loaded_part, truth=case.truth)
         benches.append(bench)
         devices = connect_devices(loaded_rig, plan.wiring, part=loaded_part, plan=plan, bench=bench)
 
         def strike() -> None:
             if case.device is not None:
-                bench.set_fault(case.device, case.fault, **case.options)
+                set_fault(bench, case.device, case.fault, **case.options)
 
         if case.step is None:
             strike()

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fault_runs import alike
+from faulty_bench import set_fault, with_faults
 from rig_faults import gige_rig
 
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
@@ -82,11 +83,12 @@ def soak(folder: Path, *, postures: int, rate: float, seed: int, most_stops: int
     begun = time.monotonic()
 
     def connect(plan: CapturePlan) -> Devices:
-        bench = start_bench(rig, plan.wiring, part=part)
+        with with_faults():
+            bench = start_bench(rig, plan.wiring, part=part)
         devices = connect_devices(rig, plan.wiring, part=part, plan=plan, bench=bench)
         for number, (device, fault) in enumerate(FAULTS):
             chance = {"count": None, "probability": rate, "seed": seed + 100 * counts["runs"] + number}
-            bench.set_fault(device, fault, **chance)
+            set_fault(bench, device, fault, **chance)
         counts["runs"] += 1
         devices._closing = (lambda: _ended(bench, devices, counts),)
         return devices

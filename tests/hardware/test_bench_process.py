@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from faulty_bench import set_fault, trace
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LIGHT_DRIVERS, LightSettings
@@ -59,7 +60,7 @@ def test_world_and_trace() -> None:
         controller.set_level(2, 51)
         controller.set_level(2, 0)
         controller.close()
-        changes = bench.trace()
+        changes = trace(bench)
         assert [change[1:] for change in changes] == [("top", 1, 1.0), ("top", 2, 0.2), ("top", 2, 0.0)]
         assert state["time"] <= changes[1][0] <= changes[2][0] <= bench.state()["time"]
 
@@ -92,26 +93,6 @@ def test_requests_that_are_none() -> None:
             with pytest.raises(ValueError, match=words):
                 bench.request(do, **arguments)
         assert bench.levels("a")[1] == 1
-
-
-def test_control_socket_wants_its_token() -> None:
-    """Other users of the computer reach the loopback too."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "lightopt.rig.simulated", json.dumps({"devices": {"a": CCS}})],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    )
-    with process:
-        assert process.stdout is not None
-        assert process.stdin is not None
-        hello = json.loads(process.stdout.readline())
-        for token in (b"guess\n", hello["token"].encode() + b"x\n"):
-            with socket.create_connection(("127.0.0.1", hello["control"]), timeout=5) as stranger:
-                stranger.sendall(token + b'{"do": "state"}\n')
-                with contextlib.suppress(ConnectionResetError):
-                    assert stranger.recv(100) == b""
-        process.stdin.close()
-        assert process.wait(5) == 0
 
 
 def test_killed_bench_is_a_pulled_cable() -> None:
@@ -223,20 +204,20 @@ def test_faults_by_count_and_chance() -> None:
             link.close()
             return missing
 
-        bench.set_fault("a", "drop", after=2, count=3)
+        set_fault(bench, "a", "drop", after=2, count=3)
         assert lost(7) == [2, 3, 4]
-        bench.set_fault("a", "drop", count=None, probability=0.5, seed=3)
+        set_fault(bench, "a", "drop", count=None, probability=0.5, seed=3)
         first = lost(12)
-        bench.set_fault("a", "clear")
+        set_fault(bench, "a", "clear")
         assert lost(3) == []
-        bench.set_fault("a", "drop", count=None, probability=0.5, seed=3)
+        set_fault(bench, "a", "drop", count=None, probability=0.5, seed=3)
         assert lost(12) == first
         assert 0 < len(first) < 12
 
 
 def test_a_late_reply_does_not_hold_up_those_after_it() -> None:
     with BenchProcess({"a": {"kind": "sa"}}) as bench:
-        bench.set_fault("a", "delay", delay_s=0.3)
+        set_fault(bench, "a", "delay", delay_s=0.3)
         link = SerialLink(bench.ports["a"], device="a", baud=19200)
         link.send(b"SB0001#")
         assert eventually(lambda: bench.state()["deliveries"]["a"] == 1)

@@ -151,13 +151,13 @@ def another_exposure_is_held_and_seen(camera: Camera) -> None:
 
 def test_no_frame_in_time_is_an_error_that_says_so() -> None:
     needs("aravis")
-    from lightopt.rig.simulated._camera_gige import GigeCamera
+    from faulty_bench import FaultyGigeCamera
 
-    server = GigeCamera(lambda *_: np.zeros((120, 160), np.uint16), resolution_px=(160, 120), bit_depth=12)
+    server = FaultyGigeCamera(lambda *_: np.zeros((120, 160), np.uint16), resolution_px=(160, 120), bit_depth=12)
     settings = CameraSettings(where="rig.yaml:3: camera", resolution_px=(160, 120), bit_depth=12, port=server.serial)
     opened = open_camera("aravis", settings)
     try:
-        server.faults.inject("lost", {"count": None})
+        server.inject("lost", {"count": None})
         begun = time.monotonic()
         with pytest.raises(HardwareError, match=r"rig\.yaml:3: camera: no frame came within .*taken 3 times"):
             opened.grab(timeout_s=0.6)

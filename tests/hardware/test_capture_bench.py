@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from fault_cases import Case, line_cases, make_rig, other_cases, pulled_cases
 from fault_runs import OPTIONS, differences, suffer, undisturbed
+from faulty_bench import set_fault, unplug
 
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError, InputError
@@ -255,7 +256,7 @@ def test_a_cable_pulled_is_exit_3_and_says_in_which_step(outside, tmp_path):
     bench, rig, part = outside
     process = start(rig, part, tmp_path / "out")
     until_lit(bench, process)
-    bench.unplug("lights")
+    unplug(bench, "lights")
     _, errors = process.communicate(timeout=600)
     assert process.returncode == 3
     warnings = [line for line in errors.splitlines() if line.startswith("warning: ")]
@@ -338,7 +339,7 @@ def test_a_stage_switched_off_and_on_away_from_its_origin_is_noticed_before_its_
 
         def light_off_and_power_cycle(name):
             light_off(name)
-            bench.set_fault("stage", "power_cycle")
+            set_fault(bench, "stage", "power_cycle")
 
         devices.light_off = light_off_and_power_cycle
         devices._closing = (bench.close,)

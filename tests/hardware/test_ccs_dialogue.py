@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from faulty_bench import FaultyCcs
 from hypothesis import given, strategies as st
 from scripted import scripted_link
 
@@ -366,7 +367,7 @@ def test_firmware_keeps_intensity_and_switch_apart() -> None:
 
 
 def test_firmware_does_not_hear_what_comes_too_early() -> None:
-    firmware = CcsFirmware(gap_s=0.005)
+    firmware = FaultyCcs(gap_s=0.005)
     assert firmware.feed(b"@00CE3\r\n", 1.0) != b""
     assert firmware.feed(b"@00CE3\r\n", 1.004) == b""
     assert firmware.feed(b"@00CE3\r\n", 1.006) != b""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
+from faulty_bench import unplug
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LIGHT_DRIVERS, LightController, LightSettings, all_off
@@ -158,7 +159,7 @@ def test_range_is_checked_before_the_wire(rig: Rig) -> None:
 
 
 def test_pulled_cable(rig: Rig) -> None:
-    rig.bench.unplug(rig.name)
+    unplug(rig.bench, rig.name)
     with pytest.raises(LinkLostError, match=r"light controller main \(.*the device is gone"):
         set_until_stopped(rig.controller, 1 if rig.kind.reads else 50)  # TCP takes what is written before it knows
     with pytest.raises(HardwareError, match=r"controller main, channels 1, 2.*may still be lit"):

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from faulty_bench import FaultySa, set_fault, unplug
 from test_light_conformance import TEMPLATE
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LIGHT_DRIVERS, LightController, LightSettings, all_off
 from lightopt.rig.devices._device import LinkLostError, ReplyError
 from lightopt.rig.simulated import BenchProcess
-from lightopt.rig.simulated._light_sa import SaFirmware
 
 pytestmark = pytest.mark.slow
 
@@ -32,7 +32,7 @@ def bench() -> Iterator[BenchProcess]:
 def lights(request: pytest.FixtureRequest, bench: BenchProcess) -> Iterator[tuple[str, LightController]]:
     controller = opened(request.param, bench)
     yield request.param, controller
-    bench.set_fault(request.param, "clear")
+    set_fault(bench, request.param, "clear")
     all_off({request.param: controller})
     controller.close()
 
@@ -60,7 +60,7 @@ def test_one_spoilt_reply_is_mended_and_counted(
     lights: tuple[str, LightController], bench: BenchProcess, fault: str, after: int
 ) -> None:
     name, controller = lights
-    bench.set_fault(name, fault, after=after, **FAULTS[fault])
+    set_fault(bench, name, fault, after=after, **FAULTS[fault])
     controller.set_level(2, 40)
     assert controller.read_level(2) == 40
     assert bench.levels(name)[2] == 40 / 255
@@ -72,7 +72,7 @@ def test_a_line_that_stays_bad_is_an_error_in_bounded_time(
     lights: tuple[str, LightController], bench: BenchProcess, fault: str
 ) -> None:
     name, controller = lights
-    bench.set_fault(name, fault, count=None, **(FAULTS[fault] | ({"delay_s": 30} if fault == "delay" else {})))
+    set_fault(bench, name, fault, count=None, **(FAULTS[fault] | ({"delay_s": 30} if fault == "delay" else {})))
     started = time.monotonic()
     with pytest.raises(ReplyError, match=rf"light controller {name}.*sent 3 times"):
         controller.set_level(2, 40)
@@ -87,7 +87,7 @@ def test_a_bad_line_never_leaves_a_wrong_light(
     """Every second reply or so is spoilt: each set either holds or is an error."""
     name, controller = lights
     for fault, options in FAULTS.items():
-        bench.set_fault(name, fault, count=None, probability=0.07, seed=seed, **options)
+        set_fault(bench, name, fault, count=None, probability=0.07, seed=seed, **options)
     held = 0
     for level in range(10, 20):
         try:
@@ -101,18 +101,18 @@ def test_a_bad_line_never_leaves_a_wrong_light(
 
 def test_wrong_checksum_and_refusals(bench: BenchProcess) -> None:
     controller = opened("ccs", bench)
-    bench.set_fault("ccs", "checksum")
+    set_fault(bench, "ccs", "checksum")
     controller.set_level(1, 9)
     assert retries(controller) == 1
-    bench.set_fault("ccs", "ng", code=2)
+    set_fault(bench, "ccs", "ng", code=2)
     controller.set_level(1, 10)
     assert retries(controller) == 2
     for code, words in ((1, "does not know the command"), (3, "out of its range")):
-        bench.set_fault("ccs", "ng", code=code)
+        set_fault(bench, "ccs", "ng", code=code)
         with pytest.raises(HardwareError, match=words):
             controller.set_level(1, 11)
     assert retries(controller) == 2
-    bench.set_fault("ccs", "clear")
+    set_fault(bench, "ccs", "clear")
     all_off({"ccs": controller})
     controller.close()
 
@@ -120,7 +120,7 @@ def test_wrong_checksum_and_refusals(bench: BenchProcess) -> None:
 def test_a_controller_that_does_not_obey(lights: tuple[str, LightController], bench: BenchProcess) -> None:
     name, controller = lights
     controller.set_level(2, 30)
-    bench.set_fault(name, "deaf", channel=2)
+    set_fault(bench, name, "deaf", channel=2)
     with pytest.raises(HardwareError, match="channel 2 was set to 31 but holds 30"):
         controller.set_level(2, 31)
     with pytest.raises(HardwareError, match="channel 2: not switched off, may still be lit"):
@@ -133,7 +133,7 @@ def test_a_lamp_that_does_not_obey_cannot_be_seen_on_the_wire(
 ) -> None:
     """The images must show it: the controller does not know."""
     name, controller = lights
-    bench.set_fault(name, fault, channel=2)
+    set_fault(bench, name, fault, channel=2)
     controller.set_level(2, 30)
     assert controller.read_level(2) == 30
     assert bench.levels(name)[2] == share
@@ -145,8 +145,8 @@ def test_all_lights_off_tries_every_channel_of_every_controller() -> None:
         for controller in controllers.values():
             for channel in (1, 2, 3, 4):
                 controller.set_level(channel, 50)
-        bench.unplug("sa")
-        bench.set_fault("ccs", "ng", code=1, after=2)
+        unplug(bench, "sa")
+        set_fault(bench, "ccs", "ng", code=1, after=2)
         with pytest.raises(HardwareError) as caught:
             all_off(controllers)
         assert [m.partition(": ")[0] for m in caught.value.messages] == [
@@ -165,7 +165,7 @@ def test_all_lights_off_tries_every_channel_of_every_controller() -> None:
 def test_cable_pulled_at_every_command_of_a_set(after: int, obeyed: bool) -> None:
     with BenchProcess({"ccs": {"kind": "ccs", "options": {"levels": {"1": 200}}}}) as bench:
         controller = opened("ccs", bench)
-        bench.set_fault("ccs", "vanish", after=after, obeyed=obeyed)
+        set_fault(bench, "ccs", "vanish", after=after, obeyed=obeyed)
         with pytest.raises(LinkLostError):
             controller.set_level(1, 0)
         controller.close()
@@ -189,7 +189,7 @@ def test_no_level_above_the_channel_s_is_sent(name: str) -> None:
 
 
 def test_lamps_age_are_swapped_and_lose_what_they_held() -> None:
-    lamps = SaFirmware(channels=3, top_level=200, levels={"3": 50})
+    lamps = FaultySa(channels=3, top_level=200, levels={"3": 50})
     lamps.feed(b"SA0100#", 0.0)
     lamps.inject("aged", {"channel": 1, "share": 0.8}, 0.0)
     assert lamps.levels() == {1: 0.4, 2: 0.0, 3: 0.25}

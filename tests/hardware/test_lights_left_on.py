@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from fault_cases import make_rig
+from faulty_bench import set_fault, trace
 
 from lightopt.config import RigConfig, load_lights, load_rig
 from lightopt.core.errors import HardwareError, InputError
@@ -79,7 +80,7 @@ def test_all_goes_dark_without_stage_and_camera(bench, rig_on):
 def test_one_controller_is_darkened_without_the_other(bench, rig_on, broken, whole, light, how):
     ports = dict(bench.ports)
     if how == "mute":
-        bench.set_fault(broken, "drop", count=None)
+        set_fault(bench, broken, "drop", count=None)
     else:
         ports[broken] = "/dev/nowhere"
     with pytest.raises(HardwareError) as raised:
@@ -90,7 +91,7 @@ def test_one_controller_is_darkened_without_the_other(bench, rig_on, broken, who
 
 
 def test_a_channel_that_does_not_obey_is_named_and_the_others_are_dark(bench, rig_on):
-    bench.set_fault("right", "deaf", channel=2)
+    set_fault(bench, "right", "deaf", channel=2)
     with pytest.raises(HardwareError, match="channel 2: not switched off") as raised:
         off(rig_on(bench.ports))
     assert raised.value.messages[-1] == "lights that may still be on: light3"
@@ -105,7 +106,7 @@ def test_what_cannot_be_read_back_is_only_sent(bench, rig_on):
 
 def test_a_stage_that_does_not_answer_leaves_nothing_burning(bench, rig_on):
     """As after kill -9 with a Grbl in alarm, which answers nothing."""
-    bench.set_fault("stage", "drop", count=None)
+    set_fault(bench, "stage", "drop", count=None)
     rig = rig_on(bench.ports)
     rig.hardware.stage.__dict__["driver"] = "grbl"
     rig.hardware.stage.rotation.__dict__["axis"] = "X"
@@ -116,7 +117,7 @@ def test_a_stage_that_does_not_answer_leaves_nothing_burning(bench, rig_on):
 
 
 def test_a_mute_controller_does_not_keep_the_other_burning(bench, rig_on):
-    bench.set_fault("left", "drop", count=None)
+    set_fault(bench, "left", "drop", count=None)
     rig = rig_on(bench.ports)
     with pytest.raises(HardwareError, match="lights that may still be on: light1"):
         connect_devices(rig, wiring_of(rig), camera=False)
@@ -132,14 +133,14 @@ def test_a_mere_look_switches_nothing(bench, rig_on):
 
 def test_nothing_waits_for_a_mute_controller(bench, rig_on):
     """Opening the mute one alone takes three times its timeout."""
-    bench.set_fault("left", "drop", count=None)
+    set_fault(bench, "left", "drop", count=None)
     rig = rig_on(bench.ports)
     slower = edited(rig, "channels: 2, timeout_s: 0.1", "channels: 2, timeout_s: 1.0")
     started = bench.state()["time"]
     with pytest.raises(HardwareError, match="lights that may still be on: light1") as raised:
         switch_off(load_lights(slower))
     assert raised.value.messages[-2] == "controllers switched off: right"
-    dark_at = max(t for t, name, _, level in bench.trace() if name == "right" and level == 0)
+    dark_at = max(t for t, name, _, level in trace(bench) if name == "right" and level == 0)
     assert dark_at - started < 1.0
 
 
@@ -189,8 +190,8 @@ def test_where_no_controller_can_be_read_it_says_what_to_do(bench, rig_on, pairs
 
 
 def test_status_asks_every_device_although_some_are_silent(bench, rig_on, cli):
-    bench.set_fault("left", "drop", count=None)
-    bench.set_fault("stage", "drop", count=None)
+    set_fault(bench, "left", "drop", count=None)
+    set_fault(bench, "stage", "drop", count=None)
     ran = cli("bench", "status", rig_on(bench.ports).source.path)
     assert ran.status == 3
     rows = {line.split("  ")[0]: line for line in ran.out.splitlines()[1:]}

@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 
 import pytest
+from faulty_bench import FaultySa
 from hypothesis import given, strategies as st
 from scripted import scripted_link
 
@@ -14,7 +15,6 @@ from lightopt.rig.devices import LightSettings
 from lightopt.rig.devices._device import RefusedError, ReplyError
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
-from lightopt.rig.simulated._light_sa import SaFirmware
 from lightopt.rig.simulated._light_template import TemplateFirmware, example
 
 LIGHTS = LightSettings("main", "COM7")
@@ -93,7 +93,7 @@ def test_sa_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(("ack", "replies"), [("upper", b"AB"), ("lower", b"ab"), ("!", b"!!")])
 def test_sa_firmware_by_the_table(ack: str, replies: bytes) -> None:
-    firmware = SaFirmware(top_level=999, ack=ack)
+    firmware = FaultySa(top_level=999, ack=ack)
     assert firmware.feed(b"SA0888#SB0000#", 0.0) == replies
     assert firmware.feed(b"SA#", 0.0) == b"a0888"
     assert firmware.levels() == {1: 888 / 999, 2: 0, 3: 0, 4: 0}
@@ -101,14 +101,14 @@ def test_sa_firmware_by_the_table(ack: str, replies: bytes) -> None:
 
 @pytest.mark.parametrize("command", [b"SE0001#", b"SA1000#", b"SA12#", b"XA0001#", b"SH#", b"\xff#"])
 def test_sa_firmware_refuses(command: bytes) -> None:
-    assert SaFirmware(channels=4, top_level=999).feed(command, 0.0) == b"NG"
+    assert FaultySa(channels=4, top_level=999).feed(command, 0.0) == b"NG"
 
 
 @given(st.lists(st.sampled_from([b"SA0255#", b"SA#", b"SD0001#", b"SL#", b"SZ#"]), max_size=6), st.data())
 def test_sa_firmware_answers_the_same_however_the_bytes_come(commands: list[bytes], data: st.DataObject) -> None:
     stream = b"".join(commands)
-    whole = SaFirmware().feed(stream, 0.0)
-    firmware, replies = SaFirmware(), b""
+    whole = FaultySa().feed(stream, 0.0)
+    firmware, replies = FaultySa(), b""
     while stream:
         count = data.draw(st.integers(1, len(stream)))
         replies += firmware.feed(stream[:count], 0.0)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pytest
+from faulty_bench import set_fault
 from stage_worlds import AXES, DEVICE_AXES, HOMED, KINDS, STEP, Pool, open_kind
 
 from lightopt.core.errors import HardwareError, InputError
@@ -48,7 +49,7 @@ class World:
         return tilt.units_of(posture.elevation_deg), turn.units_of(posture.rotation_deg)
 
     def fault(self, fault: str, **options: object) -> None:
-        self.pool.of(self.name).set_fault(self.name, fault, **options)
+        set_fault(self.pool.of(self.name), self.name, fault, **options)
 
 
 @pytest.fixture(params=[(kind, wire) for kind in KINDS for wire in WIRES], ids=lambda p: "-".join(p))

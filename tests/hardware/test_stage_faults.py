@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+from faulty_bench import set_fault, unplug
 from stage_worlds import AXES, DEVICE_AXES, KINDS, STEP, Pool, open_kind
 
 from lightopt.core.errors import HardwareError
@@ -77,7 +78,7 @@ def stands_still(pool: Pool, kind: str, name: str) -> bool:
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_axis_stalls(pool: Pool, kind: str, busy: bool) -> None:
     name, stage = at_start(pool, kind)
-    pool.of(name).set_fault(name, "stall", axis=DEVICE_AXES[kind][1], share=0.5, busy=busy)
+    set_fault(pool.of(name), name, "stall", axis=DEVICE_AXES[kind][1], share=0.5, busy=busy)
     with hurried(), pytest.raises(HardwareError) as failed:
         stage.move_to(TARGET)
     text = str(failed.value)
@@ -96,7 +97,7 @@ def test_an_axis_stalls(pool: Pool, kind: str, busy: bool) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_axis_meets_its_limit_switch(pool: Pool, kind: str) -> None:
     name, stage = at_start(pool, kind)
-    pool.of(name).set_fault(name, "limit", axis=DEVICE_AXES[kind][0], share=0.5)
+    set_fault(pool.of(name), name, "limit", axis=DEVICE_AXES[kind][0], share=0.5)
     words = {"shot": "limit switch", "gsc": "limit switch", "grbl": r"ALARM:1 \(hard limit", "zaber": r"WL \(a limit"}
     with hurried(), pytest.raises(HardwareError, match=words[kind]) as failed:
         stage.move_to(TARGET)
@@ -113,7 +114,7 @@ def test_an_axis_meets_its_limit_switch(pool: Pool, kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_command_is_refused(pool: Pool, kind: str) -> None:
     name, stage = at_start(pool, kind)
-    pool.of(name).set_fault(name, "refuse", count=1)
+    set_fault(pool.of(name), name, "refuse", count=1)
     words = {"shot": r"refused \(NG\)", "gsc": "ACK1 is X", "grbl": "error:8", "zaber": "BADDATA"}
     with pytest.raises(HardwareError, match=words[kind]):
         stage.move_to(TARGET)
@@ -129,7 +130,7 @@ def test_any_command_is_refused(pool: Pool, kind: str, after: int) -> None:
     """Of switching on, homing and moving, the command that comes after so many others."""
     name = pool.take(kind, WIRE)
     stage = open_kind(kind, pool.of(name).ports[name], timeout_s=0.3)
-    pool.of(name).set_fault(name, "refuse", after=after, count=1)
+    set_fault(pool.of(name), name, "refuse", after=after, count=1)
     refused = 0
     for _ in range(3):
         try:
@@ -151,7 +152,7 @@ def test_an_axis_stalls_on_its_way_home(pool: Pool, kind: str, busy: bool) -> No
     name = pool.take(kind, WIRE)
     port = pool.of(name).ports[name]
     stage = open_stage(kind, port=port, axes=AXES[kind], timeout_s=0.2, home_timeout_s=0.6)
-    pool.of(name).set_fault(name, "stall", axis=DEVICE_AXES[kind][0], busy=busy)
+    set_fault(pool.of(name), name, "stall", axis=DEVICE_AXES[kind][0], busy=busy)
     with hurried(), pytest.raises(HardwareError) as failed:
         stage.home()
     assert any(words in str(failed.value) for words in ("has not found its origin", "ALARM:9", "no reply after"))
@@ -166,7 +167,7 @@ def test_an_axis_stalls_on_its_way_home(pool: Pool, kind: str, busy: bool) -> No
 @pytest.mark.parametrize(("kind", "options"), [("grbl", {"code": 1}), ("grbl", {"code": 3}), ("zaber", {"flag": "FD"})])
 def test_an_alarm_in_the_middle_of_a_move(pool: Pool, kind: str, options: dict[str, object]) -> None:
     name, stage = at_start(pool, kind)
-    stage._clock.sleep = lambda _: pool.of(name).set_fault(name, "alarm", **options)
+    stage._clock.sleep = lambda _: set_fault(pool.of(name), name, "alarm", **options)
     with pytest.raises(HardwareError, match=r"ALARM:[13]|alarm during the move: axis 1: FD"):
         stage.move_to(TARGET)
     assert stands_still(pool, kind, name)
@@ -177,7 +178,7 @@ def test_an_alarm_in_the_middle_of_a_move(pool: Pool, kind: str, options: dict[s
 @pytest.mark.parametrize(("code", "silent"), [(1, True), (2, True), (3, False)])
 def test_grbl_alarms_are_not_cleared(pool: Pool, code: int, silent: bool) -> None:
     name, stage = at_start(pool, "grbl")
-    pool.of(name).set_fault(name, "alarm", code=code)
+    set_fault(pool.of(name), name, "alarm", code=code)
     time.sleep(0.05)
     with pytest.raises(HardwareError, match=f"ALARM:{code} "):
         stage.move_to(TARGET)
@@ -200,7 +201,7 @@ def test_grbl_alarms_are_not_cleared(pool: Pool, code: int, silent: bool) -> Non
 
 def test_zaber_faults_are_not_cleared(pool: Pool) -> None:
     name, stage = at_start(pool, "zaber")
-    pool.of(name).set_fault(name, "alarm", flag="FD", axis="2")
+    set_fault(pool.of(name), name, "alarm", flag="FD", axis="2")
     with pytest.raises(HardwareError, match=r"axis 2: FD \(the driver is disabled.*warnings clear"):
         stage.move_to(TARGET)
     assert stage.state().alarm is not None
@@ -211,7 +212,7 @@ def test_zaber_faults_are_not_cleared(pool: Pool) -> None:
 def test_switched_off_in_the_middle(pool: Pool, kind: str) -> None:
     """The count begins anew, so the stage is not where it was sent, whatever the device says."""
     name, stage = at_start(pool, kind)
-    stage._clock.sleep = lambda _: (pool.of(name).set_fault(name, "power_cycle"), time.sleep(0.02))[1]
+    stage._clock.sleep = lambda _: (set_fault(pool.of(name), name, "power_cycle"), time.sleep(0.02))[1]
     with pytest.raises(HardwareError):
         stage.move_to(TARGET)
     assert stage.state().referenced is False
@@ -221,7 +222,7 @@ def test_switched_off_in_the_middle(pool: Pool, kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_cable_is_pulled_while_it_stands(pool: Pool, kind: str) -> None:
     name, stage = at_start(pool, kind)
-    pool.of(name).unplug(name)
+    unplug(pool.of(name), name)
     with pytest.raises(LinkLostError, match=f"stage \\({kind}\\) on .*the device is gone"):
         stage.state()
     with pytest.raises(LinkLostError):
@@ -235,7 +236,7 @@ def test_the_cable_is_pulled_at_every_step_of_a_move(pool: Pool, kind: str) -> N
     said: list[str] = []
     for after in range(99):
         name, stage = at_start(pool, kind)
-        pool.of(name).set_fault(name, "vanish", after=after, obeyed=after % 2 == 1)
+        set_fault(pool.of(name), name, "vanish", after=after, obeyed=after % 2 == 1)
         try:
             stage.move_to(TARGET)
         except LinkLostError as error:
@@ -263,7 +264,7 @@ FAULTS = {
 def suffer(pool: Pool, kind: str, fault: str, after: int) -> HardwareError | None:
     """Move once with one spoilt reply; the error with which it failed. Asserts that it is one thing or the other."""
     name, stage = at_start(pool, kind, timeout_s=0.5)
-    pool.of(name).set_fault(name, fault, after=after, count=1, seed=after, **FAULTS[fault])
+    set_fault(pool.of(name), name, fault, after=after, count=1, seed=after, **FAULTS[fault])
     failed: HardwareError | None = None
     try:
         state = stage.move_to(TARGET)
@@ -289,7 +290,7 @@ def test_one_spoilt_reply(pool: Pool, kind: str, fault: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_reply_at_all(pool: Pool, kind: str) -> None:
     name, stage = at_start(pool, kind, timeout_s=0.1)
-    pool.of(name).set_fault(name, "drop", count=None)
+    set_fault(pool.of(name), name, "drop", count=None)
     began = time.monotonic()
     with pytest.raises(HardwareError, match=r"no reply after(.|\n)*No move had been sent to it"):
         stage.move_to(TARGET)
@@ -300,10 +301,10 @@ def test_no_reply_at_all(pool: Pool, kind: str) -> None:
 
 def test_zaber_wrong_checksums(pool: Pool) -> None:
     name, stage = at_start(pool, "zaber")
-    pool.of(name).set_fault(name, "checksum", count=1)
+    set_fault(pool.of(name), name, "checksum", count=1)
     stage.move_to(TARGET)
     assert any("checksum" in event.what and event.retry for event in stage.events)
-    pool.of(name).set_fault(name, "checksum", count=None)
+    set_fault(pool.of(name), name, "checksum", count=None)
     with pytest.raises(HardwareError, match="the checksum should be"):
         stage.move_to(START)
     stage.close()

@@ -6,10 +6,10 @@ import re
 from typing import Any
 
 import pytest
+from faulty_bench import FaultyShot, FaultyZaber, faulty
 from grbl_recordings import BANNER, GREETING, HOLD, LOCKED, MOTION, SOFT_LIMIT, Recording
 
-from lightopt.rig.simulated._axes import SimulatedAxis
-from lightopt.rig.simulated._firmware import build
+from lightopt.rig.simulated._firmware import SimulatedAxis
 from lightopt.rig.simulated._stage_grbl import GrblFirmware
 from lightopt.rig.simulated._stage_sigmakoki import GscFirmware, ShotFirmware
 from lightopt.rig.simulated._stage_zaber import ZaberFirmware
@@ -100,9 +100,9 @@ def answers(firmware: Any, now: float, *lines: bytes) -> list[bytes]:
     return [firmware.feed(line + b"\r\n", now) for line in lines]
 
 
-def slow_shot(**options: Any) -> ShotFirmware:
+def slow_shot(kind: Any = ShotFirmware, **options: Any) -> Any:
     """A SHOT at 1000 pulses/s."""
-    shot = ShotFirmware(**options)
+    shot = kind(**options)
     assert answers(shot, 0.0, b"D:1S100F1000R100", b"D:2S100F1000R100") == [b"OK\r\n"] * 2
     return shot
 
@@ -193,7 +193,7 @@ def test_zaber_by_its_table() -> None:
 
 
 def test_zaber_flags_a_stall_until_it_is_cleared() -> None:
-    zaber = ZaberFirmware(axes={"1": {}})
+    zaber: Any = FaultyZaber(axes={"1": {}})
     zaber.feed(b"/1 1 home\n", 0.0)
     zaber.inject("stall", {"share": 0.25}, 0.0)
     zaber.feed(b"/1 1 move abs 4000\n", 0.0)
@@ -203,7 +203,7 @@ def test_zaber_flags_a_stall_until_it_is_cleared() -> None:
 
 
 def test_lost_steps_are_reported_by_the_place_alone() -> None:
-    shot = slow_shot()
+    shot = slow_shot(FaultyShot)
     shot.inject("lost_step", {"axis": "1", "steps": 30}, 0.0)
     answers(shot, 0.0, b"A:W+P100+P100", b"G:")
     assert answers(shot, 2.0, b"Q:") == [b"       100,       100,K,K,R\r\n"]
@@ -213,7 +213,7 @@ def test_lost_steps_are_reported_by_the_place_alone() -> None:
 @pytest.mark.parametrize("kind", ["shot", "gsc", "grbl", "zaber"])
 def test_power_cycle_forgets_the_origin(kind: str) -> None:
     axis = "X" if kind == "grbl" else "1"
-    firmware: Any = build(kind, {"axes": {axis: {"stands": -50}}})
+    firmware: Any = faulty(kind, {"axes": {axis: {"stands": -50}}})
     firmware.poll(0.0)
     firmware.inject("power_cycle", {}, 1.0)
     assert firmware.positions(1.0)[axis] == -50
@@ -223,7 +223,7 @@ def test_power_cycle_forgets_the_origin(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["shot", "gsc", "grbl", "zaber"])
 def test_faults_and_options_that_are_not_known(kind: str) -> None:
-    firmware: Any = build(kind, {})
+    firmware: Any = faulty(kind, {})
     with pytest.raises(ValueError, match='no fault called "rust"; there is stall, limit, lost_step'):
         firmware.inject("rust", {}, 0.0)
     with pytest.raises(ValueError, match='no axis called "9"'):
@@ -231,9 +231,9 @@ def test_faults_and_options_that_are_not_known(kind: str) -> None:
     with pytest.raises(ValueError, match="stall"):
         firmware.inject("stall", {"colour": 1}, 0.0)
     with pytest.raises(ValueError, match="found"):
-        build(kind, {"axes": {"Q": {}}})
+        faulty(kind, {"axes": {"Q": {}}})
     with pytest.raises(ValueError, match=f"firmware {kind}"):
-        build(kind, {"colour": 1})
+        faulty(kind, {"colour": 1})
 
 
 def test_travel_at_constant_speed() -> None:
@@ -247,7 +247,7 @@ def test_travel_at_constant_speed() -> None:
 
 
 def test_travel_that_stalls_and_says_that_it_moves() -> None:
-    shot = slow_shot()
+    shot = slow_shot(FaultyShot)
     shot.inject("stall", {"busy": True, "share": 0.5, "axis": "1"}, 0.0)
     answers(shot, 0.0, b"A:1+P1000", b"G:")
     assert answers(shot, 99.0, b"Q:") == [b"       500,         0,K,K,B\r\n"]

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from faulty_bench import set_fault
 from stage_worlds import KINDS, Pool, open_kind
 
 with warnings.catch_warnings():  # one of them has an escape sequence that Python no longer likes
@@ -125,7 +126,7 @@ def test_zaber_motion_drives_the_zaber_firmware(pool: Pool, wire: str) -> None:
             tilt.move_absolute(9_999_999, Units.NATIVE)
         with pytest.raises(BadCommandException):
             tilt.generic_command("fly")
-        bench.set_fault(name, "alarm", flag="FS", axis="1")
+        set_fault(bench, name, "alarm", flag="FS", axis="1")
         assert tilt.warnings.get_flags() == {"FS"}
         assert tilt.warnings.clear_flags() == {"FS"}
     finally:

@@ -6,6 +6,7 @@ import threading
 import time
 
 import pytest
+from faulty_bench import set_fault, trace
 
 from lightopt.core.errors import HardwareError
 from lightopt.rig.capture._watchdog import LightWatchdog
@@ -17,7 +18,7 @@ LONGEST_S = 0.3
 
 def burned_s(bench, device, channel):
     """How long a channel burned, by the bench's clock."""
-    changes = [(t, share) for t, name, number, share in bench.trace() if (name, number) == (device, channel)]
+    changes = [(t, share) for t, name, number, share in trace(bench) if (name, number) == (device, channel)]
     lit = next(t for t, share in changes if share)
     return next(t for t, share in changes if t > lit and not share) - lit
 
@@ -28,7 +29,7 @@ def test_a_light_burns_no_longer_because_replies_are_lost(kind, tcp, answered):
     with BenchProcess({"main": {"kind": kind, "tcp": tcp}}) as bench:
         settings = LightSettings("main", bench.ports["main"], timeout_s=1.0)
         controller = LIGHT_DRIVERS[kind](settings, None)
-        bench.set_fault("main", "drop", count=None, after=answered)
+        set_fault(bench, "main", "drop", count=None, after=answered)
         watch = LightWatchdog(lambda _light: controller.set_level(3, 0))
         watch.start("light", LONGEST_S)
         with pytest.raises(HardwareError, match="because a light had to be switched off"):
@@ -37,7 +38,7 @@ def test_a_light_burns_no_longer_because_replies_are_lost(kind, tcp, answered):
         while bench.levels("main")[3] and time.monotonic() < until:
             time.sleep(0.02)
         assert burned_s(bench, "main", 3) < LONGEST_S + 0.4
-        bench.set_fault("main", "clear")
+        set_fault(bench, "main", "clear")
         watch.stop_all()
         controller.close()
 
@@ -45,7 +46,7 @@ def test_a_light_burns_no_longer_because_replies_are_lost(kind, tcp, answered):
 def test_a_reading_gives_way_to_darkening():
     with BenchProcess({"main": {"kind": "ccs", "options": {"levels": {"1": 200}}}}) as bench:
         controller = LIGHT_DRIVERS["ccs"](LightSettings("main", bench.ports["main"], timeout_s=5.0), None)
-        bench.set_fault("main", "drop")
+        set_fault(bench, "main", "drop")
         watch = LightWatchdog(lambda _light: controller.set_level(1, 0))
         watch.start("light", 0.1)
         with pytest.raises(HardwareError, match="no longer waited for"):

@@ -10,7 +10,7 @@ from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture import CapturePlan, Devices
 from lightopt.rig.devices import Frame, Identity, StageState
-from lightopt.rig.simulated._camera_setup import BenchTruth
+from lightopt.rig.simulated._bench_process import BenchTruth
 from lightopt.rig.simulated._optics import BenchOptics
 
 

@@ -98,7 +98,7 @@ PART = np.zeros((ROWS, COLUMNS), bool)
 PART[4:20, 5:25] = True
 RAMP = np.where(PART, 5 + 95 * np.linspace(0, 1, COLUMNS) ** 3, 0.0)
 SENSOR = Sensor(bit_depth=8)
-TWO = PredictedImages(cell=2, levels={"left": RAMP[:, ::-1], "right": RAMP}, part=PART)
+TWO = PredictedImages(sensor=SENSOR, cell=2, levels={"left": RAMP[:, ::-1], "right": RAMP}, part=PART)
 
 
 def seen(level, *, exposure=1.0, dark=3.0, noise=1.0, seed=0):
@@ -109,14 +109,8 @@ def seen(level, *, exposure=1.0, dark=3.0, noise=1.0, seed=0):
 
 def check(light, level, predictions=TWO, **options):
     dark = options.get("dark", 3.0)
-    return check_light(
-        light,
-        seen(level, **options),
-        dark,
-        predictions=predictions,
-        sensor=SENSOR,
-        exposure=options.get("exposure", 1.0),
-    )
+    exposure = options.get("exposure", 1.0)
+    return check_light(light, seen(level, **options), dark, predictions=predictions, exposure=exposure)
 
 
 @pytest.mark.parametrize("gain", [0.3, 1.0, 2.2])
@@ -151,7 +145,7 @@ def test_a_second_light_is_named():
 @pytest.mark.parametrize("seed", range(20))
 def test_lights_that_look_alike_accuse_nobody(seed):
     flat = np.where(PART, 50.0, 0.0)
-    alike = PredictedImages(cell=2, levels={"left": flat * 1.01, "right": flat}, part=PART)
+    alike = PredictedImages(sensor=SENSOR, cell=2, levels={"left": flat * 1.01, "right": flat}, part=PART)
     found = check("left", flat, alike, noise=3.0, seed=seed)
     assert found.problem is None
     assert found.undecided is not None
@@ -174,7 +168,7 @@ def test_saturation_is_predicted_too():
         check(
             "right",
             10 * RAMP,
-            PredictedImages(cell=2, levels={"left": 10 * RAMP[:, ::-1], "right": 10 * RAMP}, part=PART),
+            PredictedImages(sensor=SENSOR, cell=2, levels={"left": 10 * RAMP[:, ::-1], "right": 10 * RAMP}, part=PART),
         ).problem
         is None
     )
@@ -183,9 +177,9 @@ def test_saturation_is_predicted_too():
 def test_a_light_left_on_shows_in_the_dark_frame():
     frames = {"left": seen(RAMP[:, ::-1], dark=0.0), None: seen(0.0 * RAMP, dark=0.0)}
     for light, frame in frames.items():
-        assert find_light_left_on(frame, predictions=TWO, sensor=SENSOR, exposure=1.0) == light
+        assert find_light_left_on(frame, predictions=TWO, exposure=1.0) == light
     ambient = seen(np.full(PART.shape, 30.0), dark=0.0)
-    assert find_light_left_on(ambient, predictions=TWO, sensor=SENSOR, exposure=1.0) is None
+    assert find_light_left_on(ambient, predictions=TWO, exposure=1.0) is None
 
 
 def test_means_are_rounded_without_a_bias():

@@ -244,7 +244,7 @@ def test_an_exposure_that_the_camera_cannot_have(opened, world, rig, bench):
     with opened() as devices:
         devices.camera.exposure_range_us = (10.0, 9000.0)
         with pytest.raises(InputError, match=r"an exposure of 10000 µs is outside the camera's 10 to 9000 µs"):
-            AcquisitionEngine(devices, plan, sensor=sensor, identities={}, timing=Timing())
+            AcquisitionEngine(devices, plan, sensor=sensor, timing=Timing())
 
 
 def test_exposures_between_the_steps_of_the_camera_are_refused_in_the_dark(opened, world, rig, bench):
@@ -255,7 +255,7 @@ def test_exposures_between_the_steps_of_the_camera_are_refused_in_the_dark(opene
 
     def shooter(devices, *exposures):
         plan = make_plan(rig, part, CaptureOptions(exposures=exposures))
-        AcquisitionEngine(devices, plan, sensor=sensor, identities={}, timing=Timing()).close()
+        AcquisitionEngine(devices, plan, sensor=sensor, timing=Timing()).close()
 
     with opened() as devices:
         devices.camera.set_exposure = lambda requested: 20.0 * round(requested / 20)

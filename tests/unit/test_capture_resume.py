@@ -329,8 +329,8 @@ def test_an_exposure_for_which_the_light_may_not_burn_is_not_begun():
         wiring=SimpleNamespace(hardware=SimpleNamespace(timing=SimpleNamespace(frame_timeout_s=1.0))),
     )
     camera = SimpleNamespace(exposure_range_us=(1.0, 1e7))
-    devices = SimpleNamespace(camera=camera, remaining_on_s=lambda name: 0.01)
-    engine = AcquisitionEngine(devices, plan, sensor=None, identities={}, timing=Timing())
+    devices = SimpleNamespace(camera=camera, identities=dict, remaining_on_s=lambda name: 0.01)
+    engine = AcquisitionEngine(devices, plan, sensor=None, timing=Timing())
     engine._lit, engine._held_us = ("light1", {}), 20_000.0
     with pytest.raises(HardwareError, match=r"light1 may be on for 0\.01 s more \(max_on_s\)"):
         engine._grab()

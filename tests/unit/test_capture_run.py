@@ -199,8 +199,8 @@ def test_what_may_not_burn_long_waits_less():
     )
     for left, expected in ((None, 0.16), (5.0, 0.16), (0.1, 0.07), (0.02, 0.0)):
         camera = SimpleNamespace(exposure_range_us=(1.0, 1e7))
-        devices = SimpleNamespace(camera=camera, remaining_on_s=lambda name, left=left: left)
-        engine = AcquisitionEngine(devices, plan, sensor=None, identities={}, timing=Timing())
+        devices = SimpleNamespace(camera=camera, identities=dict, remaining_on_s=lambda name, left=left: left)
+        engine = AcquisitionEngine(devices, plan, sensor=None, timing=Timing())
         engine._lit = ("light1", {})
         assert engine.max_wait_s((1.0, 0.5)) == pytest.approx(expected)
 

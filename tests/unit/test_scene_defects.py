@@ -163,7 +163,7 @@ def test_surface_coordinates_of_a_placed_defect(box):
 
 def test_the_bench_shows_defects_where_the_part_lies(box):
     """A stain that is 1 mm aside in the file, or the part 1 mm aside on the bench, looks the same but for the rim."""
-    from lightopt.rig.simulated._camera_setup import BenchTruth
+    from lightopt.rig.simulated._bench_process import BenchTruth
     from lightopt.rig.simulated._optics import BenchOptics
 
     clean = box.part.read_text(encoding="utf-8")

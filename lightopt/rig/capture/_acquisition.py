@@ -62,14 +62,13 @@ class AcquiredImage:
 class AcquisitionEngine:
     """Takes the images of a plan; InputError, with nothing lit or moved, where the camera lacks an exposure time."""
 
-    def __init__(
-        self, devices: Devices, plan: CapturePlan, *, sensor: Sensor, identities: dict[str, Any], timing: Timing
-    ) -> None:
+    def __init__(self, devices: Devices, plan: CapturePlan, *, sensor: Sensor, timing: Timing) -> None:
+        devices.step = "querying the identity of the devices"
+        self._identities = devices.identities()
         _check_exposures(devices, plan)
         self.devices = devices
         self._plan = plan
         self._sensor = sensor
-        self._identities = identities
         self._timing = timing
         self._stage: dict[str, Any] | None = None
         self._stage_settled = 0.0

@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -19,7 +19,6 @@ from lightopt.rig.capture._captured_set import open_set
 from lightopt.rig.capture._connect import connect_devices
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._session import CaptureSession
-from lightopt.rig.capture._wiring import bench_truth
 from lightopt.scene import build_scene
 
 Connect = Callable[[CapturePlan], Devices]  # opens the devices of a plan
@@ -81,12 +80,7 @@ def capture(
             if connect is not None:
                 opened = connect(plan)
             else:
-                truth = bench_truth(rig)
-                if plan.options.seed is not None:
-                    truth = replace(truth, seed=plan.options.seed)
-                opened = connect_devices(
-                    rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, truth=truth, run=run
-                )
+                opened = connect_devices(rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, run=run)
             devices = safe.enter_context(opened)
             camera, (width, height), bits = devices.camera, rig.camera.resolution_px, rig.camera.sensor.bit_depth
             if camera.resolution_px != (width, height) or camera.bit_depth != bits:  # nothing is lit or moved yet

@@ -1,7 +1,7 @@
 """The plan of a capture, as data: every move, every light and every exposure, checked before anything is opened."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -223,7 +223,13 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         pixels=rig.camera.resolution_px[0] * rig.camera.resolution_px[1],
     )
     taken = f"{counted(len(exposures), 'exposure')} of {counted(options.average, 'frame')}"
-    problems += _light_problems(rig, wiring, plan.lights, on_s=plan.on_s(), taken=taken)
+    for name in plan.lights:
+        longest_s = wiring.light(name).max_on_s
+        if longest_s is not None and plan.on_s() > longest_s:
+            problems.append(
+                f"{rig.source.at('hardware', 'lights', name)}: would be on for {plan.on_s():.3g} s without a break "
+                f"(settling and {taken}), longer than max_on_s {longest_s:g}; take fewer or shorter exposures"
+            )
     if problems:
         raise InputError(*problems)
     return plan
@@ -300,16 +306,4 @@ def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ..
             yield (
                 f"exposure {exposure:g} is {time_us:g} µs ({rig.source.at('camera', 'exposure_us')}), outside the "
                 f"camera's {low:g} to {high:g} µs"
-            )
-
-
-def _light_problems(rig: RigConfig, wiring: Wiring, lights: Iterable[str], *, on_s: float, taken: str) -> Iterator[str]:
-    """Lights that would be on longer at a stretch [s] than they may for what is taken."""
-    for name in lights:
-        channel = wiring.light(name)
-        where = rig.source.at("hardware", "lights", name)
-        if channel.max_on_s is not None and on_s > channel.max_on_s:
-            yield (
-                f"{where}: would be on for {on_s:.3g} s without a break (settling and {taken}), longer than max_on_s "
-                f"{channel.max_on_s:g}; take fewer or shorter exposures"
             )

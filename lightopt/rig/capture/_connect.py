@@ -13,7 +13,7 @@ from lightopt.rig.capture._lights_off import open_lights
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._software_cameras import FolderCamera, VirtualCamera
-from lightopt.rig.capture._wiring import STAGE, VIRTUAL, Wiring, stage_axes, start_bench
+from lightopt.rig.capture._wiring import STAGE, VIRTUAL, Wiring, bench_truth, stage_axes, start_bench
 from lightopt.rig.devices import (
     Camera,
     CameraSettings,
@@ -55,15 +55,14 @@ def connect_devices(
     """
     run = run or RunContext()
     replay = check_devices(rig, wiring, plan, camera=camera)
-    signals = EndSignals()
-    signals.install()
     with ExitStack() as stack:
-        stack.callback(signals.restore)
+        signals = stack.enter_context(EndSignals())
         log = SerialLog(serial_log, warn=run.warn)
         closing: list[Callable[[], None]] = [log.close]
         stack.callback(log.close)
         if bench is None and wiring.needs_bench:
-            bench = start_bench(rig, wiring, part=part if camera else None, truth=truth)
+            seed = None if plan is None else plan.options.seed
+            bench = start_bench(rig, wiring, part=part if camera else None, truth=truth or bench_truth(rig, seed))
             stack.callback(bench.close)
             closing.append(bench.close)
         ports: Mapping[str, str] = {} if bench is None else bench.ports
@@ -80,9 +79,20 @@ def connect_devices(
             unreachable |= lights.problems
         elif lights.problems:
             raise lights.error()
+
+        @contextmanager
+        def naming_lights(device: str) -> Generator[None]:
+            """Errors of a device also say which lights may still be on; or they are collected."""
+            try:
+                yield
+            except LightoptError as error:
+                if unreachable is None:
+                    raise (lights.error(error) if touch_lights else error) from error
+                unreachable[device] = error
+
         stage: Stage | None = None
         if (config := wiring.hardware.stage) is not None:
-            try:
+            with naming_lights(STAGE):
                 stage = open_stage(
                     config.driver,
                     port=ports[STAGE] if config.port == VIRTUAL else config.port,
@@ -91,17 +101,11 @@ def connect_devices(
                     **config.model_dump(include={"baud", "timeout_s", "home_timeout_s"}),
                 )
                 stack.callback(stage.close)
-            except LightoptError as error:
-                if unreachable is None:
-                    raise (lights.error(error) if touch_lights else error) from error
-                unreachable[STAGE] = error
         opened_camera: Camera | None = None
         if camera:
-            try:
+            with naming_lights("camera"):
                 opened_camera = _open_rig_camera(rig, wiring, replay=replay, bench=bench, log=log)
                 stack.callback(opened_camera.close)
-            except LightoptError as error:
-                raise (lights.error(error) if touch_lights else error) from error
         others = {STAGE: stage, "camera": opened_camera}
         opened = {**lights.controllers, **{name: device for name, device in others.items() if device is not None}}
         _log.info("opened %s", ", ".join(opened))
@@ -118,10 +122,8 @@ def connect_devices(
             dark=touch_lights,
         )
         if plan is not None and not plan.home:
-            try:
+            with naming_lights(STAGE):
                 devices.check_referenced()
-            except LightoptError as error:
-                raise lights.error(error) from error
         stack.pop_all()  # from here on the devices close themselves
     return devices
 

@@ -45,9 +45,15 @@ LEFT_ON = 0.05
 class PredictedImages:
     """Coarse prediction of the image of each light in one posture."""
 
+    sensor: Sensor
     cell: int  # side of a cell [px]
     levels: Mapping[str, Float64]  # linear, at exposure 1 above black [sensor level], by light; shape (rows, columns)
     part: Bool  # cells that show the part, shape (rows, columns)
+
+    @property
+    def room(self) -> float:
+        """From black to saturation [sensor level]."""
+        return self.sensor.saturated_from - self.sensor.black_level
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +91,7 @@ def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: i
     images = render_posture(replace(scene, camera=coarse), posture, caster=caster, supersample=supersample)
     scale = scene.sensor.max_level / scene.reflectance.full_scale
     return PredictedImages(
+        sensor=scene.sensor,
         cell=cell,
         levels={image.light: image.level.astype(np.float64) * scale for image in images.lights},
         part=images.geometry.hit,
@@ -92,13 +99,7 @@ def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: i
 
 
 def check_light(
-    light: str,
-    image: NDArray[Any],
-    dark: NDArray[Any] | float,
-    *,
-    predictions: PredictedImages,
-    sensor: Sensor,
-    exposure: float,
+    light: str, image: NDArray[Any], dark: NDArray[Any] | float, *, predictions: PredictedImages, exposure: float
 ) -> LightCheck:
     """Compare an image with the frame without light and with the predicted image of every light of the rig.
 
@@ -106,12 +107,10 @@ def check_light(
     image, dark: [sensor level], shape (H, W); the dark may be one level.
     exposure: Relative exposure of the image.
     """
-    part = predictions.part
+    part, sensor, room = predictions.part, predictions.sensor, predictions.room
     if int(part.sum()) < LEAST_CELLS:
         return LightCheck(undecided="too little of the part is visible")
-    background = cells(dark, predictions)[part] if isinstance(dark, np.ndarray) else dark
-    seen = cells(image, predictions)[part] - background
-    room = sensor.saturated_from - sensor.black_level
+    seen = _seen(image, dark, predictions)
     alone = {name: np.minimum(level[part] * exposure, room) for name, level in predictions.levels.items()}
     own_light = alone[light]
     expected, power = float(own_light.mean()), _dot(own_light, own_light)
@@ -159,22 +158,15 @@ def check_light(
 
 
 def find_light_left_on(
-    dark: NDArray[Any],
-    *,
-    predictions: PredictedImages,
-    sensor: Sensor,
-    exposure: float,
-    before: NDArray[Any] | None = None,
+    dark: NDArray[Any], *, predictions: PredictedImages, exposure: float, before: NDArray[Any] | None = None
 ) -> str | None:
     """The light that a dark frame (H, W) [sensor level] shows to be on, or None; `before` is one known to be dark."""
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:
         return None
-    background = sensor.black_level if before is None else cells(before, predictions)[part]
-    seen = cells(dark, predictions)[part] - background
-    room = sensor.saturated_from - sensor.black_level
+    seen = _seen(dark, predictions.sensor.black_level if before is None else before, predictions)
     for name, level in predictions.levels.items():
-        alone = np.minimum(level[part] * exposure, room)
+        alone = np.minimum(level[part] * exposure, predictions.room)
         mean = float(alone.mean())
         like = _correlation(seen, alone)
         if mean > 0.5 and seen.mean() > 0.3 * mean and like > 1.0 - 2.0 * CLEARLY_MORE:
@@ -193,6 +185,12 @@ def cells(image: NDArray[Any], predictions: PredictedImages) -> Float64:
     step = max(1, cell // PIXELS_OF_CELL)
     some = middle.reshape(rows, cell, columns, cell)[:, step // 2 :: step, :, step // 2 :: step]
     return some.mean(axis=(1, 3), dtype=np.float64)
+
+
+def _seen(image: NDArray[Any], dark: NDArray[Any] | float, predictions: PredictedImages) -> Float64:
+    """How much brighter the cells of the part are than in the dark, shape (n,)."""
+    background = cells(dark, predictions)[predictions.part] if isinstance(dark, np.ndarray) else dark
+    return cells(image, predictions)[predictions.part] - background
 
 
 def _self_correlation(expected: Float64, sensor: Sensor, cell: int) -> float:
@@ -245,13 +243,8 @@ class ImageChecker:
         if self._caster is None:
             return
         image, first = acquired.image, self._reference.get(acquired.exposure)
-        light = find_light_left_on(
-            image.mean,
-            predictions=self._predicted[acquired.posture].result(),
-            sensor=self._sensor,
-            exposure=image.exposure,
-            before=first,
-        )
+        predictions = self._predicted[acquired.posture].result()
+        light = find_light_left_on(image.mean, predictions=predictions, exposure=image.exposure, before=first)
         if light is not None:
             raise HardwareError(
                 f"the frame without light looks like {light}, although all channels were switched off; "
@@ -279,14 +272,8 @@ class ImageChecker:
         light, image, own_dark = acquired.light, acquired.image, self._dark(dark, acquired.exposure)
         assert light is not None
         where = f"{light} {acquired.posture}"
-        found = check_light(
-            light,
-            image.mean,
-            own_dark,
-            predictions=self._predicted[acquired.posture].result(),
-            sensor=self._sensor,
-            exposure=image.exposure,
-        )
+        predictions = self._predicted[acquired.posture].result()
+        found = check_light(light, image.mean, own_dark, predictions=predictions, exposure=image.exposure)
         problem = found.problem
         for exposure, other in others.items():
             darks = (own_dark, self._dark(dark, exposure))

@@ -122,13 +122,11 @@ def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunCo
     run = run or RunContext()
     wiring = _wiring(lights)
     names = wiring.hardware.controllers
-    signals = EndSignals()
-    signals.install()
     problems: dict[str, LightoptError] = {}
     unverified: list[str] = []
     may_be_on: list[str] = []
     with ExitStack() as stack:
-        stack.callback(signals.restore)
+        signals = stack.enter_context(EndSignals())
         stack.enter_context(signals.shielded())  # Ctrl-C waits until every channel was tried
         log = SerialLog(serial_log, warn=run.warn)
         stack.callback(log.close)

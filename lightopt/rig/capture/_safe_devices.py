@@ -73,9 +73,7 @@ class Devices:
         return sum(event.retry for event in self.events())
 
     def __enter__(self) -> "Devices":
-        if self._signals is None:
-            self._signals = EndSignals()
-            self._signals.install()
+        self._signals = self._signals or EndSignals().install()
         self._signals.hold_in(Devices.__exit__.__code__)
         atexit.register(self._last_resort)
         try:

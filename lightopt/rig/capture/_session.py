@@ -95,12 +95,9 @@ class CaptureSession:
 
     def execute(self, devices: Devices) -> None:
         self._devices = devices
-        devices.step = "querying the identity of the devices"
         with self._timing.spent("opening_s"):
-            identities = devices.identities()
-            self._started = AcquisitionEngine(
-                devices, self._plan, sensor=self._scene.sensor, identities=identities, timing=self._timing
-            )
+            sensor = self._scene.sensor
+            self._started = AcquisitionEngine(devices, self._plan, sensor=sensor, timing=self._timing)
         if self._plan.home:
             self._report_progress("homing the stage")
             self._engine.home()
@@ -166,20 +163,15 @@ class CaptureSession:
 
     def _finish(self, *, failed: bool, lights: str) -> bool:
         """Finish writing, whatever happens, while signals are held back; returns whether one came."""
-        signals = EndSignals()
-        signals.install()
-        try:
-            with signals.shielded():
-                if failed:
-                    self._writer.cancel_linears()
-                if not self._writer.wait_idle(DISK_WARNING_S):
-                    self._run.warn(f"{lights}waiting until the disk has written the exposed images; Ctrl-C also waits")
-                self._writer.close()
-                if self._started is not None:
-                    self._started.close()
-                self._checker.close()
-        finally:
-            signals.restore()
+        with EndSignals() as signals, signals.shielded():
+            if failed:
+                self._writer.cancel_linears()
+            if not self._writer.wait_idle(DISK_WARNING_S):
+                self._run.warn(f"{lights}waiting until the disk has written the exposed images; Ctrl-C also waits")
+            self._writer.close()
+            if self._started is not None:
+                self._started.close()
+            self._checker.close()
         return signals.pending is not None
 
     def _capture_posture(self, posture: Posture) -> None:

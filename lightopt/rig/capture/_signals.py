@@ -26,18 +26,19 @@ class EndSignals:
         self.pending: str | None = None
         self._holding: set[CodeType] = set()
 
-    def install(self) -> None:
-        if threading.current_thread() is not threading.main_thread():
-            return
-        for name in _NAMES:
+    def install(self) -> "EndSignals":
+        for name in _NAMES if threading.current_thread() is threading.main_thread() else ():
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
                 self._before[number] = signal.signal(number, self._receive)
+        return self
 
-    def restore(self) -> None:
+    def restore(self, *_exception: object) -> None:
         for number, before in self._before.items():
             signal.signal(number, before)
         self._before.clear()
+
+    __enter__, __exit__ = install, restore
 
     @contextmanager
     def shielded(self) -> Generator[None]:

@@ -131,7 +131,7 @@ def start_bench(
             for name, channel in hardware.lights.items()
             if channel.controller in devices
         ),
-        **{
+        axes={
             axis.name: AxisWire(device=STAGE, axis=axis.device, steps_per_deg=axis.steps_per_deg, zero=axis.zero)
             for axis in axes
         },
@@ -141,13 +141,14 @@ def start_bench(
     return BenchProcess(devices, camera=asdict(setup))
 
 
-def bench_truth(rig: RigConfig) -> BenchTruth:
-    """How the virtual bench differs from a rig's file, apart from the rig that it follows."""
+def bench_truth(rig: RigConfig, seed: int | None = None) -> BenchTruth:
+    """How the virtual bench differs from a rig's file, apart from the rig that it follows; `seed` as in the file."""
     own = rig.virtual_bench
     if own is None:
-        return BenchTruth()
+        return BenchTruth() if seed is None else BenchTruth(seed=seed)
     x, y, z = map(math.radians, own.part_rotation_vector_deg)
-    return BenchTruth(seed=own.seed, rays=own.rays, part_offset_mm=own.part_offset_mm, part_rotation=(x, y, z))
+    seed = own.seed if seed is None else seed
+    return BenchTruth(seed=seed, rays=own.rays, part_offset_mm=own.part_offset_mm, part_rotation=(x, y, z))
 
 
 def _true_rig(rig: RigConfig) -> RigConfig:

@@ -54,12 +54,12 @@ class Camera(Protocol):
     def close(self) -> None: ...  # never raises
 
 
+@dataclass
 class FrameOrder:
     """Compares each frame with the one before; `lost` counts frames that the camera numbered and that never came."""
 
-    def __init__(self) -> None:
-        self.lost = 0
-        self.last: RawFrame | None = None
+    lost: int = 0
+    last: RawFrame | None = None
 
     def check(self, frame: RawFrame) -> None:
         """Raise a ReplyError for a frame that is incomplete, came before, or is older than the one before."""

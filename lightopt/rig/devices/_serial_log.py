@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
@@ -67,21 +68,21 @@ class SerialLog:
                 self._warn(what)
 
 
+@dataclass
 class LogEntry:
     """Bytes that came together, on their way into the log."""
 
-    def __init__(self, log: SerialLog, port: str) -> None:
-        self._log = log
-        self._port = port
-        self._time = ""
-        self.data = bytearray()
+    log: SerialLog
+    port: str
+    time: str = ""  # of the first of them
+    data: bytearray = field(default_factory=bytearray)
 
     def add(self, data: bytes) -> None:
-        self._time = self._time or now()
+        self.time = self.time or now()
         self.data += data
 
     def write(self) -> None:
         if self.data:
-            self._log.write(self._port, "in", bytes(self.data), self._time)
-            self._time = ""
+            self.log.write(self.port, "in", bytes(self.data), self.time)
+            self.time = ""
             self.data.clear()

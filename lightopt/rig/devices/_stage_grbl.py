@@ -108,7 +108,7 @@ def parse_report(line: bytes) -> tuple[str, tuple[float, ...]] | None:
 
 
 class GrblDialogue(Dialogue):
-    """The protocol of Grbl 1.1; axes X, Y, Z."""
+    """The protocol of Grbl 1.1; axes X, Y, Z. The speeds that it allows are only known from the device."""
 
     BAUD = 115200
     HOMES_TO_END = True
@@ -121,10 +121,6 @@ class GrblDialogue(Dialogue):
         self._restarted = False
         self._homing = False
         self._greet()
-
-    @classmethod
-    def check_axes(cls, axes: Sequence[Axis]) -> None:
-        """Nothing: the speeds that Grbl allows are only known from the device."""
 
     def identify(self) -> dict[str, str]:
         lines = self._retry.run(lambda: self._line("$I"))
@@ -174,9 +170,6 @@ class GrblDialogue(Dialogue):
                     f"stage axis {axis.name}: {axis.speed_deg_per_s:g}°/s is faster than Grbl's axis goes "
                     f"(${110 + index} allows {fastest / abs(axis.steps_per_deg):g}°/s); nothing was moved"
                 )
-
-    def prepare(self) -> None:
-        """Nothing: each move carries its speed."""
 
     def go(self, targets: Mapping[str, float]) -> None:
         """Plan a straight move in machine coordinates, fast enough for the axis that takes longest."""

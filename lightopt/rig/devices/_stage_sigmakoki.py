@@ -141,9 +141,6 @@ class ShotDialogue(_SigmakokiDialogue):
     RTSCTS = True
     SPEEDS = (1, 500_000)
 
-    def check(self, targets: Mapping[str, float]) -> None:
-        """The controller has no limits to check against."""
-
     def prepare(self) -> None:
         for axis in self._axes:
             fast = round(axis.speed_units())

@@ -1,14 +1,16 @@
-"""The virtual bench from outside: its process, its ports, and the requests to it."""
+"""The virtual bench from outside: its process, its ports, the requests to it, and what its camera looks at."""
 
 import json
 import os
-import socket
+import queue
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -24,6 +26,70 @@ _START = (
     "import sys; sys.path[:] = sys.argv.pop(1).split(chr(10)); "
     "import runpy; runpy.run_module('lightopt.rig.simulated', run_name='__main__', alter_sys=True)"
 )
+
+CAMERA = "camera"  # name of a GigE camera among the devices of a bench
+EXPOSURE_RANGE_US = (10.0, 10e6)
+"""Shortest and longest exposure time of the virtual camera [µs]; it holds whole microseconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchTruth:
+    """Where the bench differs from the files: the ground truth of tests."""
+
+    seed: int = 1  # of the noise, and of the waviness of the surface
+    gains: Mapping[str, float] = field(default_factory=dict[str, float])  # factors on the lights by name
+    part_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from its place, at posture (0, 0) [mm]
+    part_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rotation vector about the origin before that [rad]
+    dark_level: float = 0.0  # added to the sensor's black level [sensor level]
+    ambient_level: float = 0.0  # light that is always there, everywhere in the image [grey level at exposure 1]
+    # whether frames begin on request; otherwise they follow one another, and the first after a change began before it
+    triggered: bool = True
+    rays: int = 1  # along each side of a pixel, which shows their mean, as a real camera's does; 1: its centre
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightWire:
+    """Where a light is plugged in, and the share of the highest intensity at which it is as the rig describes."""
+
+    light: str
+    device: str
+    channel: int
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisWire:
+    """Which axis of a device is the tilt or the rotation, its units per degree, and where 0° is."""
+
+    device: str
+    axis: str
+    steps_per_deg: float
+    zero: float
+
+    def angle_deg(self, positions: Mapping[str, float]) -> float:
+        return (positions[self.axis] - self.zero) / self.steps_per_deg
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSetup:
+    """What the camera looks at: files of rig and part, the wiring of lights and axes, and where the bench differs."""
+
+    rig: str
+    part: str
+    exposure_us: float  # exposure time of exposure 1 [µs]
+    lights: tuple[LightWire, ...]
+    axes: Mapping[str, AxisWire] = field(default_factory=dict[str, AxisWire])  # elevation, rotation; others: fixed at 0
+    truth: BenchTruth = field(default_factory=BenchTruth)
+    gige: bool = False  # whether it is a GigE Vision camera on the loopback
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any]) -> "CameraSetup":
+        parts: dict[str, Any] = {
+            "lights": tuple(LightWire(**wire) for wire in data["lights"]),
+            "axes": {name: AxisWire(**wire) for name, wire in data["axes"].items()},
+            "truth": BenchTruth(**data["truth"]),
+        }
+        return cls(**{**data, **parts})
 
 
 def start_process(spec: str, errors: BinaryIO) -> subprocess.Popen[bytes]:
@@ -45,7 +111,7 @@ class BenchProcess:
     """A virtual bench in a process of its own, which ends with this object or with this process.
 
     devices: By name: ``kind`` (ccs, sa, template, shot, gsc, grbl, zaber) and, optionally, ``options`` of the firmware,
-        ``tcp`` (whether it is on TCP; so it is where there are no pseudo-terminals) and ``wedges`` of the wire.
+        ``tcp`` (whether it is on TCP; so it is where there are no pseudo-terminals).
     camera: What the camera looks at: a :class:`CameraSetup` as a dictionary.
 
     `ports` is what a driver opens, by device; `pid` its process id. InputError when a device cannot be as described.
@@ -54,18 +120,16 @@ class BenchProcess:
     def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, camera: Mapping[str, Any] | None = None) -> None:
         spec = {"devices": devices, **({} if camera is None else {"camera": camera})}
         self._lock = threading.Lock()
-        self._control: socket.socket | None = None
-        self._replies: BinaryIO | None = None
+        self._answers: queue.Queue[tuple[dict[str, Any], bytes]] = queue.Queue()
+        self._usable = True
+        self._reader: threading.Thread | None = None
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process)
         self._process = start_process(json.dumps(spec), self._errors)
         self.pid = self._process.pid
         try:
-            hello = self._hello()
-            self.ports: dict[str, str] = hello["ports"]
-            self._control = socket.create_connection(("127.0.0.1", hello["control"]), timeout=_REQUEST_S)
-            self._control.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._replies = self._control.makefile("rb")
-            self._control.sendall(hello["token"].encode() + b"\n")
+            self.ports = self._await_ports()
+            self._reader = threading.Thread(target=self._read_answers, daemon=True)
+            self._reader.start()
         except BaseException:
             self.close()
             raise
@@ -73,16 +137,16 @@ class BenchProcess:
     def request(self, do: str, *, timeout_s: float = _REQUEST_S, **arguments: Any) -> tuple[dict[str, Any], bytes]:
         """The bench's answer and its bytes; ValueError for a wrong request, HardwareError for no answer in time."""
         with self._lock:
+            assert self._process.stdin is not None
             try:
-                if self._control is None or self._replies is None:
+                if not self._usable:
                     raise OSError("closed")
-                self._control.settimeout(max(1e-3, timeout_s))
-                self._control.sendall(json.dumps({"do": do, **arguments}).encode() + b"\n")
-                line = self._replies.readline()
-                answer: dict[str, Any] = json.loads(line) if line else {}
-                data = self._replies.read(answer["bytes"]) if answer.get("bytes") else b""
-            except TimeoutError:
-                self._hang_up()  # what comes later would be taken for the answer to the next question
+                self._usable = False  # until the answer is here: a late one must not be taken for the next
+                self._process.stdin.write(json.dumps({"do": do, **arguments}).encode() + b"\n")
+                self._process.stdin.flush()
+                answer, data = self._answers.get(timeout=max(1e-3, timeout_s))
+                self._usable = True
+            except queue.Empty:
                 raise self._gone(
                     f"did not answer the request {do} within {timeout_s:.3g} s: its process hangs"
                 ) from None
@@ -103,7 +167,7 @@ class BenchProcess:
             raise self._gone(f"cannot render what its camera sees ({error})") from None
 
     def state(self) -> dict[str, Any]:
-        """State now: by device ``levels``, ``positions``, ``deliveries``; ``struck``, ``time`` [s], ``pid``."""
+        """State now: ``levels`` and ``positions`` by device."""
         return self.request("state")[0]
 
     def levels(self, device: str) -> dict[int, float]:
@@ -114,18 +178,6 @@ class BenchProcess:
         """Where the axes of a stage really stand, in device units."""
         return self.state()["positions"][device]
 
-    def trace(self) -> list[tuple[float, str, int, float]]:
-        """Changes of the lights so far: time [s, the bench's clock], device, channel, share of the brightest."""
-        return [(t, name, channel, level) for t, name, channel, level in self.request("trace")[0]["changes"]]
-
-    def set_fault(self, device: str, fault: str, **options: Any) -> None:
-        """Set a fault of a device or of its line; ``clear`` ends them."""
-        self.request("fault", device=device, fault=fault, options=options)
-
-    def unplug(self, device: str) -> None:
-        """Pull the cable of a device; the device goes on with what it does."""
-        self.request("unplug", device=device)
-
     def kill(self) -> None:
         """Kill the process, as a power cut would: nothing is cleaned up."""
         self._process.kill()
@@ -133,14 +185,18 @@ class BenchProcess:
 
     def close(self) -> None:
         """End the process; never raises."""
-        self._hang_up()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
+        self._usable = False
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with suppress(OSError):  # of a process that has ended
+            self._process.stdin.close()
         try:
             self._process.wait(5)
         except subprocess.TimeoutExpired:
             self.kill()
+        if self._reader is not None:
+            self._reader.join()
+        self._process.stdout.close()
         self._errors.close()
 
     def __enter__(self) -> "BenchProcess":
@@ -149,13 +205,19 @@ class BenchProcess:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def _hang_up(self) -> None:
-        for end in (self._replies, self._control):
-            if end is not None:
-                end.close()
-        self._control = self._replies = None
+    def _read_answers(self) -> None:
+        """Pass on the answers, each with the bytes that follow it; an empty one when the process has ended."""
+        assert self._process.stdout is not None
+        with suppress(ValueError):  # nothing more comes, or an answer breaks off
+            while True:
+                answer: dict[str, Any] = json.loads(self._process.stdout.readline())
+                data = self._process.stdout.read(answer["bytes"])
+                if len(data) < answer["bytes"]:
+                    break
+                self._answers.put((answer, data))
+        self._answers.put(({}, b""))
 
-    def _hello(self) -> dict[str, Any]:
+    def _await_ports(self) -> dict[str, str]:
         watchdog = threading.Timer(_START_S, self._process.kill)
         watchdog.start()
         try:

@@ -1,45 +1,36 @@
 """The camera of the virtual bench, in the process of the firmware: it sees what the firmware does.
 
-A frame is requested over the control socket; its pixels follow the answer row by row, little end first.
+The pixels of a frame follow the answer to its request row by row, little end first.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.simulated._camera_setup import CameraSetup
+from lightopt.rig.simulated._bench_process import CameraSetup
+from lightopt.rig.simulated._devices import Handler, Response, SimulatedDevices
 
 if TYPE_CHECKING:
     from lightopt.rig.simulated._optics import BenchOptics, Levels
 
-Response = tuple[dict[str, Any], bytes]  # a JSON object, and bytes that follow it; often none
-
-# Answers a request; runs in a thread of the asking connection. A ValueError or KeyError becomes the asker's.
-Handler = Callable[[Mapping[str, Any]], Response]
-
-Brightness = Callable[[str], Mapping[int, float]]
-Positions = Callable[[str], Mapping[str, float]]
-
 
 class BenchCamera:
-    """Takes frames of what devices do now: `levels` of channels, shares of the highest; `positions` of axes."""
+    """Takes frames of what devices do now."""
 
-    def __init__(self, setup: CameraSetup, levels: Brightness, positions: Positions) -> None:
+    def __init__(self, setup: CameraSetup, devices: SimulatedDevices) -> None:
         self._setup = setup
-        self._levels = levels
-        self._positions = positions
+        self._devices = devices
         self._number = 0
         self._seen: tuple[dict[str, float], Posture] | None = None
         self._optics: BenchOptics | None = None
         self._building = threading.Lock()
-        self._preparing = threading.Lock()
         self._prepared: Posture | None = None
         self._unprepared: str | None = None
         self._renderer: threading.Thread | None = None
@@ -71,26 +62,24 @@ class BenchCamera:
         resolution_px, bit_depth = self.sensor()
         return {"resolution_px": resolution_px, "bit_depth": bit_depth, "triggered": self._setup.truth.triggered}, b""
 
-    def expose(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
-        """Levels of a frame that begins now, or when the one before ended; not `counted` if it is lost on its way."""
+    def expose(self, exposure_us: float, gain_db: float, triggered: bool) -> Levels:
+        """Levels of a frame that begins now, or when the one before ended."""
         now = self._state()
         shares, posture = now if triggered or self._seen is None else self._seen
-        pixels = self._build().frame(
-            shares, posture, exposure=exposure_us / self._setup.exposure_us, gain_db=gain_db, counted=counted
-        )
+        exposure = exposure_us / self._setup.exposure_us
+        pixels = self._build().frame(shares, posture, exposure=exposure, gain_db=gain_db)
         self._seen = self._state()
         return pixels
 
     def _prepare(self, _: Mapping[str, Any]) -> Response:
         """Whether the view is rendered, which is begun if not: a camera that is silent meanwhile counts as gone."""
         posture = self._state()[1]
-        with self._preparing:
-            if self._unprepared is not None:
-                raise ValueError(self._unprepared)
-            ready = self._prepared == posture
-            if not ready and (self._renderer is None or not self._renderer.is_alive()):
-                self._renderer = threading.Thread(target=self._render, args=(posture,), name="render", daemon=True)
-                self._renderer.start()
+        if self._unprepared is not None:
+            raise ValueError(self._unprepared)
+        ready = self._prepared == posture
+        if not ready and (self._renderer is None or not self._renderer.is_alive()):
+            self._renderer = threading.Thread(target=self._render, args=(posture,), name="render", daemon=True)
+            self._renderer.start()
         return {"ready": ready}, b""
 
     def _render(self, posture: Posture) -> None:
@@ -122,10 +111,7 @@ class BenchCamera:
         }, pixels.astype(little, copy=False).tobytes()
 
     def _state(self) -> tuple[dict[str, float], Posture]:
-        levels = {device: self._levels(device) for device in {wire.device for wire in self._setup.lights}}
+        levels, positions = self._devices.levels(), self._devices.positions(time.monotonic())
         shares = {wire.light: levels[wire.device].get(wire.channel, 0.0) / wire.share for wire in self._setup.lights}
-        angles = [
-            0.0 if axis is None else axis.angle_deg(self._positions(axis.device))
-            for axis in (self._setup.elevation, self._setup.rotation)
-        ]
-        return shares, Posture(*angles)
+        angles = {name: axis.angle_deg(positions[axis.device]) for name, axis in self._setup.axes.items()}
+        return shares, Posture(angles.get("elevation", 0.0), angles.get("rotation", 0.0))

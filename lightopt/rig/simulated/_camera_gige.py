@@ -18,8 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.rig.simulated._firmware import Trigger, trigger
-
 Image = NDArray[np.integer[Any]]
 
 # number and bits by name
@@ -56,9 +54,8 @@ def packed(levels: Image, code: int) -> bytes:
     return flat.astype(np.uint8 if code >> 16 & 0xFF == 8 else "<u2").tobytes()
 
 
-# what is seen at an exposure time [µs] and a gain [dB]; whether the frame was triggered or followed another; whether it
-# will arrive, so that it counts
-Expose = Callable[[float, float, bool, bool], Image]
+# what is seen at an exposure time [µs] and a gain [dB]; whether the frame was triggered or followed another
+Expose = Callable[[float, float, bool], Image]
 
 _ADDRESS = "127.0.0.1"
 _CONTROL_PORT = 3956
@@ -66,25 +63,6 @@ _FREE_S = 100.0
 _LONGEST_US = 1_000_000
 _PERIOD_US = 10_000  # between two frames of a camera that runs freely
 _TRIGGER_US = 1_000  # between two checks for a trigger
-
-FAULTS = (
-    "lost",  # no packet of a frame arrives
-    "incomplete",  # some packets do not arrive
-    "duplicate",  # the frame has the number of the one before
-    "order",  # its number is lower than that of the one before
-    "stale",  # its time is before that of the one before
-    "old_image",  # its image is that of the one before
-    "exposure",  # it is exposed half as long
-    "format",  # the camera holds another pixel format from here on, as after a power cycle
-    "hang",  # the camera neither sends nor answers any more
-    "vanish",  # its cable is pulled
-)
-
-_UNSOUND = {"lost", "incomplete", "duplicate", "order", "stale", "hang", "vanish"}
-_BACK = 3
-_BACK_NS = 10**9
-_LOST_SHARES = {"lost": 1.0, "vanish": 1.0, "incomplete": 0.5}  # of a frame's packets
-_OTHER_FORMAT = 0x0108000B  # BayerBG8
 
 
 class GigeCamera:
@@ -103,7 +81,6 @@ class GigeCamera:
         self._expose = expose
         self._port = _reserve_port()
         self.serial = "LIGHTOPT1"
-        self.faults = GigeFaults(self)
         self._folder = tempfile.TemporaryDirectory()
         described = Path(self._folder.name) / "camera.xml"
         described.write_text(self._description(formats), encoding="utf-8")
@@ -117,7 +94,7 @@ class GigeCamera:
             ("PIXEL_FORMAT", FORMATS[formats[0]][0]),
             ("ACQUISITION_FRAME_PERIOD_US", _PERIOD_US),
         ):
-            self.write(register, value)
+            self._device.write_register(self._register(register), value)
         self._device.set_trigger_frequency(1e6 / _TRIGGER_US)
         kind = ctypes.CFUNCTYPE(
             None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32
@@ -126,50 +103,32 @@ class GigeCamera:
         self.c.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, kind, ctypes.c_void_p]
         self.c.arv_buffer_get_data.restype = ctypes.c_void_p
         self.c.arv_buffer_get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
-        for field in ("frame_id", "timestamp"):
-            get, put = (getattr(self.c, f"arv_buffer_{verb}_{field}") for verb in ("get", "set"))
-            get.restype, get.argtypes = ctypes.c_uint64, [ctypes.c_void_p]
-            put.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
         self.c.arv_fake_camera_set_fill_pattern(_address(self._device), self._fill_c, None)
 
     def unplug(self) -> None:
         self._device = self._server = None
 
-    def lose(self, share: float) -> None:
-        """Lose this share of the packets of the stream from here on."""
-        if self._server is not None:
-            self._server.set_property("gvsp-lost-ratio", share)
-
-    def write(self, register: str, value: int) -> None:
-        """Write a register of the camera, as a fault of the camera itself would."""
-        if self._device is not None:
-            self._device.write_register(self._register(register), value)
-
     def _register(self, name: str) -> int:
         return getattr(self._library, f"FAKE_CAMERA_REGISTER_{name}")
 
     def close(self) -> None:
-        self.faults.awake.set()
         self.unplug()
         self._port.close()
         self._folder.cleanup()
 
-    def _fill(self, buffer: int, _: int | None, exposure_us: int, gain: int, code: int) -> None:
+    def _fill(self, buffer: int, _: int | None, exposure_us: float, gain: int, code: int) -> None:
         """Expose: called by the camera's thread when a frame begins."""
         begun = time.monotonic()
-        number = int(self.c.arv_buffer_get_frame_id(buffer))
-        held_us = self.faults.begin(buffer, number, exposure_us)
         device = self._device
         triggered = device is not None and not device.is_in_free_running_mode()
-        levels = self.faults.seen(self._expose(held_us, float(gain), triggered, self.faults.arrives))
+        levels = self._expose(float(exposure_us), float(gain), triggered)
         top, left, height, width = self._region()
         data = packed(levels[top : top + height, left : left + width], code)
         size = ctypes.c_size_t()
         where = self.c.arv_buffer_get_data(buffer, ctypes.byref(size))
         room = width * height * (code >> 16 & 0xFF) // 8  # the size in the buffer is 0 at this moment
         ctypes.memmove(where, data, min(len(data), room))
-        time.sleep(max(0.0, held_us / 1e6 - (time.monotonic() - begun)))
-        self.faults.end(buffer, int(self.c.arv_buffer_get_timestamp(buffer)))
+        time.sleep(max(0.0, exposure_us / 1e6 - (time.monotonic() - begun)))
 
     def _region(self) -> tuple[int, int, int, int]:
         """Top, left, height and width of the part of the sensor that a frame has [pixels]; nothing when unplugged."""
@@ -196,65 +155,6 @@ class GigeCamera:
             flags=re.DOTALL,
         )
         return text.replace("<Max>10000000.0</Max>", f"<Max>{_LONGEST_US}.0</Max>")
-
-
-class GigeFaults:
-    """Decides at each frame which faults strike, and lets the camera suffer them."""
-
-    def __init__(self, camera: GigeCamera) -> None:
-        self._camera = camera
-        self._triggers: dict[str, Trigger] = {}
-        self._now: set[str] = set()
-        self._image: Image | None = None
-        self._stamp_ns = 0
-        self._losing = False
-        self.awake = threading.Event()
-
-    def inject(self, fault: str, options: dict[str, Any]) -> None:
-        """Set a fault; ``clear`` ends all."""
-        if fault == "clear":
-            self._triggers = {}
-            return
-        if fault not in FAULTS:
-            raise ValueError(f'a camera has no fault "{fault}"; there is {", ".join(FAULTS)}')
-        self._triggers = {**self._triggers, fault: trigger(fault, options)}
-
-    def begin(self, buffer: int, number: int, exposure_us: int) -> float:
-        """Apply the faults that strike at this frame; returns how long it is really exposed [µs]."""
-        self._now = {fault for fault, one in self._triggers.items() if one.strikes()}
-        share = max((_LOST_SHARES.get(fault, 0.0) for fault in self._now), default=0.0)
-        if share or self._losing:
-            self._losing = share > 0
-            self._camera.lose(share)
-        for fault, back in (("duplicate", 1), ("order", _BACK)):
-            if fault in self._now:
-                self._camera.c.arv_buffer_set_frame_id(buffer, number - back)
-        if "exposure" in self._now:
-            exposure_us = max(10, exposure_us // 2)
-            self._camera.write("EXPOSURE_TIME_US", exposure_us)
-        if "format" in self._now:
-            self._camera.write("PIXEL_FORMAT", _OTHER_FORMAT)
-        if "hang" in self._now:
-            self.awake.wait()  # the camera's one thread, which also answers questions
-        if "vanish" in self._now:
-            # the camera's own thread is here and cannot end itself
-            threading.Thread(target=self._camera.unplug, daemon=True).start()
-        return float(exposure_us)
-
-    @property
-    def arrives(self) -> bool:
-        return not self._now & _UNSOUND
-
-    def seen(self, image: Image) -> Image:
-        """What the frame has of what is seen."""
-        old, self._image = self._image, image
-        return old if "old_image" in self._now and old is not None else image
-
-    def end(self, buffer: int, timestamp_ns: int) -> None:
-        if "stale" in self._now:
-            self._camera.c.arv_buffer_set_timestamp(buffer, (self._stamp_ns or time.time_ns()) - _BACK_NS)
-        else:
-            self._stamp_ns = timestamp_ns
 
 
 def _address(gobject: Any) -> int:

@@ -1,4 +1,4 @@
-"""The devices of a virtual bench: firmware, its wire (a pseudo-terminal, or TCP where there are none), line faults.
+"""The devices of a virtual bench: firmware, and its wire (a pseudo-terminal, or TCP where there are none).
 
 `port` of a wire is what a client opens; `waiting` are file descriptors to watch for something to read, none once the
 cable is pulled. Nothing is waited for: `receive` takes what has come, a connection included; `send` returns how many
@@ -8,15 +8,19 @@ bytes the wire took, and without a client they are lost; `pull` pulls the cable,
 import contextlib
 import math
 import os
-import random
 import socket
 import sys
 import threading
-from collections import deque
-from collections.abc import Collection, Mapping
+import time
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from lightopt.rig.simulated._firmware import Trigger, build, trigger
+from lightopt.rig.simulated._firmware import build
+
+Response = tuple[dict[str, Any], bytes]  # a JSON object, and bytes that follow it; often none
+
+# Answers a request; all run in one thread. A ValueError or KeyError becomes the asker's.
+Handler = Callable[[Mapping[str, Any]], Response]
 
 have_ptys = sys.platform != "win32"
 
@@ -59,12 +63,9 @@ class PtyWire:
 
 
 class TcpWire:
-    """A loopback socket for one client at a time; `wedges`: one that leaves without a word disables it (PD3-EI)."""
+    """A loopback socket for one client at a time."""
 
-    def __init__(self, *, wedges: bool = False) -> None:
-        self._wedges = wedges
-        self._wedged = False
-        self._spoken = False
+    def __init__(self) -> None:
         self._client: socket.socket | None = None
         self._listener: socket.socket | None = None
         self._number = 0
@@ -88,11 +89,8 @@ class TcpWire:
         if not data:
             self._client.close()
             self._client = None
-            self._wedged = self._wedged or (self._wedges and not self._spoken)
             self._listen()
-            return b""
-        self._spoken = True
-        return b"" if self._wedged else data
+        return data
 
     def send(self, data: bytes) -> int:
         if self._client is None:
@@ -127,72 +125,10 @@ class TcpWire:
             self._client, _ = self._listener.accept()
             self._client.setblocking(False)
             self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._spoken = False
             # A second client is refused at once instead of hanging in the queue.
             self._listener.close()
             self._listener = None
 
-
-# by name, each with its option and the default of that
-LINE_FAULTS: dict[str, dict[str, Any]] = {
-    "drop": {},
-    "delay": {"delay_s": 0.5},
-    "truncate": {"keep": 1},
-    "garbage_before": {"bytes": 3},
-    "garbage_instead": {"bytes": 5},
-    "vanish": {"obeyed": False},
-}
-
-
-class FaultyLine:
-    """Transmits the bytes that a device sends, with faults.
-
-    Faults, each with the options of :class:`Trigger`: ``drop``; ``delay`` (by ``delay_s``); ``truncate`` (to ``keep``
-    bytes); ``garbage_before`` and ``garbage_instead`` (so many ``bytes``); ``vanish`` (the cable is pulled when a
-    command arrives; ``obeyed``: whether the device still hears it). Occasions of ``vanish`` are deliveries of bytes to
-    the device, those of the others are replies.
-    """
-
-    def __init__(self) -> None:
-        self._faults: list[tuple[str, Trigger, dict[str, Any]]] = []
-
-    def inject(self, kind: str, options: Mapping[str, Any]) -> None:
-        if kind == "clear":
-            self._faults.clear()
-            return
-        chosen = dict(options)
-        values = {key: chosen.pop(key, value) for key, value in LINE_FAULTS[kind].items()}
-        values["seed"] = chosen.get("seed", 0)
-        self._faults.append((kind, trigger(kind, chosen), values))
-
-    def pulled(self) -> bool | None:
-        """Whether the cable is pulled as bytes arrive at the device: None if not, else whether it still hears them."""
-        for kind, strikes, options in self._faults:
-            if kind == "vanish" and strikes.strikes():
-                return bool(options["obeyed"])
-        return None
-
-    def carry(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
-        """What arrives at the client of a reply that the device sends at a time [s], and when."""
-        due = now
-        for kind, strikes, options in self._faults:
-            if kind == "vanish" or not strikes.strikes():
-                continue
-            if kind == "drop":
-                data = b""
-            elif kind == "delay":
-                due = now + float(options["delay_s"])
-            elif kind == "truncate":
-                data = data[: int(options["keep"])]
-            else:
-                # bytes as a disturbed line has them: any but those that end or begin commands
-                chance = random.Random(int(options["seed"]))  # noqa: S311  (noise, not a secret)
-                noise = bytes(chance.choice(range(0x80, 0xFF)) for _ in range(int(options["bytes"])))
-                data = noise + (data if kind == "garbage_before" else b"")
-        return [(due, data)] if data else []
-
-
-_TRACE = 100_000
 
 _TICK_S = 0.005  # how late a device may be with what it sends on its own while it is awake
 _AWAKE_S = 1.0  # a device is awake for so long after it was sent something
@@ -205,9 +141,7 @@ class Device:
     def __init__(self, kind: str, options: dict[str, Any], wire: PtyWire | TcpWire) -> None:
         self.firmware = build(kind, options)
         self.wire = wire
-        self.deliveries = 0
-        self._line = FaultyLine()
-        self._out: list[tuple[float, bytes]] = []  # when [s], what
+        self._out = b""
         self._received_at = -math.inf
         self._polled_at = -math.inf
 
@@ -219,56 +153,29 @@ class Device:
         return self.is_awake(now) or now - self._polled_at >= _ASLEEP_S
 
     def receive(self, now: float) -> None:
-        data = self.wire.receive()
-        if not data:
-            return
-        self._received_at = now
-        self.deliveries += 1
-        pulled = self._line.pulled()
-        if pulled is not None:
-            self.wire.pull()
-        if pulled is not False:
-            self._reply(self.firmware.feed(data, now), now)
+        if data := self.wire.receive():
+            self._received_at = now
+            self._out += self.firmware.feed(data, now)
 
     def send(self, now: float) -> None:
         self._polled_at = now
-        self._reply(self.firmware.poll(now), now)
-        self._out.sort(key=lambda sent: sent[0])
-        while self._out and self._out[0][0] <= now:
-            due, data = self._out.pop(0)
-            taken = self.wire.send(data)
-            if taken < len(data):
-                self._out.insert(0, (due, data[taken:]))
-                return
-
-    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        self._received_at = now
-        if fault in LINE_FAULTS or fault == "clear":
-            self._line.inject(fault, options)
-        if fault == "clear":
-            self._out = [sent for sent in self._out if sent[0] <= now]  # late replies do not come any more
-        if fault not in LINE_FAULTS:
-            self.firmware.inject(fault, options, now)
-
-    def _reply(self, data: bytes, now: float) -> None:
-        if data:
-            self._out += self._line.carry(data, now)
+        self._out += self.firmware.poll(now)
+        if self._out:
+            self._out = self._out[self.wire.send(self._out) :]
 
 
 class SimulatedDevices:
-    """All devices of a bench, and its lights through time; hold `lock` while touching them: threads share them."""
+    """All devices of a bench; hold `lock` while touching them: threads share them."""
 
     def __init__(self, devices: Mapping[str, Mapping[str, Any]]) -> None:
         self.lock = threading.RLock()
-        self._served = threading.Event()
-        # changes of the lights: time [s, monotonic clock], device, channel, share of the highest brightness
-        self.trace: deque[tuple[float, str, int, float]] = deque(maxlen=_TRACE)
         self.devices: dict[str, Device] = {}
-        self._brightness: dict[tuple[str, int], float] = {}
         for name, spec in devices.items():
-            wire = TcpWire(wedges=spec.get("wedges", False)) if spec.get("tcp", not have_ptys) else PtyWire()
+            wire = TcpWire() if spec.get("tcp", not have_ptys) else PtyWire()
             self.devices[name] = Device(spec["kind"], dict(spec.get("options", {})), wire)
-        self.levels()
+
+    def requests(self) -> dict[str, Handler]:
+        return {"state": self._state}
 
     def ports(self) -> dict[str, str]:
         return {name: device.wire.port for name, device in self.devices.items()}
@@ -291,8 +198,6 @@ class SimulatedDevices:
                     device.receive(now)
                 if called or device.is_due(now):
                     device.send(now)
-            self._record_lights(now)
-            self._served.set()
 
     def levels(self) -> dict[str, dict[int, float]]:
         """Brightness of each channel of each light controller, as a share of the highest."""
@@ -306,29 +211,11 @@ class SimulatedDevices:
             found = {name: device.firmware.positions(now) for name, device in self.devices.items()}
         return {name: positions for name, positions in found.items() if positions is not None}
 
-    def inject(self, name: str, fault: str, options: dict[str, Any], now: float) -> None:
+    def _state(self, _: Mapping[str, Any]) -> Response:
         with self.lock:
-            if name not in self.devices:
-                raise ValueError(f'no device called "{name}"; there is {", ".join(self.devices)}')
-            self.devices[name].inject(fault, options, now)
-            self._record_lights(now)
-
-    def pull(self, name: str) -> None:
-        """Pull the cable of a device, and wait until its end is no longer in use."""
-        with self.lock:
-            self.devices[name].wire.pull()
-            self._served.clear()
-        # The system keeps a wire open for as long as the serving thread waits on it.
-        self._served.wait(1)
+            return {"levels": self.levels(), "positions": self.positions(time.monotonic())}, b""
 
     def close(self) -> None:
         with self.lock:
             for device in self.devices.values():
                 device.wire.pull()
-
-    def _record_lights(self, now: float) -> None:
-        for name, levels in self.levels().items():
-            for channel, level in levels.items():
-                if self._brightness.get((name, channel), 0.0) != level:
-                    self._brightness[name, channel] = level
-                    self.trace.append((now, name, channel, level))

@@ -6,65 +6,37 @@ understood, mixed.
 """
 
 import re
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from lightopt.rig.simulated._firmware import LampFirmware
 
 _COMMAND, _CHECKSUM, _VALUE = 1, 2, 3
-_LONGEST = 64
 _MODES = 10  # S00 is on/off, S01 … S10 are strobes
 
 
 class CcsFirmware(LampFirmware):
-    """A controller with CCS ``@`` frames.
+    """A controller with CCS ``@`` frames."""
 
-    Faults besides those of its lamps, with the options of :class:`Trigger`: ``ng`` (option ``code``: 1 command,
-    2 checksum, 3 value; the frame is refused and not obeyed) and ``checksum`` (the reply's checksum is wrong). A frame
-    that comes less than `gap_s` [s] after another is ignored.
-    """
-
-    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"ng": {"code": _COMMAND}, "checksum": {}}
-
-    def __init__(self, *, gap_s: float = 0.0, **lamps: Any) -> None:
+    def __init__(self, **lamps: Any) -> None:
         super().__init__(**lamps)
         self._digits = max(3, len(str(self._top_level)))
         self._mode = dict.fromkeys(self._level, 0)
-        self._gap_s = gap_s
-        self._last = -float("inf")
-
-    def feed(self, data: bytes, now: float) -> bytes:
-        self._buffer += data
-        replies = b""
-        while b"\r\n" in self._buffer:
-            line, _, self._buffer = self._buffer.partition(b"\r\n")
-            start = line.rfind(b"@")
-            if start < 0 or now - self._last < self._gap_s:
-                continue
-            self._last = now
-            replies += self._answer(line[start:])
-        start = self._buffer.rfind(b"@")
-        self._buffer = self._buffer[start:][:_LONGEST] if start >= 0 else b""
-        return replies
 
     def levels(self) -> dict[int, float]:
         """Brightness of each channel; a channel in a strobe mode is dark, because it is never triggered."""
         return {c: share if self._mode[c] == 0 else 0.0 for c, share in super().levels().items()}
 
-    def inject(self, fault: str, options: Mapping[str, Any], now: float) -> None:
-        if fault == "ng" and options.get("code", _COMMAND) not in (_COMMAND, _CHECKSUM, _VALUE):
-            raise ValueError(f"ng wants code 1, 2 or 3, got {options['code']}")
-        super().inject(fault, options, now)
-
-    def _answer(self, frame: bytes) -> bytes:
+    def _answer(self, command: bytes, now: float) -> bytes:  # noqa: ARG002
+        start = command.rfind(b"@")
+        if start < 0:
+            return b""
+        frame = command[start:]
         head = frame[1:3].decode("ascii", "replace") if frame[1:3].isdigit() else "00"
         match = re.fullmatch(rb"@(\d\d)([A-Z])(.*)([0-9A-F]{2})", frame)
         if match is None:
             return self._reply(head, f"N{_COMMAND:02d}")
         if int(match[4], 16) != sum(frame[:-2]) % 256:
             return self._reply(head, f"N{_CHECKSUM:02d}")
-        if (code := self._struck("ng")) is not None:
-            return self._reply(head, f"N{code:02d}")
         outcome = self._obey(int(match[1]) + 1, match[2].decode(), match[3].decode("ascii", "replace"))
         if isinstance(outcome, int):
             outcome = f"N{outcome:02d}"
@@ -72,10 +44,7 @@ class CcsFirmware(LampFirmware):
 
     def _reply(self, head: str, outcome: str) -> bytes:
         body = f"@{head}{outcome}".encode("ascii")
-        checksum = sum(body) % 256
-        if self._struck("checksum"):
-            checksum ^= 0x55
-        return body + f"{checksum:02X}\r\n".encode("ascii")
+        return body + f"{sum(body) % 256:02X}\r\n".encode("ascii")
 
     def _obey(self, channel: int, instruction: str, data: str) -> str | int:
         """Execute a command; returns the reply from O on, or the number of the error."""
@@ -95,9 +64,9 @@ class CcsFirmware(LampFirmware):
         if value > {"F": self._top_level, "L": 1, "S": _MODES}[instruction]:
             return _VALUE
         if instruction == "F":
-            self._set_level(channel, value)
+            self._level[channel] = value
         elif instruction == "L":
-            self._switch(channel, bool(value))
+            self._on[channel] = bool(value)
         else:
             self._mode[channel] = value
         return "O"

@@ -9,28 +9,22 @@ from typing import Any
 
 from lightopt.rig.simulated._firmware import LampFirmware
 
-_LONGEST = 16
-_ACKS = ("upper", "lower", "!")
-
 
 class SaFirmware(LampFirmware):
-    """A controller of the ``SA0255#`` family; `ack` is how it acknowledges: ``upper`` or ``lower`` letter, or ``!``."""
+    """A controller of the ``SA0255#`` family, which acknowledges by the channel's letter, in lower case."""
 
-    def __init__(self, *, ack: str = "lower", **lamps: Any) -> None:
-        if ack not in _ACKS:
-            raise ValueError(f'ack is one of {", ".join(_ACKS)}, not "{ack}"')
+    END = b"#"
+
+    def __init__(self, **lamps: Any) -> None:
         super().__init__(**lamps)
         self._letters = "ABCDEF"[: self._channels]
-        self._ack = ack
 
-    def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
-        self._buffer += data
-        commands = self._whole_commands(b"#", _LONGEST)
-        return "".join(self._answer(command.decode("ascii", "replace")) for command in commands).encode("ascii")
+    def _answer(self, command: bytes, now: float) -> bytes:  # noqa: ARG002
+        return self._obey(command.decode("ascii", "replace")).encode("ascii")
 
-    def _answer(self, command: str) -> str:
+    def _obey(self, command: str) -> str:
         match = re.fullmatch(r"S([A-F])(\d{4})?", command)
-        if match is None or self._struck("ng"):
+        if match is None:
             return "NG"
         letter, digits = match.groups()
         if letter not in self._letters:
@@ -40,5 +34,5 @@ class SaFirmware(LampFirmware):
             return f"{letter.lower()}{self._level[channel]:04d}"
         if int(digits) > self._top_level:
             return "NG"
-        self._set_level(channel, int(digits))
-        return {"upper": letter, "lower": letter.lower(), "!": "!"}[self._ack]
+        self._level[channel] = int(digits)
+        return letter.lower()

@@ -11,7 +11,7 @@ _LONGEST = 256
 
 
 class TemplateFirmware(LampFirmware):
-    """A controller that understands a rig file's templates; a command that fault ``ng`` refuses is answered ``?``."""
+    """A controller that understands a rig file's templates; a level that it does not have is answered ``?``."""
 
     def __init__(self, *, template: Mapping[str, str | None], **lamps: Any) -> None:
         super().__init__(**lamps)
@@ -37,13 +37,14 @@ class TemplateFirmware(LampFirmware):
         while (found := self._first()) is not None:
             verb, channel, match = found
             self._text = self._text[match.end() :]
-            level = int(match["level"]) if "level" in match.re.groupindex else 0
-            if level > self._top_level or self._struck("ng"):
-                yield "?" + self._end
-                continue
-            if verb != "read":
-                self._set_level(channel, level)
-            yield self._reply(verb, self._level[channel])
+            yield self._obey(verb, channel, int(match["level"]) if "level" in match.re.groupindex else 0)
+
+    def _obey(self, verb: str, channel: int, level: int) -> str:
+        if level > self._top_level:
+            return "?" + self._end
+        if verb != "read":
+            self._level[channel] = level
+        return self._reply(verb, self._level[channel])
 
     def _first(self) -> tuple[str, int, re.Match[str]] | None:
         """The earliest command in the buffer, with what lies before it thrown away."""

@@ -15,7 +15,7 @@ from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.geometry import RayCaster
 from lightopt.optics import expose
 from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.rig.simulated._camera_setup import BenchTruth
+from lightopt.rig.simulated._bench_process import BenchTruth
 from lightopt.scene import Scene, move_part
 
 Levels = UInt8 | NDArray[np.uint16]
@@ -52,7 +52,6 @@ class BenchOptics:
         *,
         exposure: float,  # relative
         gain_db: float = 0.0,  # of the camera [dB]: signal and noise alike, and fewer electrons per level
-        counted: bool = True,  # whether it counts among the frames that were taken before the next
     ) -> Levels:
         """One frame with noise, quantised and saturated, under lights with `shares` of the brightness in the rig file.
 
@@ -75,17 +74,13 @@ class BenchOptics:
             sensor=sensor,
             exposure=exposure * gain,
             full_scale=self.scene.reflectance.full_scale,
-            rng=self._noise(lit, posture, exposure, counted=counted),
+            rng=self._noise(lit, posture, exposure),
         )
 
-    def _noise(
-        self, lit: Mapping[str, float], posture: Posture, exposure: float, *, counted: bool
-    ) -> np.random.Generator:
+    def _noise(self, lit: Mapping[str, float], posture: Posture, exposure: float) -> np.random.Generator:
         numbers = (*lit.values(), posture.elevation_deg, posture.rotation_deg, exposure)
         state = ",".join(lit).encode() + struct.pack(f"<{len(numbers)}d", *numbers)
-        number = self._taken.get(state, -1) + 1
-        if counted:
-            self._taken[state] = number
+        self._taken[state] = number = self._taken.get(state, -1) + 1
         digest = hashlib.sha256(state + struct.pack("<qq", number, self._truth.seed)).digest()
         return np.random.default_rng(int.from_bytes(digest[:16], "little"))
 

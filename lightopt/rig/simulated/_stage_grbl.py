@@ -11,9 +11,8 @@ import math
 import re
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, ClassVar
 
-from lightopt.rig.simulated._axes import StageFirmware
+from lightopt.rig.simulated._firmware import StageFirmware
 
 _WORD = re.compile(r"([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
 _KNOWN = {1, 21, 53, 90, 94}
@@ -22,10 +21,6 @@ _LETTER, _NUMBER, _UNSUPPORTED, _NO_FEED = 1, 2, 20, 22
 
 class GcodeError(Exception):
     """A line that Grbl refuses, with the number of the error."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(code)
-        self.code = code
 
 
 def parse_line(text: str) -> tuple[dict[str, float], float]:
@@ -54,38 +49,13 @@ def parse_line(text: str) -> tuple[dict[str, float], float]:
     return words, feed
 
 
-# as a Grbl 1.1h lists them when new: number=value, with as many decimals as it writes
-_NEW = """
+# settings as a Grbl 1.1h lists them when new: number and value, with as many decimals as it writes
+_LISTED = """
 0=10 1=25 2=0 3=0 4=0 5=0 6=0 10=1 11=0.010 12=0.002 13=0 20=0 21=0 22=0 23=0 24=25.000 25=500.000 26=250 27=1.000
 30=1000 31=0 32=0 100=250.000 101=250.000 102=250.000 110=500.000 111=500.000 112=500.000
 120=10.000 121=10.000 122=10.000 130=200.000 131=200.000 132=200.000
 """
-
-
-class GrblSettings:
-    """The settings by number; `changed` are those that are not as new, by their numbers as text."""
-
-    def __init__(self, changed: Mapping[str, float]) -> None:
-        self._values: dict[int, float] = {}
-        self._decimals: dict[int, int] = {}
-        for item in _NEW.split():
-            number, _, value = item.partition("=")
-            self._values[int(number)] = float(value)
-            self._decimals[int(number)] = len(value.partition(".")[2])
-        for key, value in changed.items():
-            if not key.isdigit() or int(key) not in self._values:
-                raise ValueError(f"Grbl has no setting ${key}")
-            self._values[int(key)] = float(value)
-
-    def __getitem__(self, number: int) -> float:
-        return self._values[number]
-
-    def lines(self) -> bytes:
-        """Answer to ``$$`` without its ok."""
-        return b"".join(
-            f"${number}={value:.{self._decimals[number]}f}\r\n".encode() for number, value in self._values.items()
-        )
-
+_NEW = {number: value for number, _, value in (item.partition("=") for item in _LISTED.split())}
 
 _NAMES = ("X", "Y", "Z")
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
@@ -97,14 +67,7 @@ _BRAKE_S = 0.02
 
 
 class GrblFirmware(StageFirmware):
-    """A Grbl 1.1h with three axes.
-
-    Faults besides those of its axes (``limit`` raises ALARM:1): ``alarm`` (option ``code``; at once), ``refuse``
-    (option ``code``: lines are answered by ``error:code``, with the options of :class:`Trigger`).
-    """
-
-    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {"code": 8}}
-    DEVICE_FAULTS = ("alarm",)
+    """A Grbl 1.1h with three axes; one that meets a limit switch raises ALARM:1."""
 
     def __init__(
         self,
@@ -117,7 +80,11 @@ class GrblFirmware(StageFirmware):
         if not set(given) <= set(_NAMES):
             raise ValueError(f"the axes are X, Y and Z, found {', '.join(given)}")
         super().__init__({name: given.get(name, {}) for name in _NAMES})
-        self._settings = GrblSettings(settings or {})
+        self._settings = {int(number): float(value) for number, value in _NEW.items()}
+        for number, value in (settings or {}).items():
+            if number not in _NEW:
+                raise ValueError(f"Grbl has no setting ${number}")
+            self._settings[int(number)] = float(value)
         self._home_speed = home_speed
         self._power_up()
 
@@ -131,7 +98,8 @@ class GrblFirmware(StageFirmware):
             elif self._critical:
                 continue
             elif byte == b"?":
-                out += self._answer_status(now)
+                self._status_wanted = self._homing  # no report while it seeks the switches
+                out += b"" if self._homing else self._report(now)
             elif byte == b"!":
                 self._hold(now)
             elif byte in b"\r\n":
@@ -160,15 +128,6 @@ class GrblFirmware(StageFirmware):
             self._status_wanted = False
             out += self._report(now)
         return out + self._work(now)
-
-    def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
-        if fault == "alarm":
-            code = int(options.get("code", 1))
-            if set(options) - {"code"} or not 1 <= code <= 10:
-                raise ValueError("alarm wants a code from 1 to 10, and no other option")
-            self._pending += self._alarm(code, now)
-        else:
-            super()._suffer(fault, options, now)
 
     def _power_up(self) -> None:
         self._restart()
@@ -221,12 +180,6 @@ class GrblFirmware(StageFirmware):
             self._stop_axes(now)
             self._state = "Hold"
 
-    def _answer_status(self, now: float) -> bytes:
-        if self._homing:
-            self._status_wanted = True
-            return b""
-        return self._report(now)
-
     def _report(self, now: float) -> bytes:
         moving = self._axes_move(now) and now >= self._idle_until
         state = self._state
@@ -255,13 +208,10 @@ class GrblFirmware(StageFirmware):
         out = b""
         while self._lines and not self._waits(self._lines[0], now):
             text = self._lines.popleft()
-            if (code := self._struck("refuse")) is not None:
-                out += f"error:{code}\r\n".encode()
-                continue
             try:
                 out += self._dollar(text, now) if text.startswith("$") else self._gcode(text, now)
             except GcodeError as error:
-                out += f"error:{error.code}\r\n".encode()
+                out += f"error:{error.args[0]}\r\n".encode()
         return out
 
     def _waits(self, text: str, now: float) -> bool:
@@ -279,14 +229,12 @@ class GrblFirmware(StageFirmware):
         for name, number in words.items():
             steps = self._settings[100 + _NAMES.index(name)]
             target[name] = round(number * steps) / steps
-        if self._settings[20] and not self._inside(target):
+        inside = all(-self._settings[130 + i] <= target[name] <= 0 for i, name in enumerate(_NAMES))
+        if self._settings[20] and not inside:
             self._withheld = b"ok\r\n"
             return self._alarm(2, now)
         self._start(target, feed, now)
         return b"ok\r\n"
-
-    def _inside(self, target: Mapping[str, float]) -> bool:
-        return all(-self._settings[130 + i] <= target[name] <= 0 for i, name in enumerate(_NAMES))
 
     def _start(self, target: Mapping[str, float], feed: float, now: float) -> None:
         """Go straight to a target with a feed [mm/min], or as fast as the axes can."""
@@ -304,7 +252,9 @@ class GrblFirmware(StageFirmware):
         if line in ("$$", "$H") and (self._axes_move(now) or self._state == "Hold"):
             raise GcodeError(8)
         if line == "$$":
-            return self._settings.lines() + b"ok\r\n"
+            decimals = {int(number): len(value.partition(".")[2]) for number, value in _NEW.items()}
+            lines = (f"${number}={value:.{decimals[number]}f}\r\n" for number, value in self._settings.items())
+            return "".join(lines).encode() + b"ok\r\n"
         if line == "$I":
             return b"[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
         if line == "$X":

@@ -8,24 +8,18 @@ power-up, wherever the axes stand.
 import re
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from lightopt.rig.simulated._axes import StageFirmware
+from lightopt.rig.simulated._firmware import StageFirmware
 
-_LONGEST = 256
 _SHOT_TOP_SPEED = 500_000  # [pulses/s]
 _GSC_FARTHEST = 16_777_214  # longest relative move [pulses]
 _GSC_SPEEDS = {"1": (1, 200), "2": (50, 20_000)}  # ranges of D: [pulses/s]
 
 
 class _SigmakokiFirmware(StageFirmware):
-    """A controller with axis 1, or axes 1 and 2; speeds in pulses/s.
+    """A controller with axis 1, or axes 1 and 2; speeds in pulses/s."""
 
-    Faults besides those of its axes: ``refuse`` (a command is refused and not obeyed), with the options of
-    :class:`Trigger` counting commands other than questions.
-    """
-
-    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {}}
     VERSION: ClassVar[str]
     MOVES: ClassVar[tuple[str, ...]]
     SPEED: ClassVar[float]  # speed at power-up [pulses/s]
@@ -42,22 +36,13 @@ class _SigmakokiFirmware(StageFirmware):
         self._planned: dict[str, tuple[str, int]] = {}  # axis: kind of move (A, M) and number
         self._accepted = True
 
-    def feed(self, data: bytes, now: float) -> bytes:
-        self._buffer += data
-        replies = b""
-        for line in (line.decode("ascii", "replace") for line in self._whole_commands(b"\r\n", _LONGEST)):
-            answer = self._question(line, now)
-            if answer is None:
-                self._accepted = not self._struck("refuse") and self._obey(line, now)
-                answer = self._acknowledgement()
-            if answer is not None:
-                replies += answer.encode() + b"\r\n"
-        return replies
-
-    def _power_up(self) -> None:
-        self._speed = dict.fromkeys(self._speed, self.SPEED)
-        self._planned.clear()
-        self._buffer = b""
+    def _answer(self, command: bytes, now: float) -> bytes:
+        line = command.decode("ascii", "replace")
+        answer = self._question(line, now)
+        if answer is None:
+            self._accepted = self._obey(line, now)
+            answer = self._acknowledgement()
+        return b"" if answer is None else answer.encode() + self.END
 
     @abstractmethod
     def _acknowledgement(self) -> str | None:

@@ -6,27 +6,19 @@ A command with a wrong checksum is not answered. Each reply reports whether the 
 
 import re
 from collections.abc import Mapping
-from typing import Any, ClassVar
 
-from lightopt.rig.simulated._axes import StageFirmware
+from lightopt.rig.simulated._firmware import StageFirmware
 
 _SPEED_UNIT = 1.6384
-_LONGEST = 256
 _COMMAND = re.compile(r"/(?P<device>\d{1,2}) (?P<axis>\d)(?: (?P<id>\d{1,2}))?(?: (?P<words>[a-z].*?))? *")
 _DEVICE_SETTINGS = {"deviceid": "30222", "version": "7.38", "system.serial": "104857"}
 _MAXSPEED = 153_600
 
 
 class ZaberFirmware(StageFirmware):
-    """A chain with one device.
+    """A chain with one device; an axis that stands off its target when it stops flags FS, one at a switch WL."""
 
-    Faults besides those of its axes (a stall flags FS, a switch WL): ``alarm`` (option ``flag``: a warning that stays,
-    FS by default, ``axis``; moves stop), ``refuse`` (commands other than questions are rejected with ``reason``,
-    BADDATA by default), ``checksum`` (a reply's checksum is wrong), both with the options of :class:`Trigger`.
-    """
-
-    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {"reason": "BADDATA"}, "checksum": {}}
-    DEVICE_FAULTS = ("alarm",)
+    END = b"\n"
 
     def __init__(
         self,
@@ -48,33 +40,11 @@ class ZaberFirmware(StageFirmware):
         self._moves = dict.fromkeys(names, False)
         self._to: dict[str, float] = {}
 
-    def feed(self, data: bytes, now: float) -> bytes:
-        self._buffer += data
-        return b"".join(self._answer(line.rstrip(b"\r"), now) for line in self._whole_commands(b"\n", _LONGEST))
-
-    def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
-        if fault == "alarm":
-            chosen = {"flag": "FS", "axis": None, **options}
-            axis = chosen["axis"]
-            if len(chosen) > 2 or (axis is not None and axis not in self._flags):
-                raise ValueError("alarm wants a flag, and an axis of the device")
-            self._stop_axes(now)
-            for name in self._flags if axis is None else [axis]:
-                self._flags[name].add(str(chosen["flag"]))
-        else:
-            super()._suffer(fault, options, now)
-
-    def _power_up(self) -> None:
-        self._buffer = b""
-        for name, flags in self._flags.items():
-            flags.clear()
-            self._moves[name] = False
-
-    def _answer(self, line: bytes, now: float) -> bytes:
-        start = line.rfind(b"/")
+    def _answer(self, command: bytes, now: float) -> bytes:
+        start = command.rfind(b"/")
         if start < 0:
             return b""
-        text = line[start:].decode("ascii", "replace")
+        text = command[start:].rstrip(b"\r").decode("ascii", "replace")
         body, colon, checksum = text.rpartition(":")
         if colon and re.fullmatch(r"[0-9A-F]{2}", checksum):
             if (sum(text[1:].split(":")[0].encode()) + int(checksum, 16)) & 0xFF:
@@ -90,8 +60,6 @@ class ZaberFirmware(StageFirmware):
             return self._reply(0, number, "RJ", "BADAXIS", now)
         words = (match["words"] or "").split()
         names = [str(axis)] if axis else list(self._flags)
-        if words and words[0] not in ("get", "warnings") and (reason := self._struck("refuse")):
-            return self._reply(axis, number, "RJ", reason, now)
         data = self._obey(words, names, axis, now)
         rejected = data in ("BADCOMMAND", "BADDATA")
         return self._reply(axis, number, "RJ" if rejected else "OK", data, now)
@@ -102,10 +70,7 @@ class ZaberFirmware(StageFirmware):
         warning = next(iter(self._warnings(names, now)), "--")
         words = ["01", str(axis)] + ([f"{int(number):02d}"] if number else [])
         body = " ".join([*words, flag, "BUSY" if busy else "IDLE", warning, data]).encode()
-        checksum = -sum(body) & 0xFF
-        if self._struck("checksum"):
-            checksum ^= 0x55
-        return b"@" + body + f":{checksum:02X}\r\n".encode()
+        return b"@" + body + f":{-sum(body) & 0xFF:02X}\r\n".encode()
 
     def _warnings(self, names: list[str], now: float) -> list[str]:
         found: set[str] = set()
