@@ -77,14 +77,11 @@ class ImportOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedSet:
-    """What :func:`import_photographs` wrote.
-
-    overlap: Intersection over union of mask and part; None without a mask
-    """
+    """What :func:`import_photographs` wrote."""
 
     manifest: Manifest
     size: tuple[int, int]
-    overlap: float | None
+    overlap: float | None  # intersection over union of mask and part; None without a mask
 
 
 def import_photographs(

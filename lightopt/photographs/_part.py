@@ -21,17 +21,13 @@ _ROUND = 0.02  # share of its radius by which a disc's outline may be off a circ
 
 @dataclass(frozen=True, kw_only=True)
 class PhotographedPart:
-    """A part in the world.
-
-    file: As the part file names it
-    content: Of a generated file; None for one of the user
-    rotate_deg, translate_mm: From the mesh's frame to the world's
-    """
+    """A part in the world."""
 
     name: str
-    file: str
+    file: str  # as the part file names it
     units: str | None = "mm"
-    content: bytes | None = None
+    content: bytes | None = None  # of a generated file; None for one of the user
+    # from the mesh's frame to the world's
     rotate_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     translate_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 

@@ -46,15 +46,11 @@ class _Reflectance:
 
 @dataclass(frozen=True, kw_only=True)
 class ScanPoint(_Reflectance):
-    """The best fit at one σ.
-
-    value: Criterion at the scan's pixels [nat].
-    drop: How far twice the criterion of the estimate is below its maximum there [nat].
-    """
+    """The best fit at one σ."""
 
     x: Float64
-    value: float
-    drop: float
+    value: float  # criterion at the scan's pixels [nat]
+    drop: float  # how far twice the criterion of the estimate is below its maximum there [nat]
 
     def as_dict(self, best: float) -> dict[str, float]:
         """JSON form; `best` is the greatest value of the profile."""
@@ -65,17 +61,13 @@ class ScanPoint(_Reflectance):
 
 @dataclass(frozen=True, kw_only=True)
 class Optimum(_Reflectance):
-    """Where the climb from one peak of the profile over σ ended.
-
-    value: Criterion [nat]; all optima of an estimate are compared by the same one.
-    criterion: None for an optimum far below the best.
-    """
+    """Where the climb from one peak of the profile over σ ended."""
 
     start_sigma: float
     x: Float64
-    value: float
+    value: float  # criterion [nat]; all optima of an estimate are compared by the same one
     converged: bool
-    criterion: Criterion | None
+    criterion: Criterion | None  # None for an optimum far below the best
 
     def as_dict(self) -> dict[str, Any]:
         names = ("start_sigma", "sigma", "R_d", "R_s", "value")
@@ -88,37 +80,26 @@ def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) ->
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate(_Reflectance):
-    """The best fit and its uncertainty.
+    """The best fit and its uncertainty."""
 
-    x: Parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._likelihood`.
-    free: Places of the k parameters that were fitted.
-    covariance: Of those, shape (k, k), if the model is right.
-    inflation: Factor of each of their variances for what the model gets wrong, shape (k,).
-    critical: Square of the half-width of a 95 % interval in standard errors: a quantile of χ², or of Student's t where
-        few groups of images determine the variance.
-    scan: The profile over σ, with the estimate itself.
-    optima: Ends of the climbs from the peaks of the profile; the first is the estimate itself.
-    mean_log_likelihood: Per level, with noise and outliers [nat]: comparable between fits to the same levels.
-    unexplained: Share of the pixels that the likelihood would leave out as outliers.
-    misfit: Residual of least squares over the noise; 0 where that was not tested.
-    scatter: Groups of images that the uncertainty comes from where it does not, such as "12 lights".
-    unsettled_refits: Number of the fits without one of those groups that did not converge.
-    """
-
-    x: Float64
-    free: tuple[int, ...]
-    covariance: Float64
-    inflation: Float64
+    x: Float64  # parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._likelihood`
+    free: tuple[int, ...]  # places of the k parameters that were fitted
+    covariance: Float64  # of those, shape (k, k), if the model is right
+    inflation: Float64  # factor of each of their variances for what the model gets wrong, shape (k,)
+    # square of the half-width of a 95 % interval in standard errors: a quantile of χ², or of Student's t where few
+    # groups of images determine the variance
     critical: float = CHI2_95
     criterion: Criterion
     maximum: Maximum
-    scan: tuple[ScanPoint, ...]
+    scan: tuple[ScanPoint, ...]  # the profile over σ, with the estimate itself
+    # ends of the climbs from the peaks of the profile; the first is the estimate itself
     optima: tuple[Optimum, ...] = ()
-    mean_log_likelihood: float
-    unexplained: float
-    misfit: float = 0.0
+    mean_log_likelihood: float  # per level, with noise and outliers [nat]: comparable between fits to the same levels
+    unexplained: float  # share of the pixels that the likelihood would leave out as outliers
+    misfit: float = 0.0  # residual of least squares over the noise; 0 where that was not tested
+    # groups of images that the uncertainty comes from where it does not, such as "12 lights"
     scatter: str | None = None
-    unsettled_refits: int = 0
+    unsettled_refits: int = 0  # number of the fits without one of those groups that did not converge
 
     @property
     def describes(self) -> bool:

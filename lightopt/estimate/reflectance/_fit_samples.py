@@ -149,18 +149,12 @@ def _inflation(found: Estimate, errors: Sequence[float] | Float64) -> Float64:
 
 @dataclass(frozen=True, kw_only=True)
 class Jackknife:
-    """Scatter of the estimates without one group of images each.
+    """Scatter of the estimates without one group of images each."""
 
-    covariance: Shape (k, k); very large where there is only one group.
-    of: Number of groups and what they are, such as "12 lights".
-    quantile: Student's t of a two-sided 95 % interval for so many groups.
-    refits: The fits without one group each.
-    """
-
-    covariance: Float64
-    of: str
-    quantile: float
-    refits: tuple[Maximum, ...] = ()
+    covariance: Float64  # shape (k, k); very large where there is only one group
+    of: str  # number of groups and what they are, such as "12 lights"
+    quantile: float  # Student's t of a two-sided 95 % interval for so many groups
+    refits: tuple[Maximum, ...] = ()  # the fits without one group each
 
 
 def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -> Jackknife:

@@ -37,26 +37,19 @@ _Sums = tuple[Float64, Float64]  # gradient, shape (K,), and curvature, shape (K
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A criterion at a vector of parameters.
-
-    curvature: Positive semi-definite matrix that stands for minus the Hessian in a Newton step, shape (K, K).
-    """
+    """A criterion at a vector of parameters."""
 
     value: float
     gradient: Float64
-    curvature: Float64
+    curvature: Float64  # positive semi-definite matrix that stands for minus the Hessian in a Newton step, shape (K, K)
 
 
 class Criterion(Protocol):
-    """A log-likelihood of samples: the censored one of noise and outliers, or that of least squares.
-
-    size: Number of parameters K.
-    sigma_range: Values of ln σ for which it can be evaluated.
-    """
+    """A log-likelihood of samples: the censored one of noise and outliers, or that of least squares."""
 
     samples: Samples
-    size: int
-    sigma_range: tuple[float, float]
+    size: int  # number of parameters K
+    sigma_range: tuple[float, float]  # values of ln σ for which it can be evaluated
 
     def evaluate(self, x: Float64) -> Evaluation:
         """Value, gradient and curvature at the parameters `x`, shape (K,)."""

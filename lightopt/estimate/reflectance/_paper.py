@@ -96,16 +96,12 @@ class PaperDiffuse:
 
 @dataclass(frozen=True, kw_only=True)
 class SigmaStep:
-    """One σ of the sweep.
-
-    R_s: Where N_s came close enough to N_m [grey level].
-    brightness: Total specular brightness of the simulated image over the measured one.
-    """
+    """One σ of the sweep."""
 
     sigma: float
-    R_s: float
+    R_s: float  # where N_s came close enough to N_m [grey level]
     reached: bool
-    brightness: float
+    brightness: float  # total specular brightness of the simulated image over the measured one
     iterations: tuple[tuple[float, int], ...]
 
     def as_dict(self) -> dict[str, Any]:

@@ -40,29 +40,22 @@ EDGE = 1.01  # a value within this factor of an edge is at it
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """Residuals of the pixels of a fit, in sensor levels of the images as they were delivered.
-
-    typical: Median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level].
-    noise: Of a typical pixel by the rig's noise figures and the number of frames, with quantisation [sensor level].
-    image_noise: By the images: typical distance of pixels from the plane through their neighbours [sensor level].
-    explained: Share of the variance of the unsaturated pixels beyond the noise that the model explains.
-    epsilon: Share of outliers.
-    tau: Deviation beside the sensor's noise [sensor level].
-    saturated: Share of the observations that are saturated.
-    misfit: Residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not tested.
-    describes: Whether the model describes the images within that; else values are those of least squares, and intervals
-        come from the scatter between lights.
-    """
+    """Residuals of the pixels of a fit, in sensor levels of the images as they were delivered."""
 
     rms: float
-    typical: float
+    typical: float  # median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level]
+    # of a typical pixel by the rig's noise figures and the number of frames, with quantisation [sensor level]
     noise: float
+    # by the images: typical distance of pixels from the plane through their neighbours [sensor level]
     image_noise: float
-    explained: float
-    epsilon: float
-    tau: float
-    saturated: float
+    explained: float  # share of the variance of the unsaturated pixels beyond the noise that the model explains
+    epsilon: float  # share of outliers
+    tau: float  # deviation beside the sensor's noise [sensor level]
+    saturated: float  # share of the observations that are saturated
+    # residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not tested
     misfit: float = 0.0
+    # whether the model describes the images within that; else values are those of least squares, and intervals come
+    # from the scatter between lights
     describes: bool = True
 
     @property

@@ -32,18 +32,14 @@ UNLIT_SHARE = 0.25  # pixels that no light reaches determine the dark level; thi
 
 @dataclass(frozen=True, kw_only=True)
 class SampleGroup:
-    """Pixels of one posture under one light.
-
-    layer: Their light per unit of reflectance; None for pixels that no light reaches.
-    weight: Pixels of the image that each stands for, shape (n,).
-    """
+    """Pixels of one posture under one light."""
 
     light: int
     posture: Posture
-    layer: LightLayer | None
+    layer: LightLayer | None  # their light per unit of reflectance; None for pixels that no light reaches
     row: Int32
     column: Int32
-    weight: Float64
+    weight: Float64  # pixels of the image that each stands for, shape (n,)
     passed: Float64 | float = 1.0
 
     def __len__(self) -> int:
@@ -67,49 +63,32 @@ class SampleGroup:
 
 
 class ImageFacts(NamedTuple):
-    """Per image, for the kernels; arrays of shape (images,).
+    """Per image, for the kernels; arrays of shape (images,)."""
 
-    factor: Sensor levels per grey level: exposure times the sensor's full scale over the reflectance's.
-    half_width: How far from a level the signal may have been [sensor level].
-    frames: Number of frames that the image is the mean of, as float64.
-    """
-
-    factor: Float64
+    factor: Float64  # sensor levels per grey level: exposure times the sensor's full scale over the reflectance's
     light: Int32
-    half_width: Float64
-    frames: Float64
+    half_width: Float64  # how far from a level the signal may have been [sensor level]
+    frames: Float64  # number of frames that the image is the mean of, as float64
 
 
 @dataclass(frozen=True, kw_only=True)
 class Samples:
-    """Pixels (n) and what was measured there (N observations: a pixel has one per exposure).
-
-    diffuse: Light per unit of R_d, 0 where none arrives, shape (n,).
-    deflection: Least angle between normal and half vector [rad], π where no light arrives, shape (n,).
-    weight: Pixels of the image that each stands for, shape (n,).
-    block: Block of the image that each pixel lies in, one number per posture and block, shape (n,).
-    sample: Pixel of each observation, shape (N,).
-    image: Image of each observation, shape (N,).
-    level: Sensor level, shape (N,).
-    saturated: Where `level` is only a lower bound, shape (N,).
-    lights: Names of the scene's lights.
-    threads: Number of threads that work on them; no result depends on it.
-    """
+    """Pixels (n) and what was measured there (N observations: a pixel has one per exposure)."""
 
     groups: tuple[SampleGroup, ...]
-    diffuse: Float64
-    deflection: Float64
-    weight: Float64
-    block: Int32
-    sample: Int32
-    image: Int32
-    level: Float32
-    saturated: Bool
+    diffuse: Float64  # light per unit of R_d, 0 where none arrives, shape (n,)
+    deflection: Float64  # least angle between normal and half vector [rad], π where no light arrives, shape (n,)
+    weight: Float64  # pixels of the image that each stands for, shape (n,)
+    block: Int32  # block of the image that each pixel lies in, one number per posture and block, shape (n,)
+    sample: Int32  # pixel of each observation, shape (N,)
+    image: Int32  # image of each observation, shape (N,)
+    level: Float32  # sensor level, shape (N,)
+    saturated: Bool  # where `level` is only a lower bound, shape (N,)
     images: tuple[Observation, ...]
     facts: ImageFacts
-    lights: tuple[str, ...]
+    lights: tuple[str, ...]  # names of the scene's lights
     sensor: Sensor
-    threads: int | None = None
+    threads: int | None = None  # number of threads that work on them; no result depends on it
 
     def select(self, where: Bool | Index) -> Samples:
         """Only the observations that `where` marks, shape (N,), or lists; the pixels stay."""

@@ -67,15 +67,13 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class FitSetup:
-    """The inputs of a fit: the scene with its part placed, the rays of the part, the images, and the options.
-
-    registration, file_placement: How the part was placed, relative to its file and as values of the part file; None
-        where the part was not registered.
-    """
+    """The inputs of a fit: the scene with its part placed, the rays of the part, the images, and the options."""
 
     scene: Scene
     caster: RayCaster
     observations: tuple[Observation, ...]
+    # how the part was placed, relative to its file and as values of the part file; None where the part was not
+    # registered
     registration: Registration | None = None
     file_placement: PlacementConfig | None = None
     options: FitOptions = field(default_factory=FitOptions)

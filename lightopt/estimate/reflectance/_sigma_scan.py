@@ -50,15 +50,11 @@ SCAN_TOLERANCE = 0.1
 
 @dataclass(frozen=True)
 class SigmaScan:
-    """Least squares over all σ.
+    """Least squares over all σ."""
 
-    samples: Those of the scan; `criterion` and `profile` are without dust.
-    free: Places of the parameters that are fitted, those of the likelihood's noise last.
-    log_sigmas, starts: ln σ of the profile, and where the climbs at each began, shape (K,).
-    """
-
-    samples: Samples
-    free: tuple[int, ...]
+    samples: Samples  # those of the scan; `criterion` and `profile` are without dust
+    free: tuple[int, ...]  # places of the parameters that are fitted, those of the likelihood's noise last
+    # ln σ of the profile, and where the climbs at each began, shape (K,)
     log_sigmas: list[float]
     starts: list[Float64]
     criterion: LeastSquares

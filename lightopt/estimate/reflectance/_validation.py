@@ -35,20 +35,14 @@ SavePrediction = Callable[[Observation, Float32], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """A predicted image against the measured one.
-
-    rms: Of the clipped residual on the part's pixels [grey level at exposure 1].
-    rms_sensor: The same in the image as it was delivered [sensor level].
-    iou: Intersection over union of the saturated areas; None where neither image has any.
-    border: Mean distance between the borders of the saturated areas [px]; None where one image has none.
-    area, predicted_area: Saturated pixels of the measured and of the predicted image.
-    """
+    """A predicted image against the measured one."""
 
     image: str
-    rms: float
-    rms_sensor: float
-    iou: float | None
-    border: float | None
+    rms: float  # of the clipped residual on the part's pixels [grey level at exposure 1]
+    rms_sensor: float  # the same in the image as it was delivered [sensor level]
+    iou: float | None  # intersection over union of the saturated areas; None where neither image has any
+    border: float | None  # mean distance between the borders of the saturated areas [px]; None where one image has none
+    # saturated pixels of the measured and of the predicted image
     area: int
     predicted_area: int
 
@@ -195,23 +189,20 @@ def predict_images(
 
 @dataclass(frozen=True, kw_only=True)
 class PointsRow:
-    """The fit with one number of points per panel: a row of the paper's Table 1.
-
-    area, measured_area: Saturated pixels of all images together, predicted and measured [px].
-    perimeter, measured_perimeter: Of the saturated regions of all images together [px].
-    likelihood: Mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the
-        greatest reproduces the images best: area and perimeter of a noisy image hardly separate two numbers of points
-        apart.
-    """
+    """The fit with one number of points per panel: a row of the paper's Table 1."""
 
     points: int | Literal["auto"]
     R_d: float
     R_s: float
     sigma: float
+    # saturated pixels of all images together, predicted and measured [px]
     area: int
     measured_area: int
+    # of the saturated regions of all images together [px]
     perimeter: float
     measured_perimeter: float
+    # mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the greatest
+    # reproduces the images best: area and perimeter of a noisy image hardly separate two numbers of points apart.
     likelihood: float | None
 
     @property

@@ -31,27 +31,24 @@ _ROWS = 16  # rows of places that a thread works on at once
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ExplainedDefect:
-    """A defect of the catalogue that explains deviations of a posture.
-
-    size, pose: Indices of the hypothesis
-    row, column: Pixel of its middle in the images of `templates`
-    sums, energies: U and E of each image, shape (lights,)
-    shares: U and E of each image over the pixels whose change is not clipped, which the amplitude follows from;
-        shape (lights, 2)
-    of_sizes: Z of each size at its place
-    rows, columns: Pixels of the images that it lies on, shape (n,)
-    """
+    """A defect of the catalogue that explains deviations of a posture."""
 
     templates: EntryTemplates
+    # indices of the hypothesis
     size: int
     pose: int
+    # pixel of its middle in the images of `templates`
     row: int
     column: int
     score: float
+    # U and E of each image, shape (lights,)
     sums: Float64
     energies: Float64
+    # U and E of each image over the pixels whose change is not clipped, which the amplitude follows from; shape
+    # (lights, 2)
     shares: Float64
-    of_sizes: Float64
+    of_sizes: Float64  # Z of each size at its place
+    # pixels of the images that it lies on, shape (n,)
     rows: Index
     columns: Index
 
@@ -83,17 +80,12 @@ class _Candidates:
 
 @dataclass
 class _Entry:
-    """An entry's images while defects are sought.
-
-    z: Deviations in its larger pixels, of variance 1, shape (h, w, lights)
-    free: Which of them no defect explains yet, same shape
-    handicap: What is taken off −log₁₀ of a test's probability, since the entry has so many tests
-    """
+    """An entry's images while defects are sought."""
 
     templates: EntryTemplates
-    z: Float32
-    handicap: float
-    free: Bool = field(init=False)
+    z: Float32  # deviations in its larger pixels, of variance 1, shape (h, w, lights)
+    handicap: float  # what is taken off −log₁₀ of a test's probability, since the entry has so many tests
+    free: Bool = field(init=False)  # which of them no defect explains yet, same shape
 
     def __post_init__(self) -> None:
         self.free = np.ones(self.z.shape, np.bool_)

@@ -43,30 +43,22 @@ DISC = np.hypot(*np.mgrid[-GAP_PX : GAP_PX + 1, -GAP_PX : GAP_PX + 1]) <= GAP_PX
 
 @dataclass(frozen=True, kw_only=True)
 class NamedDefect:
-    """What a detection is by the catalogue. Intervals are of 95 %, if it is of this kind; None where unknown.
+    """What a detection is by the catalogue. Intervals are of 95 %, if it is of this kind; None where unknown."""
 
-    entry: name of the catalogue's entry that explains it best.
-    kind: of that entry, or the opposite: where a bump's walls lean the other way, it is a dent.
-    length, width: [mm], with intervals.
-    direction: of the length, as part files count it [rad]; None for a round one.
-    amplitude: of its effect, as a multiple of the entry's, with its interval.
-    slope: steepest slope of its walls [rad], and depth: [mm], with intervals; None for kinds that have none.
-    factor: by which R_d (stain) or σ (haze) is multiplied, with its interval; None for other kinds.
-    z: the statistic of all images together.
-    evidence: per light what it adds to `z`.
-    """
-
-    entry: str
-    kind: DefectKind
+    entry: str  # name of the catalogue's entry that explains it best
+    kind: DefectKind  # of that entry, or the opposite: where a bump's walls lean the other way, it is a dent
+    # [mm], with intervals
     length: tuple[float, float, float]
     width: tuple[float, float, float]
-    direction: float | None
-    amplitude: tuple[float, float, float] | None
+    direction: float | None  # of the length, as part files count it [rad]; None for a round one
+    amplitude: tuple[float, float, float] | None  # of its effect, as a multiple of the entry's, with its interval
+    # steepest slope of its walls [rad], and depth: [mm], with intervals; None for kinds that have none
     slope: tuple[float, float, float] | None
     depth: tuple[float, float, float] | None
+    # by which R_d (stain) or σ (haze) is multiplied, with its interval; None for other kinds
     factor: tuple[float, float, float] | None
-    z: float
-    evidence: dict[str, float]
+    z: float  # the statistic of all images together
+    evidence: dict[str, float]  # per light what it adds to `z`
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form; values before their intervals."""

@@ -38,19 +38,14 @@ FURTHEST, PLACES = 30.0, 120
 
 @dataclass(frozen=True)
 class KnownDefect:
-    """A defect that the images show, and whether it was found.
-
-    size: square root of length times width of its outline [mm].
-    pixels: of it that can be judged, in the posture that shows most of them.
-    found: whether a region that is not far larger than it touches it in any posture.
-    """
+    """A defect that the images show, and whether it was found."""
 
     name: str
     kind: str
-    size: float
-    pixels: int
+    size: float  # square root of length times width of its outline [mm]
+    pixels: int  # of it that can be judged, in the posture that shows most of them
     posture: Posture
-    found: bool
+    found: bool  # whether a region that is not far larger than it touches it in any posture
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -183,20 +178,15 @@ def summarise(sets: Sequence[SetEvaluation]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class DetectionCurve:
-    """Probability of detection against size.
-
-    intercept, steepness: b₀ and b₁; None where hits and misses do not determine them: too few, all found or missed, or
-        no rise with size.
-    a90: Size that is found 90 % of the time [mm]; None likewise.
-    a90_95: Its upper bound of 95 % confidence [mm]; None likewise, or where there is none.
-    """
+    """Probability of detection against size."""
 
     defects: int
     found: int
+    # b₀ and b₁; None where hits and misses do not determine them: too few, all found or missed, or no rise with size
     intercept: float | None = None
     steepness: float | None = None
-    a90: float | None = None
-    a90_95: float | None = None
+    a90: float | None = None  # size that is found 90 % of the time [mm]; None likewise
+    a90_95: float | None = None  # its upper bound of 95 % confidence [mm]; None likewise, or where there is none
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""

@@ -21,11 +21,9 @@ from lightopt.scene import defect_facts
 
 @dataclass(frozen=True)
 class TruthSource:
-    """The source of ground truth for a set of images.
+    """The source of ground truth for a set of images."""
 
-    part: whose defects are on the part; None where the set has labels, or it was rendered without defects.
-    """
-
+    # whose defects are on the part; None where the set has labels, or it was rendered without defects
     part: PartConfig | None = None
     warnings: tuple[str, ...] = ()
 
@@ -92,15 +90,11 @@ def truth_sources(sets: Sequence[ImageSet], part: PartConfig) -> list[TruthSourc
 
 
 class TrueLabels(NamedTuple):
-    """Ground truth of the images of a set.
+    """Ground truth of the images of a set."""
 
-    listed: of each defect what :func:`lightopt.scene.defect_facts` gives.
-    of_posture: per posture the index of the defect that each pixel shows, −1 for none, shape (H, W).
-    source: the labels that the set was rendered with, or those cast from the part file, where the part was found.
-    """
-
-    listed: Sequence[Mapping[str, Any]]
-    of_posture: list[Int32]
+    listed: Sequence[Mapping[str, Any]]  # of each defect what :func:`lightopt.scene.defect_facts` gives
+    of_posture: list[Int32]  # per posture the index of the defect that each pixel shows, −1 for none, shape (H, W)
+    # the labels that the set was rendered with, or those cast from the part file, where the part was found
     source: Literal["images", "part file", "no defects"]
 
 

@@ -94,16 +94,11 @@ def _weigh_rows(image: tuple[Bool, Float32, Float32, Float32, Float32], top: int
 
 @dataclass(frozen=True)
 class Edges:
-    """The differences between neighbouring pixels of several images, and which of them show the surface.
+    """The differences between neighbouring pixels of several images, and which of them show the surface."""
 
-    axis: 1 for edges to the pixel to the right, 0 for those to the pixel below.
-    usable: which images are used at each edge, shape (images, H, W − 1) or (images, H − 1, W).
-    noise: standard deviation of each difference, same shape.
-    """
-
-    axis: int
-    usable: Bool
-    noise: Float32
+    axis: int  # 1 for edges to the pixel to the right, 0 for those to the pixel below
+    usable: Bool  # which images are used at each edge, shape (images, H, W − 1) or (images, H − 1, W)
+    noise: Float32  # standard deviation of each difference, same shape
 
     @staticmethod
     def of(weights: Float32, deviations: Float32, axis: int) -> Edges:
@@ -270,15 +265,11 @@ def _choose(gradients: Float32, usable: Bool, rule: int, first: int, top: int, f
 
 @dataclass(frozen=True)
 class FusionRule:
-    """A rule of fusion for the images of a posture.
-
-    edges: to the right, and to the pixel below.
-    deviations: standard deviation of the images' noise, shape (images, H, W).
-    """
+    """A rule of fusion for the images of a posture."""
 
     fusion: Fusion
-    edges: tuple[Edges, Edges]
-    deviations: Float32
+    edges: tuple[Edges, Edges]  # to the right, and to the pixel below
+    deviations: Float32  # standard deviation of the images' noise, shape (images, H, W)
 
     @staticmethod
     def of(weights: Float32, deviations: Float32, fusion: Fusion) -> FusionRule:

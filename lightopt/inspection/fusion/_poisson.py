@@ -50,15 +50,12 @@ class _Level:
 
 @dataclass(frozen=True, eq=False)
 class _Workspace:
-    """What solving for one image writes to: the image, its direction and that direction's Laplacian, with a border.
-
-    grids: of each size of blocks the right side and the solution of a cycle.
-    """
+    """What solving for one image writes to: the image, its direction and that direction's Laplacian, with a border."""
 
     u: Float64
     p: Float64
     q: Float64
-    grids: tuple[tuple[Float32, Float32], ...]
+    grids: tuple[tuple[Float32, Float32], ...]  # of each size of blocks the right side and the solution of a cycle
 
     @staticmethod
     def of(levels: Sequence[_Level]) -> _Workspace:
@@ -69,17 +66,12 @@ class _Workspace:
 
 @dataclass(frozen=True)
 class PoissonGrid:
-    """Edges of a mask with their weights, at every size of blocks; made by :func:`poisson_grid`, serves many gradients.
+    """Edges of a mask with their weights, at every size of blocks, for many gradients; from :func:`poisson_grid`."""
 
-    mask: pixels of the image, shape (H, W).
-    components: number of each pixel's connected component of the mask, 0 outside of it, shape (H, W).
-    window: rows and columns that hold the mask.
-    """
-
-    mask: Bool
-    components: Int32
+    mask: Bool  # pixels of the image, shape (H, W)
+    components: Int32  # number of each pixel's connected component of the mask, 0 outside of it, shape (H, W)
     count: int
-    window: tuple[slice, slice]
+    window: tuple[slice, slice]  # rows and columns that hold the mask
     _wx: Float64
     _wy: Float64
     _levels: tuple[_Level, ...]
