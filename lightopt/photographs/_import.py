@@ -141,8 +141,7 @@ def import_photographs(
             extra={"photograph": row.image},
         )
         writer.add_image(entry, png=levels)
-        if (progress := run.stage("importing")) is not None:
-            progress((number + 1) / len(rows))
+        run.stage("importing")((number + 1) / len(rows))
     if shape.bits == 16 and highest < _LOW and options.bits is None:
         run.warn(f"no level reaches {_LOW} of 65535; a camera of 10 to 14 bits needs option 'bits'")
     writer.add_warnings(run.warnings)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lightopt.core.arrays import Float64
-from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D, Criterion, outlier_share, significant
+from lightopt.estimate.reflectance._likelihood import Coefficients, Criterion, outlier_share, significant
 from lightopt.estimate.reflectance._newton import Maximum
 
 Interval = tuple[float | None, float | None]  # 95 %; None for an end that the images do not bound
@@ -24,28 +24,8 @@ class FreeParameters:
     dark: bool = False
 
 
-class _Reflectance:
-    # coefficients in a vector of parameters
-    x: Float64
-
-    @property
-    def R_d(self) -> float:  # noqa: N802
-        """[grey level]."""
-        return float(self.x[R_D])
-
-    @property
-    def R_s(self) -> float:  # noqa: N802
-        """[grey level]."""
-        return math.exp(self.x[LOG_R_S])
-
-    @property
-    def sigma(self) -> float:
-        """[rad]."""
-        return math.exp(self.x[LOG_SIGMA])
-
-
 @dataclass(frozen=True, kw_only=True)
-class ScanPoint(_Reflectance):
+class ScanPoint(Coefficients):
     """The best fit at one σ."""
 
     x: Float64
@@ -59,27 +39,21 @@ class ScanPoint(_Reflectance):
         return {n: significant(v, 8) for n, v in values.items()} | {"twice_log_likelihood_below_best": below}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Optimum(_Reflectance):
+@dataclass(frozen=True)
+class Optimum:
     """Where the climb from one peak of the profile over σ ended."""
 
     start_sigma: float
-    x: Float64
-    value: float  # criterion [nat]; all optima of an estimate are compared by the same one
-    converged: bool
+    top: Maximum  # all optima of an estimate are compared by the same criterion
     criterion: Criterion | None  # None for an optimum far below the best
 
     def as_dict(self) -> dict[str, Any]:
-        names = ("start_sigma", "sigma", "R_d", "R_s", "value")
-        return {**{name: significant(getattr(self, name), 8) for name in names}, "converged": self.converged}
-
-
-def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) -> Optimum:
-    return Optimum(start_sigma=start_sigma, x=top.x, value=top.value, converged=top.converged, criterion=criterion)
+        top = {name: significant(getattr(self.top, name), 8) for name in ("sigma", "R_d", "R_s", "value")}
+        return {"start_sigma": significant(self.start_sigma, 8), **top, "converged": self.top.converged}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimate(_Reflectance):
+class Estimate(Coefficients):
     """The best fit and its uncertainty."""
 
     x: Float64  # parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._likelihood`

@@ -38,10 +38,10 @@ class FitFolder(ResultFolder):
         Raises InputError: a file cannot be written.
         """
         texts = {PART_NAME: _part_text(self.folder, result, part)}
-        noise = result.noise if result.write_noise else None
-        seen = noise is not None and (noise.read_noise is not None or noise.electrons is not None)
-        if result.gains is not None or result.dark is not None or seen:
-            texts[RIG_NAME] = _rig_text(self.folder, result, rig)
+        values = _rig_values(result, rig)
+        if result.gains is not None or values:
+            _check_text(rig.source)
+            texts[RIG_NAME] = copied_text(rig, self.folder, values)
         written = [self.write_text(name, text) for name, text in texts.items()]
         return [self.finish(result.as_dict()), *written]
 
@@ -72,8 +72,7 @@ def _placement_values(part: PartConfig, found: PlacementConfig) -> dict[tuple[st
     return values
 
 
-def _rig_text(folder: Path, result: FitResult, rig: RigConfig) -> str:
-    _check_text(rig.source)
+def _rig_values(result: FitResult, rig: RigConfig) -> dict[tuple[str | int, ...], str]:
     values: dict[tuple[str | int, ...], str] = {}
     for index, light in enumerate(rig.lights):
         gain = None if result.gains is None else result.gains.get(light.name)
@@ -86,7 +85,7 @@ def _rig_text(folder: Path, result: FitResult, rig: RigConfig) -> str:
     for key, figure in figures.items():
         if figure is not None:
             values["camera", "sensor", key] = f"{figure:.4g}"
-    return copied_text(rig, folder, values)
+    return values
 
 
 def _check_text(source: Source) -> None:

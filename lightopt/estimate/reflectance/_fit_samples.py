@@ -18,8 +18,8 @@ from scipy.special import stdtrit
 
 from lightopt.core.arrays import Float64, Index
 from lightopt.core.run_context import RunContext, part_of
-from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable, find_dust, is_significant
-from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, optimum_of
+from lightopt.estimate.reflectance._clipped_least_squares import MOST_MISFIT, LeastSquares, SpecularTable, find_dust
+from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, Optimum
 from lightopt.estimate.reflectance._likelihood import (
     DARK,
     FIRST_GAIN,
@@ -60,9 +60,8 @@ def fit_reflectance(
     """
     run = run or RunContext()
     scan = scan_sigma(samples, freed or FreeParameters(), held, part_of(run.stage("scanning σ"), 0.0, 0.5))
-    if is_significant(scan.misfit):
-        if (refining := run.stage("refining")) is not None:
-            refining(0.5)
+    if scan.misfit > MOST_MISFIT:
+        run.stage("refining")(0.5)
         return _least_squares_estimate(samples, scan)
     found = likelihood_estimate(samples, scan, run)
     ratio = scan.criterion.mean_square(found.x) / scan.criterion.mean_square(scan.best.x)
@@ -87,7 +86,7 @@ def refit(samples: Samples, start: Estimate, *, only_reflectance: bool = False) 
     size = start.criterion.size
     free = tuple(p for p in start.free if not only_reflectance or p < DARK or p >= size - 2)
     if start.describes:
-        return climb(samples, start.x, free, USUAL_TABLE).as_estimate(start.scan)
+        return replace(climb(samples, start.x, free, USUAL_TABLE), scan=start.scan)
     # as many pixels as the estimate itself is from
     few = subsample(samples, scan_budget(samples))
     criterion = LeastSquares(few, SpecularTable(few))
@@ -120,7 +119,7 @@ def _least_squares_estimate(samples: Samples, scan: SigmaScan) -> Estimate:
         criterion=criterion,
         maximum=best,
         scan=scan_points([*scan.profile, best]),
-        optima=tuple(optimum_of(start, top, criterion) for start, top in ((scan.climbs[0][0], best), *scan.climbs[1:])),
+        optima=tuple(Optimum(start, top, criterion) for start, top in ((scan.climbs[0][0], best), *scan.climbs[1:])),
         mean_log_likelihood=noise.value / max(1, len(samples.sample)),
         unexplained=outlier_share(noise.x),
         misfit=scan.misfit,

@@ -56,6 +56,27 @@ class Criterion(Protocol):
         ...
 
 
+class Coefficients:
+    """R_d, R_s and σ in a vector of parameters."""
+
+    x: Float64  # shape (K,)
+
+    @property
+    def R_d(self) -> float:  # noqa: N802
+        """[grey level]."""
+        return float(self.x[R_D])
+
+    @property
+    def R_s(self) -> float:  # noqa: N802
+        """[grey level]."""
+        return math.exp(self.x[LOG_R_S])
+
+    @property
+    def sigma(self) -> float:
+        """[rad]."""
+        return math.exp(self.x[LOG_SIGMA])
+
+
 def parameter_count(samples: Samples) -> int:
     """Number of parameters K of a criterion of samples."""
     return FIRST_GAIN + len(samples.lights) + 2
@@ -186,7 +207,6 @@ class Likelihood:
         self.sigma_range = low - reach, high + reach
 
     def evaluate(self, x: Float64) -> Evaluation:
-        """Value, gradient and curvature at the parameters `x`, shape (K,)."""
         s = self.samples
         add = self._summation(s, x)
         return Evaluation(*sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads))

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
-from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._likelihood import FIRST_GAIN, R_D, Criterion, Evaluation
+from lightopt.estimate.reflectance._likelihood import FIRST_GAIN, R_D, Coefficients, Criterion, Evaluation
 
 # a maximum is found when the next step's predicted gain is less than this [nat]: a hundredth of a standard error
 TOLERANCE = 1e-4
@@ -29,7 +28,7 @@ LONGEST_STEP = 1.5  # no logarithm changes by more than this in one step
 
 
 @dataclass(frozen=True, kw_only=True)
-class Maximum:
+class Maximum(Coefficients):
     """Where a climb ended; `unsettled` are the parameters along which the criterion still rises."""
 
     x: Float64
@@ -67,7 +66,7 @@ def maximise(
     low[~can_change], high[~can_change] = -np.inf, np.inf
     longest = np.full(len(x), LONGEST_STEP)
     longest[R_D] = np.inf
-    x = np.minimum(np.maximum(x, low), high)
+    x = np.clip(x, low, high)
     here = criterion.evaluate(x)
     damping = FREE_DAMPING
     steps, converged = 1, False
@@ -83,8 +82,7 @@ def maximise(
         ):
             converged = True
             break
-        trial = x + np.minimum(np.maximum(step, -longest), longest)
-        trial = np.minimum(np.maximum(trial, low), high)
+        trial = np.clip(x + np.clip(step, -longest, longest), low, high)
         there = criterion.evaluate(trial)
         steps += 1
         if there.value > here.value:
@@ -124,40 +122,13 @@ def _predicted_gain(here: Evaluation, moving: Bool) -> float:
     return float(here.gradient @ _newton_step(here.gradient, here.curvature, moving, 1e-6))
 
 
-@kernel
 def _movable(x: Float64, gradient: Float64, can_change: Bool, low: Float64, high: Float64) -> Bool:
     # a parameter at its bound that is pushed beyond it stays there
-    moving = np.empty(len(x), np.bool_)
-    for k in range(len(x)):
-        stuck = (x[k] <= low[k] and gradient[k] < 0.0) or (x[k] >= high[k] and gradient[k] > 0.0)
-        moving[k] = can_change[k] and not stuck
-    return moving
+    return can_change & ~(((x <= low) & (gradient < 0.0)) | ((x >= high) & (gradient > 0.0)))
 
 
-@kernel
 def _newton_step(gradient: Float64, curvature: Float64, moving: Bool, damping: float) -> Float64:
     # 0 where nothing moves; a damping of 1 halves a step, or shortens it more along a ridge
-    size = len(gradient)
-    matrix, step = np.eye(size), np.zeros(size)
-    for k in range(size):
-        if moving[k]:
-            step[k] = gradient[k]
-            for n in range(size):
-                if moving[n]:
-                    matrix[k, n] = curvature[k, n]
-            matrix[k, k] += damping * max(curvature[k, k], 1e-9)
-    # Gaussian elimination; the damped matrix is positive definite, so that no rows have to change places
-    for k in range(size):
-        if not moving[k]:
-            continue
-        for n in range(k + 1, size):
-            if matrix[n, k] != 0.0:
-                share = matrix[n, k] / matrix[k, k]
-                for m in range(k + 1, size):
-                    matrix[n, m] -= share * matrix[k, m]
-                step[n] -= share * step[k]
-    for k in range(size - 1, -1, -1):
-        for m in range(k + 1, size):
-            step[k] -= matrix[k, m] * step[m]
-        step[k] /= matrix[k, k]
+    step, matrix = np.zeros(len(gradient)), curvature[np.ix_(moving, moving)]
+    step[moving] = np.linalg.solve(matrix + np.diag(damping * np.maximum(np.diag(matrix), 1e-9)), gradient[moving])
     return step

@@ -14,7 +14,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import Share
+from lightopt.core.run_context import Share, ignore
 from lightopt.estimate.reflectance._likelihood import significant
 from lightopt.estimate.reflectance._samples import Samples
 
@@ -176,9 +176,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
     )
 
 
-def paper_specular(
-    samples: Samples, options: PaperOptions, *, R_d: float, progress: Share | None = None
-) -> PaperSpecular:
+def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progress: Share = ignore) -> PaperSpecular:
     """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3)."""
     if problems := options.problems():
         raise InputError(*problems)
@@ -201,8 +199,7 @@ def paper_specular(
     for sigma in sigmas:
         light = factor * mine.specular(sigma)[mine.sample]
         steps.append(_match_area(light, diffuse, room, measured, total, sigma, options))
-        if progress is not None:
-            progress(len(steps) / len(sigmas))
+        progress(len(steps) / len(sigmas))
     reached = [step for step in steps if step.reached]
     if not reached:
         raise InputError(

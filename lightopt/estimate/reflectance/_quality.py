@@ -8,7 +8,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
-from lightopt.estimate.reflectance._clipped_least_squares import is_significant
+from lightopt.estimate.reflectance._clipped_least_squares import MOST_MISFIT
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
 from lightopt.estimate.reflectance._likelihood import (
     DARK,
@@ -157,7 +157,7 @@ def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False
         left = (
             f"the model describes these images badly: its best fit leaves {quality.misfit:.1f} times the noise "
             f"({quality.rms:.3g} sensor levels rms)"
-            if is_significant(quality.misfit)
+            if quality.misfit > MOST_MISFIT
             else f"the residual of the fit ({quality.rms:.3g} sensor levels rms) is not much larger than the noise, "
             "but is neither noise nor dust"
         )
@@ -239,10 +239,11 @@ def convergence_warnings(found: Estimate) -> Iterator[str]:
             f"{found.unsettled_refits} of the fits without one of the {found.scatter} each did not converge: the "
             "intervals, which come from their scatter, may be wrong"
         )
-    best = max((optimum.value for optimum in found.optima if optimum.converged), default=-math.inf)
+    best = max((optimum.top.value for optimum in found.optima if optimum.top.converged), default=-math.inf)
     for optimum in found.optima:
-        if not optimum.converged and optimum.value >= best:
+        if not optimum.top.converged and optimum.top.value >= best:
             yield (
-                f"the optimisation that started at σ {optimum.start_sigma:.3g} rad stopped at σ {optimum.sigma:.3g} "
-                "rad before convergence, with a result not worse than the best: there may be another optimum"
+                f"the optimisation that started at σ {optimum.start_sigma:.3g} rad stopped at σ "
+                f"{optimum.top.sigma:.3g} rad before convergence, with a result not worse than the best: there may be "
+                "another optimum"
             )

@@ -11,7 +11,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import Share
+from lightopt.core.run_context import Share, ignore
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
@@ -120,7 +120,7 @@ def collect_samples(
     budget: int,
     uniform: bool = False,
     threads: int | None = None,
-    progress: Share | None = None,
+    progress: Share = ignore,
 ) -> Samples:
     """Choose pixels by their geometry alone and look up what was measured there.
 
@@ -135,8 +135,7 @@ def collect_samples(
         if pixels is None or pixels.posture != scene.postures[posture]:
             pixels = trace_pixels(scene, scene.postures[posture], caster, threads=threads)
         groups += _choose(pixels, posture, light, caster, budget, uniform, threads)
-        if progress is not None:
-            progress((done + 1) / len(wanted))
+        progress((done + 1) / len(wanted))
     return _assemble(scene, groups, tuple(observations), threads)
 
 

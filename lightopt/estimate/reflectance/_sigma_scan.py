@@ -12,7 +12,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import Share
+from lightopt.core.run_context import Share, ignore
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable, find_dust, measure_misfit
 from lightopt.estimate.reflectance._estimate import FreeParameters, ScanPoint
 from lightopt.estimate.reflectance._likelihood import (
@@ -73,9 +73,7 @@ class SigmaScan:
         return math.exp(-2.0 * self.profile[number].value / count - 1.0) / (2.0 * math.pi)
 
 
-def scan_sigma(
-    samples: Samples, freed: FreeParameters, held: Float64 | None, progress: Share | None = None
-) -> SigmaScan:
+def scan_sigma(samples: Samples, freed: FreeParameters, held: Float64 | None, progress: Share = ignore) -> SigmaScan:
     """Fit a subset of the samples by least squares at each σ of the range, and climb from the peaks.
 
     held: Values (R_d, R_s, σ) of those that are not fitted.
@@ -213,7 +211,7 @@ def profile_over_sigma(
     log_sigmas: Sequence[float],
     free: Sequence[int],
     *,
-    progress: Share | None = None,
+    progress: Share = ignore,
 ) -> list[Maximum]:
     """The best fit at each σ, from its own starts and from the best at its neighbours on both sides.
 
@@ -227,8 +225,7 @@ def profile_over_sigma(
         if best:
             starts.append(_moved(best[-1].x, log_sigmas[number]))
         best.append(_best(criterion, starts, fixed))
-        if progress is not None:
-            progress((number + 1) / len(criteria))
+        progress((number + 1) / len(criteria))
     for number in range(len(criteria) - 2, -1, -1):
         other = _best(criteria[number], [_moved(best[number + 1].x, log_sigmas[number])], fixed)
         best[number] = max(best[number], other, key=lambda one: one.value)
@@ -242,7 +239,7 @@ def profile_outwards(
     free: Sequence[int],
     *,
     begin: int,
-    progress: Share | None = None,
+    progress: Share = ignore,
 ) -> list[Maximum]:
     """The best fit at each σ, from one σ outwards: a climb begins where its neighbour's ended, or at a better start.
 
@@ -260,8 +257,7 @@ def profile_outwards(
             first = [_moved(before, log_sigmas[number]), *starts]
             starts = [_best(criterion, first, fixed, most_steps=FIRST_STEPS).x]
         found[number] = _best(criterion, starts, fixed)
-        if progress is not None:
-            progress(len(found) / count)
+        progress(len(found) / count)
     return [found[number] for number in range(count)]
 
 

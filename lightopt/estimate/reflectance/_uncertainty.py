@@ -110,9 +110,9 @@ def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float]
     best = estimate.maximum.value
     regions = [_around(estimate, place, target)]
     for other in estimate.optima[1:]:
-        drop = 2.0 * (best - other.value)
+        drop = 2.0 * (best - other.top.value)
         if drop < target:
-            at = float(other.x[place])
+            at = float(other.top.x[place])
             there = _at_optimum(estimate, other)
             regions.append((at, at) if there is None else _around(there, place, target - drop))
     # neighbours along the scan belong together
@@ -127,10 +127,10 @@ def _at_optimum(estimate: Estimate, other: Optimum) -> Estimate | None:
     # as if the other optimum were the estimate, with the covariance that its own curvature has
     if other.criterion is None:
         return None
-    here = other.criterion.evaluate(other.x)
+    here = other.criterion.evaluate(other.top.x)
     covariance = _inverse(here.curvature[np.ix_(estimate.free, estimate.free)])
-    top = replace(estimate.maximum, x=other.x, evaluation=here)
-    return replace(estimate, x=other.x, criterion=other.criterion, maximum=top, covariance=covariance)
+    top = replace(estimate.maximum, x=other.top.x, evaluation=here)
+    return replace(estimate, x=top.x, criterion=other.criterion, maximum=top, covariance=covariance)
 
 
 def _joined(regions: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:

@@ -16,7 +16,15 @@ from scipy.spatial import KDTree
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._fit_samples import refit
-from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
+from lightopt.estimate.reflectance._likelihood import (
+    DARK,
+    FIRST_GAIN,
+    LOG_R_S,
+    LOG_SIGMA,
+    R_D,
+    Coefficients,
+    significant,
+)
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Observation
@@ -58,25 +66,23 @@ class Comparison:
         }
 
 
-def _coefficients(found: "LeftOut | PointsRow") -> dict[str, float]:
+def _rounded(found: Coefficients) -> dict[str, float]:
     values = {"R_d": found.R_d, "R_s": found.R_s, "sigma_rad": found.sigma}
     return {name: significant(value, 6) for name, value in values.items()}
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeftOut(Coefficients):
     """A light whose images were predicted from those of the others; values are those fitted to the others."""
 
     light: str
-    R_d: float
-    R_s: float
-    sigma: float
+    x: Float64
     images: tuple[Comparison, ...]
     converged: bool = True
 
     def as_dict(self) -> dict[str, Any]:
         images = [image.as_dict() for image in self.images]
-        return {"light": self.light, **_coefficients(self), "converged": self.converged, "images": images}
+        return {"light": self.light, **_rounded(self), "converged": self.converged, "images": images}
 
 
 def leave_lights_out(
@@ -101,10 +107,8 @@ def leave_lights_out(
             comparisons.append(compare_image(seen, levels, hit, scene.sensor, scene.reflectance.full_scale))
             if save_prediction is not None:
                 save_prediction(seen, levels)
-        name, images, converged = samples.lights[light], tuple(comparisons), fitted.maximum.converged
-        results.append(LeftOut(name, fitted.R_d, fitted.R_s, fitted.sigma, images, converged))
-        if progress is not None:
-            progress((done + 1) / len(used))
+        results.append(LeftOut(samples.lights[light], fitted.x, tuple(comparisons), fitted.maximum.converged))
+        progress((done + 1) / len(used))
     return tuple(results)
 
 
@@ -188,13 +192,11 @@ def predict_images(
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointsRow:
+class PointsRow(Coefficients):
     """The fit with one number of points per panel: a row of the paper's Table 1."""
 
     points: int | Literal["auto"]
-    R_d: float
-    R_s: float
-    sigma: float
+    x: Float64
     # saturated pixels of all images together, predicted and measured [px]
     area: int
     measured_area: int
@@ -214,7 +216,7 @@ class PointsRow:
     def as_dict(self) -> dict[str, Any]:
         return {
             "points": self.points,
-            **_coefficients(self),
+            **_rounded(self),
             "area_px": self.area,
             "measured_area_px": self.measured_area,
             "perimeter_px": round(self.perimeter, 1),
@@ -241,9 +243,7 @@ def compare_regions(setup: FitSetup, x: Float64, likelihood: float | None) -> Po
             perimeters[i] += region.perimeter
     return PointsRow(
         points=scene.lights[0].points,
-        R_d=float(x[R_D]),
-        R_s=math.exp(x[LOG_R_S]),
-        sigma=math.exp(x[LOG_SIGMA]),
+        x=x,
         area=int(areas[0]),
         measured_area=int(areas[1]),
         perimeter=float(perimeters[0]),

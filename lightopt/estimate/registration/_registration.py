@@ -168,8 +168,7 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
     def misfit(pose: Float64) -> float:
         nonlocal done
         done += 1
-        if progress is not None:
-            progress(min(1.0, done / SEARCH_STEPS))
+        progress(min(1.0, done / SEARCH_STEPS))
         place = frame.placement(pose)
         lit: list[Float64] = []
         seen: list[Float64] = []
@@ -254,8 +253,7 @@ def refine_placement(
         solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)
         iterations += solution.iterations
         moved = frame.distance_px(frame.placement(x[own]), frame.placement(solution.x[own]))
-        if progress is not None:
-            progress((number + 1) / (STAGES + OUTLINE_STAGES))
+        progress((number + 1) / (STAGES + OUTLINE_STAGES))
         if not outline and np.any(solution.errors[own] > OUTLINE_PX * frame.pixel_steps):
             # the inner pixels do not determine the place well enough: begin again, with the outline
             outline = True
