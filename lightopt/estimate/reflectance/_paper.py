@@ -78,16 +78,12 @@ class PaperOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperDiffuse:
-    """R_d by section 4.2.
+    """R_d by section 4.2."""
 
-    R_d: [grey level].
-    iterations: (R_d, B_r, D) of each [grey level].
-    """
-
-    R_d: float
+    R_d: float  # [grey level]
     image: str
     pixels: int
-    iterations: tuple[tuple[float, float, float], ...]
+    iterations: tuple[tuple[float, float, float], ...]  # (R_d, B_r, D) of each [grey level]
 
     def as_dict(self) -> dict[str, Any]:
         rows = [{"R_d": r, "B_r": b, "D": d} for r, b, d in self.iterations]
@@ -112,16 +108,14 @@ class SigmaStep:
 
 @dataclass(frozen=True)
 class PaperSpecular:
-    """R_s and σ by section 4.3.
-
-    matching_sigmas: The σ at which both the count and the brightness come within λ_s1 and λ_s2, ascending [rad].
-    """
+    """R_s and σ by section 4.3."""
 
     R_s: float
     sigma: float
     image: str
     saturated: int
     steps: tuple[SigmaStep, ...]
+    # the σ at which both the count and the brightness come within λ_s1 and λ_s2, ascending [rad]
     matching_sigmas: tuple[float, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:

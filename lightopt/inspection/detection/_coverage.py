@@ -134,14 +134,11 @@ def _class_areas(of_state: Float64, of_contrast: Float64) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class PostureCoverage(Shares):
-    """The surface that the camera sees in a posture.
+    """The surface that the camera sees in a posture."""
 
-    state: :class:`SurfaceState` of each pixel, shape (H, W).
-    least_contrast: share of the light that a disc of 5 pixels must change to be found at a pixel, shape (H, W);
-        infinite where it is dark, or nothing was inspected.
-    """
-
-    state: UInt8 = field(compare=False, repr=False)
+    state: UInt8 = field(compare=False, repr=False)  # :class:`SurfaceState` of each pixel, shape (H, W)
+    # share of the light that a disc of 5 pixels must change to be found at a pixel, shape (H, W); infinite where it is
+    # dark, or nothing was inspected
     least_contrast: Float32 = field(compare=False, repr=False)
 
     def as_dict(self) -> dict[str, Any]:
@@ -240,15 +237,13 @@ def _needed(images: int, min_images: int, high: float, correlation: float) -> Fl
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceCoverage(Shares):
-    """The surface of the part, each place counted once, by the posture that shows it best.
+    """The surface of the part, each place counted once, by the posture that shows it best."""
 
-    area: of the whole surface, undersides and insides too [mm²]; `seen` of it by the camera in at least one posture,
-        with images or without, not at a grazing angle.
-    missing: of what is seen, not judged for want of images: what a posture without images shows, and those with
-        images at an edge at most [mm²].
-    """
-
+    # of the whole surface, undersides and insides too [mm²]; `seen` of it by the camera in at least one posture, with
+    # images or without, not at a grazing angle
     area: float
+    # of what is seen, not judged for want of images: what a posture without images shows, and those with images at an
+    # edge at most [mm²]
     missing: float = 0.0
 
     @property

@@ -83,12 +83,9 @@ class Detection:
 
 @dataclass(frozen=True, kw_only=True)
 class FoundDefect:
-    """A defect, seen in one posture or in several.
+    """A defect, seen in one posture or in several."""
 
-    number: from 1, the highest score first.
-    """
-
-    number: int
+    number: int  # from 1, the highest score first
     detections: tuple[Detection, ...]
 
     @property

@@ -1,7 +1,7 @@
 """Name the defects that the catalogue explains: kind, size, orientation, slope or depth, with intervals."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -170,7 +170,7 @@ def name_defect(
     opposite = OPPOSITE.get(shape.kind)
     kind = shape.kind if best.z > 0.0 or opposite is None else opposite
     middle = hypotheses.shapes[1]
-    width, length = _scaled(middle.width, size), _scaled(middle.length, size)
+    width, length = (triple(side * factor for factor in size) for side in (middle.width, middle.length))
     if shape.kind == "scratch":
         length = (extent, max(0.0, extent - shape.length), extent + shape.length)
     amplitude = _amplitude(same, found)
@@ -179,9 +179,9 @@ def name_defect(
         steepest, *ends = (math.tan(shape.slope) * a for a in amplitude)
         low, high = sorted(map(abs, ends))
         tangents = (abs(steepest), 0.0 if ends[0] * ends[1] < 0.0 else low, high)
-        depth = _triple(depth_of_slope(kind, width[0], math.atan(t)) for t in tangents)
+        depth = triple(depth_of_slope(kind, width[0], math.atan(t)) for t in tangents)
         # what is known of the size limits what is known of the slope
-        slope = _triple(
+        slope = triple(
             math.atan(t * s) for t, s in zip(tangents, (1.0, size[1] / size[0], size[2] / size[0]), strict=True)
         )
     elif amplitude is not None:
@@ -232,7 +232,7 @@ def _size(best: ExplainedDefect) -> tuple[float, float, float]:
         middle = float(np.clip(-0.5 * slope / bend, x[0], x[-1]))
         known = SIZE_ERROR_PX / best.templates.width_px
         error = math.hypot(SIZE_ERROR, known, (-2.0 * bend) ** -0.5)
-    return _triple(math.exp(middle + NORMAL_95 * side * error) for side in (0.0, -1.0, 1.0))
+    return triple(math.exp(middle + NORMAL_95 * side * error) for side in (0.0, -1.0, 1.0))
 
 
 def _direction(best: ExplainedDefect, view: PostureView, scene: Scene, placement: Placement) -> float:
@@ -257,10 +257,7 @@ def _direction(best: ExplainedDefect, view: PostureView, scene: Scene, placement
     return angle % math.pi
 
 
-def _scaled(value: float, factors: tuple[float, float, float]) -> tuple[float, float, float]:
-    return _triple(value * factor for factor in factors)
-
-
-def _triple(values: Any) -> tuple[float, float, float]:
+def triple(values: Iterable[float]) -> tuple[float, float, float]:
+    """Three numbers, as they are kept and written."""
     value, low, high = values
     return float(value), float(low), float(high)

@@ -55,20 +55,15 @@ class KnownDefect:
 
 @dataclass(frozen=True, kw_only=True)
 class SetEvaluation:
-    """The evaluation of one set of images against ground truth.
+    """The evaluation of one set of images against ground truth."""
 
-    defects, hidden: those with a pixel that can be judged in some posture, and the names of the others.
-    false_alarms: regions that touch no defect, or are far larger than those they touch, over all postures.
-    areas: area under the ROC of the score, pixel by pixel, of each posture that shows a defect.
-    labels: the source of ground truth.
-    """
-
+    # those with a pixel that can be judged in some posture, and the names of the others
     defects: tuple[KnownDefect, ...]
     hidden: tuple[str, ...]
-    false_alarms: int
+    false_alarms: int  # regions that touch no defect, or are far larger than those they touch, over all postures
     postures: int
-    areas: tuple[float, ...]
-    labels: Literal["images", "part file", "no defects"] = "images"
+    areas: tuple[float, ...]  # area under the ROC of the score, pixel by pixel, of each posture that shows a defect
+    labels: Literal["images", "part file", "no defects"] = "images"  # the source of ground truth
     name: str = ""
 
     def as_dict(self) -> dict[str, Any]:

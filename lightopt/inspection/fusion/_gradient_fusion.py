@@ -7,7 +7,7 @@ weights of their pixels, no others.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Final, Literal
 
@@ -107,10 +107,6 @@ class Edges:
             (deviations[:, :, :-1], deviations[:, :, 1:]) if axis else (deviations[:, :-1], deviations[:, 1:])
         )
         return Edges(axis, _usable_edges(weights, axis), np.hypot(first, second))
-
-    def of_weights(self, weights: Float32) -> Edges:
-        """The same edges of images of the same noise and other weights."""
-        return replace(self, usable=_usable_edges(weights, self.axis))
 
     @property
     def unknown(self) -> Bool:
@@ -277,16 +273,6 @@ class FusionRule:
         edges = Edges.of(weights, deviations, 1), Edges.of(weights, deviations, 0)
         return FusionRule(fusion, edges, deviations)
 
-    def of_weights(self, weights: Float32) -> FusionRule:
-        """The same rule for images of the same noise and other weights."""
-        right, below = self.edges
-        return replace(self, edges=(right.of_weights(weights), below.of_weights(weights)))
-
-    @property
-    def unknown(self) -> list[Bool]:
-        """Edges at which no image is used."""
-        return [edges.unknown for edges in self.edges]
-
     def fuse(self, images: Float32) -> Gradients:
         """Gradients of the fused image, of images of shape (images, H, W)."""
         return [fuse_gradients(images, edges, fusion=self.fusion, threads=1) for edges in self.edges]
@@ -320,7 +306,7 @@ def fuse_with_prediction(
     tasks = [
         partial(rule.fuse, levels),
         partial(rule.fuse, diffuse),
-        lambda: rule.of_weights(lit).fuse(diffuse),
+        lambda: FusionRule.of(lit, rule.deviations, rule.fusion).fuse(diffuse),
         # each draw has random numbers of its own, so that their order does not matter
         *(partial(rule.fuse_with_noise, diffuse, np.random.default_rng((seed, 0, i))) for i in range(draws)),
     ]
