@@ -113,20 +113,17 @@ class Samples:
 
 
 def collect_samples(
-    scene: Scene,
+    scene: Scene,  # with the postures and lights of the images
     observations: Sequence[Observation],
     *,
     caster: RayCaster,
     budget: int,
+    # whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image
     uniform: bool = False,
     threads: int | None = None,
     progress: Share = ignore,
 ) -> Samples:
-    """Choose pixels by their geometry alone and look up what was measured there.
-
-    uniform: Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
-    scene: With the postures and lights of the images.
-    """
+    """Choose pixels by their geometry alone and look up what was measured there."""
     names = [light.name for light in scene.lights]
     groups: list[SampleGroup] = []
     wanted = sorted({(scene.postures.index(o.posture), names.index(o.light)) for o in observations})

@@ -209,14 +209,11 @@ def profile_over_sigma(
     criterion_at: Callable[[float], Criterion],
     starts_at: Callable[[int], Sequence[Float64]],
     log_sigmas: Sequence[float],
-    free: Sequence[int],
+    free: Sequence[int],  # places of the parameters that are fitted; σ is not, whether or not it is among them
     *,
     progress: Share = ignore,
 ) -> list[Maximum]:
-    """The best fit at each σ, from its own starts and from the best at its neighbours on both sides.
-
-    free: Places of the parameters that are fitted; σ is not, whether or not it is among them.
-    """
+    """The best fit at each σ, from its own starts and from the best at its neighbours on both sides."""
     fixed = [place for place in free if place != LOG_SIGMA]
     criteria = [criterion_at(log_sigma) for log_sigma in log_sigmas]
     best: list[Maximum] = []

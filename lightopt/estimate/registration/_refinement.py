@@ -61,13 +61,10 @@ def choose_pixels(
     placement: Placement,
     *,
     outline: bool,
-    reduced: bool = False,
+    reduced: bool = False,  # whether fewer pixels are enough, for the first stage or a rough placement
     threads: int | None = None,
 ) -> tuple[list[PixelSet], list[PixelSet]]:
-    """Inner pixels, and pixels across the outline where `outline`; one set per posture that shows any.
-
-    reduced: Whether fewer pixels are enough, for the first stage or a rough placement.
-    """
+    """Inner pixels, and pixels across the outline where `outline`; one set per posture that shows any."""
     placed = place_part(scene, placement)
     caster = RayCaster(placed.mesh.vertices, placed.mesh.faces)
     inner: list[PixelSet] = []

@@ -176,7 +176,7 @@ def refine_placement(
     start: Placement,
     *,
     caster: RayCaster,
-    reduced: bool = False,
+    reduced: bool = False,  # whether all stages have as few pixels as the first
     run: RunContext | None = None,
 ) -> Registration:
     """Refine a placement that is good to about a pixel, highlights included, to a small part of a pixel.
@@ -184,8 +184,6 @@ def refine_placement(
     R_d, R_s, σ, the lights' gains and the dark level are adjusted as well, since those of a misplaced part are never
     quite right. A pixel counts by the sensor's variance of its level. The model decides which pixels count at all, not
     the noisy level: those just below saturation that are not saturated are the darker ones.
-
-    reduced: Whether all stages have as few pixels as the first.
     """
     run = run or RunContext()
     progress = run.stage("refining the registration")

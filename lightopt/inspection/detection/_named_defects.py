@@ -148,18 +148,15 @@ def label_connected(mask: Bool) -> tuple[Int32, int]:
 
 def name_defect(
     explained: Sequence[ExplainedDefect],
-    extent: float,
+    extent: float,  # of the region along its longer axis [mm]: the length of a scratch
     view: PostureView,
     found: Deviations,
     *,
+    # where the part's file has it, and where it lies from there
     scene: Scene,
     placement: Placement,
 ) -> NamedDefect:
-    """Name a region by the defects that explain it, the strongest of them first.
-
-    extent: Of the region along its longer axis [mm]: the length of a scratch.
-    scene, placement: Where the part's file has it, and where it lies from there.
-    """
+    """Name a region by the defects that explain it, the strongest of them first."""
     best = max(explained, key=lambda one: abs(one.z))
     hypotheses, shape = best.templates.hypotheses, best.templates.hypotheses.shapes[best.size]
     # segments of a scratch are measured together
