@@ -47,10 +47,7 @@ class Pose:
 
 
 def read_intrinsics(path: Path) -> Intrinsics:
-    """Focal lengths, principal point and distortion from a calibration file.
-
-    Raises InputError: The file, K or the lens model is not as expected
-    """
+    """Focal lengths, principal point and distortion; InputError where the file, K or the lens is not as expected."""
     values = _read(path)
     K = _numbers(path, values, _K, (3, 3))
     if K is None:

@@ -19,23 +19,19 @@ from scipy.special import stdtrit
 from lightopt.core.arrays import Float64, Index
 from lightopt.core.run_context import RunContext, part_of
 from lightopt.estimate.reflectance._clipped_least_squares import MOST_MISFIT, LeastSquares, SpecularTable, find_dust
-from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, Optimum
+from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, Maximum, Optimum, has_settled, maximise
 from lightopt.estimate.reflectance._likelihood import (
     DARK,
     FIRST_GAIN,
-    LOG_R_S,
     LOG_SIGMA,
-    R_D,
     likelihood_at,
     outlier_share,
     predicted,
 )
 from lightopt.estimate.reflectance._likelihood_fit import USUAL_TABLE, climb, likelihood_estimate
-from lightopt.estimate.reflectance._newton import Maximum, has_settled, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._sigma_scan import SigmaScan, scan_budget, scan_points, scan_sigma
 from lightopt.estimate.reflectance._uncertainty import criterion_drop
-from lightopt.optics import Reflectance
 
 # the likelihood's answer is only taken where it predicts the scan's pixels about as well as least squares [rms]
 WORSE_PREDICTION = 1.03
@@ -54,10 +50,7 @@ ERROR_STEPS = (1.0, 0.3, 0.1)
 def fit_reflectance(
     samples: Samples, *, freed: FreeParameters | None = None, held: Float64 | None = None, run: RunContext | None = None
 ) -> Estimate:
-    """Fit R_d, R_s and σ, and what else is freed, to samples.
-
-    held: Values (R_d, R_s, σ) of those that are not freed; required for those.
-    """
+    """Fit R_d, R_s and σ, and what else is freed, to samples; those that are not freed have the values `held`."""
     run = run or RunContext()
     scan = scan_sigma(samples, freed or FreeParameters(), held, part_of(run.stage("scanning σ"), 0.0, 0.5))
     if scan.misfit > MOST_MISFIT:
@@ -68,14 +61,6 @@ def fit_reflectance(
     if ratio > WORSE_PREDICTION**2:
         return _least_squares_estimate(samples, scan)
     return found
-
-
-def least_squares_reflectance(
-    samples: Samples, reflectance: Reflectance, *, freed: FreeParameters | None = None
-) -> Reflectance:
-    """R_d, R_s and σ by least squares alone, without intervals: good enough to find a part by."""
-    x = scan_sigma(samples, freed or FreeParameters(), None).best.x
-    return replace(reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
 
 
 def refit(samples: Samples, start: Estimate, *, only_reflectance: bool = False) -> Estimate:

@@ -223,20 +223,14 @@ def likelihood_at(samples: Samples, log_sigma: float) -> Likelihood:
 
 
 def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:
-    """Sensor levels, not clipped, that the parameters `x` predict for each observation, shape (N,).
-
-    specular: Per unit of R_s at the σ of `x`, shape (n,).
-    """
+    """Sensor levels, not clipped, of each observation, (N,), by `x` and the light per unit of R_s at its σ, shape (n,)."""
     light = x[R_D] * samples.diffuse + math.exp(x[LOG_R_S]) * specular
     factor = samples.facts.factor * np.exp(x[FIRST_GAIN + samples.facts.light])
     return samples.sensor.black_level + x[DARK] + factor[samples.image] * light[samples.sample]
 
 
 def clipped_levels(samples: Samples, mean: Float64) -> tuple[Float64, Float64]:
-    """Measured and predicted sensor levels of each observation, both clipped where the camera clips, shape (N,) each.
-
-    mean: Predicted levels, not clipped, shape (N,), as :func:`predicted` gives them.
-    """
+    """Sensor levels of each observation, measured and :func:`predicted`, both clipped where the camera clips, (N,)."""
     top = samples.sensor.saturated_from
     return np.minimum(samples.level.astype(np.float64), top), np.clip(mean, 0.0, top)
 

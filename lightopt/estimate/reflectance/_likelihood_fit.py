@@ -12,9 +12,8 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.run_context import RunContext, Share, part_of
-from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Optimum, ScanPoint
+from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Maximum, Optimum, ScanPoint, maximise
 from lightopt.estimate.reflectance._likelihood import LOG_SIGMA, Likelihood, likelihood_at, outlier_share
-from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._sigma_scan import (
     SAME_PEAK,
@@ -49,17 +48,10 @@ def likelihood_estimate(samples: Samples, scan: SigmaScan, run: RunContext) -> E
     """Maximise the likelihood of all samples from what a scan by least squares found."""
     few = subsample(scan.samples, max(50, scan_budget(samples) // SUBSET_SHARE))
     profile = _profile_on_subset(few, scan, part_of(run.stage("scanning σ"), 0.5, 1.0))
-    coarse: dict[int, Estimate] = {}
-
-    def climb_on_subset(x: Float64) -> Maximum:
-        ended = climb(few, x, scan.free, USUAL_TABLE)
-        coarse[id(ended.maximum)] = ended
-        return ended.maximum
-
-    tops = climb_from_peaks(profile, climb_on_subset)
+    tops = climb_from_peaks(profile, lambda x: climb(few, x, scan.free, USUAL_TABLE))
     report = run.stage("refining")
     report(0.2)
-    best, peaks = best_first(_climb_on_all(samples, [(start, coarse[id(top)]) for start, top in tops]))
+    best, peaks = best_first(_climb_on_all(samples, tops))
     report(0.9)
     points, better = _profile_on_all(samples, few, profile, best)
     for _ in range(MOST_RESTARTS):
@@ -156,13 +148,13 @@ def _profile_on_subset(few: Samples, scan: SigmaScan, progress: Share) -> list[M
 def _climb_on_all(samples: Samples, tops: Sequence[tuple[float, Estimate]]) -> list[Peak]:
     # optima of the subset, the best first, as optima of all samples. One that is far below stays where it is, with the
     # value that all samples have there, unless that is not far below
-    best = tops[0][1].maximum.value
-    close = [(start, top) for start, top in tops if best - top.maximum.value < CLOSE_CALL]
+    best = tops[0][1].value
+    close = [(start, top) for start, top in tops if best - top.value < CLOSE_CALL]
     finals = [(start, _final_climb(samples, top)) for start, top in close]
     peaks = [_peak(start, final) for start, final in finals]
-    least = max(final.maximum.value - _relevant_drop(final) for _, final in finals)
+    least = max(final.value - _relevant_drop(final) for _, final in finals)
     for start, top in tops[len(close) :]:
-        there = _best_at(samples, top.maximum.x, top.free)
+        there = _best_at(samples, top.x, top.free)
         if there.value > least:
             peaks.append(_peak(start, _final_climb(samples, top)))
         else:
@@ -185,17 +177,17 @@ def _profile_on_all(
     # all samples decide: they either have something better to climb from, or show how much worse it is.
     share = _share_of(few, samples)
     if LOG_SIGMA not in final.free:
-        return scan_points([replace(profile[0], x=final.maximum.x)]), None
-    here = _best_at(few, final.maximum.x, final.free)
+        return scan_points([replace(profile[0], x=final.x)]), None
+    here = _best_at(few, final.x, final.free)
     value = here.value
     near = max(CLOSE_CALL, share * _relevant_drop(final))
-    shown: list[Maximum] = [replace(here, x=final.maximum.x)]
+    shown: list[Maximum] = [replace(here, x=final.x)]
     for point in profile:
         if point.value > value - near:
             whole = _best_at(samples, point.x, final.free)
-            if whole.value > final.maximum.value:
+            if whole.value > final.value:
                 return (), whole.x
-            worse = share * (final.maximum.value - whole.value)
+            worse = share * (final.value - whole.value)
             point = replace(whole, evaluation=replace(whole.evaluation, value=value - worse))
         shown.append(point)
     return scan_points(shown, share=share), None

@@ -194,10 +194,7 @@ def _rms(values: Float64) -> float:
 
 
 def refuse_out_of_range(found: Estimate, brightest: float) -> None:
-    """Refuse images that do not determine R_s and σ, and values that no real surface has.
-
-    brightest: Greatest specular light of a pixel [grey level].
-    """
+    """Refuse a `brightest` specular light [grey level] that determines nothing, and values that no real surface has."""
     if brightest < 1.0:
         raise InputError(
             "no highlight in any image: nothing determines R_s and σ. Add images under lights that the surface mirrors "

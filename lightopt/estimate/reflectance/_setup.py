@@ -12,9 +12,9 @@ from lightopt.config import PartConfig, PlacementConfig, RigConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance._estimate import FreeParameters
-from lightopt.estimate.reflectance._fit_samples import least_squares_reflectance
 from lightopt.estimate.reflectance._paper import PaperOptions
 from lightopt.estimate.reflectance._samples import OCTAVES, Samples, collect_samples
+from lightopt.estimate.reflectance._sigma_scan import scan_sigma
 from lightopt.estimate.registration import (
     Observation,
     Registration,
@@ -139,6 +139,8 @@ def register_with_fit(
         samples = collect_samples(
             moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=run.threads
         )
-        return least_squares_reflectance(samples, moved.reflectance, freed=freed)
+        # least squares alone, without intervals, are good enough to find a part by
+        found = scan_sigma(samples, freed or FreeParameters(), None).best
+        return replace(moved.reflectance, R_d=found.R_d, R_s=found.R_s, sigma=found.sigma)
 
     return register(scene, observations, caster=caster, reflectance_at=first_reflectance, reduced=reduced, run=run)

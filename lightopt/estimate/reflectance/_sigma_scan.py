@@ -7,6 +7,7 @@ all other parameters at each of a row of σ, from several starts.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, ignore
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable, find_dust, measure_misfit
-from lightopt.estimate.reflectance._estimate import FreeParameters, ScanPoint
+from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, Maximum, ScanPoint, maximise
 from lightopt.estimate.reflectance._likelihood import (
     DARK,
     FIRST_GAIN,
@@ -25,7 +26,6 @@ from lightopt.estimate.reflectance._likelihood import (
     parameter_count,
     predicted,
 )
-from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
 
 SCAN_SAMPLES = 50_000  # pixels of the scan over σ, in all
@@ -34,6 +34,8 @@ WEAK_START = 0.1  # share of the R_s that saturates as many pixels as measured, 
 MOST_PEAKS = 4
 SAME_PEAK = 0.02  # climbs that end within this of ln σ have found the same peak
 HELD_SIGMA = 0.05  # width of a lobe that is neither fitted nor given [rad]
+
+Top = TypeVar("Top", Maximum, Estimate)
 
 # σ of a peak of the profile [rad], and where the climb from it ended; the best first
 Climbs = list[tuple[float, Maximum]]
@@ -119,9 +121,9 @@ def scan_sigma(samples: Samples, freed: FreeParameters, held: Float64 | None, pr
     return SigmaScan(few, free, log_sigmas, starts, criterion, profile, climbs, misfit)
 
 
-def climb_from_peaks(profile: Sequence[Maximum], climb: Callable[[Float64], Maximum]) -> Climbs:
+def climb_from_peaks(profile: Sequence[Maximum], climb: Callable[[Float64], Top]) -> list[tuple[float, Top]]:
     """Climb from each peak of a profile to its top."""
-    tops: Climbs = []
+    tops: list[tuple[float, Top]] = []
     for peak in peaks(profile)[:MOST_PEAKS]:
         top = climb(peak.x)
         if all(abs(top.x[LOG_SIGMA] - other.x[LOG_SIGMA]) > SAME_PEAK for _, other in tops):

@@ -11,9 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from lightopt.core.arrays import Float64
-from lightopt.estimate.reflectance._estimate import Estimate, Optimum
+from lightopt.estimate.reflectance._estimate import Estimate, Optimum, bounds, maximise
 from lightopt.estimate.reflectance._likelihood import R_D, Likelihood
-from lightopt.estimate.reflectance._newton import bounds, maximise
 
 STEP = 0.3  # differences of the gradient are taken this many (conditional) standard errors to either side
 LONGEST_DIFFERENCE = 0.1  # but no logarithm is moved by more than this for it

@@ -132,11 +132,7 @@ def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> Iterat
 
 
 def compare_image(seen: Observation, levels: Float32, hit: Bool, sensor: Sensor, full_scale: float) -> Comparison:
-    """Compare a measured image with the sensor levels predicted for it.
-
-    levels: Predicted, not clipped, shape (height, width).
-    hit: Where the part is, same shape.
-    """
+    """Compare a measured image with the sensor levels predicted for it, not clipped, where the part is; shape (H, W)."""
     top = sensor.saturated_from
     measured = np.minimum(seen.levels, np.float32(top))
     residual = (measured - np.clip(levels, 0.0, top))[hit].astype(np.float64)
@@ -169,10 +165,7 @@ def _border(mask: Bool) -> Float64:
 def predict_images(
     scene: Scene, x: Float64, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
 ) -> Iterator[tuple[Observation, Float32, Bool]]:
-    """Per observation: itself, the sensor levels predicted for it, not clipped, and where the part is.
-
-    x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
-    """
+    """Per observation: itself, the levels that the parameters `x`, (K,), predict, not clipped, and where the part is."""
     names = [light.name for light in scene.lights]
     reflectance = replace(scene.reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
     scale = scene.sensor.max_level / scene.reflectance.full_scale
@@ -226,11 +219,9 @@ class PointsRow(Coefficients):
 
 
 def compare_regions(setup: FitSetup, x: Float64, likelihood: float | None) -> PointsRow:
-    """Render all images with a fit and compare the saturated regions with the measured ones.
+    """Render all images with the parameters `x`, (K,), and compare the saturated regions with the measured ones.
 
     Both are taken from whole levels, since the camera delivers no others.
-
-    x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
     """
     scene, sensor = setup.scene, setup.scene.sensor
     areas, perimeters = np.zeros(2), np.zeros(2)

@@ -150,10 +150,7 @@ class Agreement:
 
 
 def agreement(measured: Array, predicted: Array, noise: Array) -> Agreement:
-    """Compare levels above black with those of a model, both clipped where the camera clips.
-
-    noise: Standard deviation of the sensor's noise, same shape.
-    """
+    """Compare levels above black with a model's, both clipped where the camera clips; `noise` [standard deviation]."""
     if not measured.size:
         return Agreement(0.0, 0.0, 0.0)
     return Agreement(_rms(measured - predicted), _rms(noise), _rms(predicted))

@@ -229,12 +229,9 @@ def fit_detection_curve(sizes: Sequence[float], found: Sequence[bool]) -> Detect
     bound = None
     if inside.any() and not inside[-1]:
         last = int(np.flatnonzero(inside)[-1])
-        low, high = float(places[last]), float(places[last + 1])
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            near = 2.0 * (most - best_at(middle)[1]) <= ONE_SIDED_95
-            low, high = (middle, high) if near else (low, middle)
-        bound = math.exp(low)
+        ends = float(places[last]), float(places[last + 1])
+        root: Any = optimize.bisect(lambda place: 2.0 * (most - best_at(place)[1]) - ONE_SIDED_95, *ends)
+        bound = math.exp(root)
     elif not inside.any():
         bound = math.exp(float(places[int(np.searchsorted(places, place))]))
     return DetectionCurve(n, k, goal - steepness * place, steepness, math.exp(place), bound)
