@@ -80,7 +80,7 @@ def sphere_in_mask(mask: Bool, intrinsics: Intrinsics, radius: float) -> Float64
 
 
 def read_mask(path: Path) -> Bool:
-    """Pixels of the part, (H, W): those of half of full scale or more; InputError for no image or pixels of one kind."""
+    """Pixels of the part, (H, W): of half of full scale or more; InputError for no image or pixels of one kind."""
     samples = read_photograph(path)
     mask: Bool = samples.max(axis=2) > np.iinfo(samples.dtype).max // 2
     if mask.all() or not mask.any():

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
+from lightopt.core.kernels import kernel
 from lightopt.estimate.reflectance._likelihood import (
     FIRST_GAIN,
     R_D,
@@ -164,7 +165,7 @@ def bounds(criterion: Criterion) -> tuple[Float64, Float64]:
 def maximise(
     criterion: Criterion, x: Float64, free: Sequence[int], *, most_steps: int = 60, tolerance: float = TOLERANCE
 ) -> Maximum:
-    """Climb from `x`, shape (K,), along the free parameters until a step's predicted gain is below `tolerance` [nat]."""
+    """Climb from `x`, shape (K,), along the free parameters until a step promises less than `tolerance` [nat]."""
     low, high = bounds(criterion)
     can_change = np.zeros(len(x), np.bool_)
     can_change[list(free)] = True
@@ -235,5 +236,22 @@ def _movable(x: Float64, gradient: Float64, can_change: Bool, low: Float64, high
 def _newton_step(gradient: Float64, curvature: Float64, moving: Bool, damping: float) -> Float64:
     # 0 where nothing moves; a damping of 1 halves a step, or shortens it more along a ridge
     step, matrix = np.zeros(len(gradient)), curvature[np.ix_(moving, moving)]
-    step[moving] = np.linalg.solve(matrix + np.diag(damping * np.maximum(np.diag(matrix), 1e-9)), gradient[moving])
+    step[moving] = _solved(matrix + np.diag(damping * np.maximum(np.diag(matrix), 1e-9)), gradient[moving])
     return step
+
+
+@kernel
+def _solved(matrix: Float64, right: Float64) -> Float64:
+    # by Gaussian elimination; a damped matrix is positive definite, so that no rows have to change places
+    size = len(right)
+    for k in range(size):
+        for n in range(k + 1, size):
+            share = matrix[n, k] / matrix[k, k]
+            for m in range(k + 1, size):
+                matrix[n, m] -= share * matrix[k, m]
+            right[n] -= share * right[k]
+    for k in range(size - 1, -1, -1):
+        for m in range(k + 1, size):
+            right[k] -= matrix[k, m] * right[m]
+        right[k] /= matrix[k, k]
+    return right

@@ -223,7 +223,7 @@ def likelihood_at(samples: Samples, log_sigma: float) -> Likelihood:
 
 
 def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:
-    """Sensor levels, not clipped, of each observation, (N,), by `x` and the light per unit of R_s at its σ, shape (n,)."""
+    """Sensor levels, not clipped, of each observation, (N,), by `x` and the light per unit of R_s at its σ, (n,)."""
     light = x[R_D] * samples.diffuse + math.exp(x[LOG_R_S]) * specular
     factor = samples.facts.factor * np.exp(x[FIRST_GAIN + samples.facts.light])
     return samples.sensor.black_level + x[DARK] + factor[samples.image] * light[samples.sample]

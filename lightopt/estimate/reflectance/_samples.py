@@ -95,11 +95,11 @@ class Samples:
         fields = ("sample", "image", "level", "saturated")
         return replace(self, **{name: getattr(self, name)[where] for name in fields})
 
-    def with_levels(self, levels: Sequence[Float32], saturated: Sequence[Bool]) -> Samples:
-        """The same pixels of other images of the same lights, postures and exposures; one array per image."""
-        rows, columns = self.places
-        stack, flags = np.stack(levels), np.stack(saturated)
-        return replace(self, level=stack[self.image, rows, columns], saturated=flags[self.image, rows, columns])
+    def with_images(self, images: Sequence[Observation], flip: tuple[slice, slice] = (slice(None),) * 2) -> Samples:
+        """The same pixels of other images of the same lights, postures and exposures, as `images` are, or flipped."""
+        place = (self.image, *self.places)
+        levels, saturated = np.stack([o.levels[flip] for o in images]), np.stack([o.saturated[flip] for o in images])
+        return replace(self, level=levels[place], saturated=saturated[place])
 
     @property
     def places(self) -> tuple[Int32, Int32]:
@@ -172,17 +172,14 @@ def subsample(samples: Samples, budget: int) -> Samples:
 
 def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
     """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again."""
-    groups = tuple(
-        group
-        if group.layer is None
-        else replace(
-            group,
-            layer=light_layer(
-                group.layer.surface, replace(group.layer.light, points="auto"), caster, threads=samples.threads
-            ),
-        )
-        for group in samples.groups
-    )
+
+    def evenly(group: SampleGroup) -> SampleGroup:
+        if group.layer is None:
+            return group
+        panel = replace(group.layer.light, points="auto")
+        return replace(group, layer=light_layer(group.layer.surface, panel, caster, threads=samples.threads))
+
+    groups = tuple(map(evenly, samples.groups))
     return replace(samples, groups=groups, diffuse=np.concatenate([group.diffuse for group in groups]))
 
 

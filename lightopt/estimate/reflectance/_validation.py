@@ -132,7 +132,7 @@ def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> Iterat
 
 
 def compare_image(seen: Observation, levels: Float32, hit: Bool, sensor: Sensor, full_scale: float) -> Comparison:
-    """Compare a measured image with the sensor levels predicted for it, not clipped, where the part is; shape (H, W)."""
+    """Compare a measured image with the sensor levels predicted for it, not clipped, where the part is; (H, W)."""
     top = sensor.saturated_from
     measured = np.minimum(seen.levels, np.float32(top))
     residual = (measured - np.clip(levels, 0.0, top))[hit].astype(np.float64)
@@ -165,7 +165,7 @@ def _border(mask: Bool) -> Float64:
 def predict_images(
     scene: Scene, x: Float64, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
 ) -> Iterator[tuple[Observation, Float32, Bool]]:
-    """Per observation: itself, the levels that the parameters `x`, (K,), predict, not clipped, and where the part is."""
+    """Per observation: itself, the levels that parameters `x`, (K,), predict, not clipped, and where the part is."""
     names = [light.name for light in scene.lights]
     reflectance = replace(scene.reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
     scale = scene.sensor.max_level / scene.reflectance.full_scale
@@ -201,10 +201,12 @@ class PointsRow(Coefficients):
     likelihood: float | None
 
     @property
-    def misfit(self) -> float:
-        """Relative deviations of area and perimeter, added (paper, section 4.4)."""
+    def rank(self) -> float:
+        """The likelihood or, without one, minus the relative deviations of area and perimeter (paper, section 4.4)."""
+        if self.likelihood is not None:
+            return self.likelihood
         area = abs(self.area - self.measured_area) / max(self.measured_area, 1)
-        return area + abs(self.perimeter - self.measured_perimeter) / max(self.measured_perimeter, 1.0)
+        return -(area + abs(self.perimeter - self.measured_perimeter) / max(self.measured_perimeter, 1.0))
 
     def as_dict(self) -> dict[str, Any]:
         return {
