@@ -4,8 +4,6 @@ There the first pixel's centre is at (0, 0), and [R|t] turns the world's points 
 down in the image, z ahead.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass

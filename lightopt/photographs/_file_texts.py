@@ -1,7 +1,5 @@
 """Texts of the rig and part files of imported photographs, with where each value comes from."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Sequence
 

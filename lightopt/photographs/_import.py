@@ -1,7 +1,5 @@
 """From a folder of photographs, a table of lights and a calibration to a rig, a part and an image set."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

@@ -1,7 +1,5 @@
 """Tables of lights, CSV: one row per photograph, with its light, where that stood, exposure and posture."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re

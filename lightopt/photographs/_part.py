@@ -1,7 +1,5 @@
 """The part in photographs: a mesh of the user, or a sphere where the mask shows one."""
 
-from __future__ import annotations
-
 import math
 import os.path
 from dataclasses import dataclass

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
-from lightopt.optics import Sensor
 
 # places in the vector of parameters: R_d, ln R_s, ln σ, dark level, then ln gain per light, ln τ², logit ε
 R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
@@ -53,7 +52,6 @@ class Criterion(Protocol):
 
     def evaluate(self, x: Float64) -> Evaluation:
         """Value, gradient and curvature at the parameters `x`, shape (K,)."""
-        ...
 
 
 class Coefficients:
@@ -155,26 +153,6 @@ def add_slopes(
             curvature[place[a], place[b]] += bent * by[b]
 
 
-class SensorNumbers(NamedTuple):
-    """Black level and noise of a sensor, the level from which a pixel is saturated, and the density of outliers."""
-
-    black: float
-    read_variance: float
-    levels_per_electron: float
-    ceiling: float
-    outlier: float
-
-
-def _sensor_numbers(sensor: Sensor) -> SensorNumbers:
-    return SensorNumbers(
-        black=sensor.black_level,
-        read_variance=sensor.read_noise_levels**2,
-        levels_per_electron=1.0 / sensor.electrons_per_level if sensor.electrons_per_level else 0.0,
-        ceiling=float(math.ceil(sensor.saturated_from)),
-        outlier=(1.0 - 2.0 * EXTREME_SHARE) / max(1.0, sensor.max_level - 1.0),
-    )
-
-
 class Likelihood:
     """The likelihood of a set of samples, for σ near those of the specular light's columns.
 
@@ -212,7 +190,13 @@ class Likelihood:
     def _summation(self, s: Samples, x: Float64) -> Callable[[int, int, Float64, Float64], float]:
         # sums over a range of the observations of some samples, as :func:`sum_in_chunks` takes it
         c, dc = lagrange(self.log_sigmas, float(x[LOG_SIGMA]))
-        sensor = _sensor_numbers(s.sensor)
+        sensor = (
+            s.sensor.black_level,
+            s.sensor.read_noise_levels**2,
+            1.0 / s.sensor.electrons_per_level if s.sensor.electrons_per_level else 0.0,
+            float(math.ceil(s.sensor.saturated_from)),  # the level from which a pixel is saturated
+            (1.0 - 2.0 * EXTREME_SHARE) / max(1.0, s.sensor.max_level - 1.0),  # density of outliers
+        )
         observed, light = (s.sample, s.level, s.saturated, s.image), (s.diffuse, self.specular, c, dc)
         return lambda start, end, *sums: _accumulate(observed, start, end, light, s.facts, sensor, x, sums)
 
@@ -264,12 +248,12 @@ def _accumulate(
     end: int,
     light: tuple[Float64, Float64, Float64, Float64],
     facts: ImageFacts,
-    sensor: SensorNumbers,
+    sensor: tuple[float, float, float, float, float],
     x: Float64,
     sums: _Sums,
 ) -> float:
     (sample, level, saturated, image), (diffuse, specular, c, dc) = observed, light
-    gradient, curvature = sums
+    (black, read_variance, levels_per_electron, ceiling, spread_outliers), (gradient, curvature) = sensor, sums
     size = len(x)
     r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
     factor_of = image_factors(facts, x)
@@ -281,20 +265,20 @@ def _accumulate(
         factor = factor_of[m]
         s, ds = specular_and_slope(i, specular, c, dc)
         signal = factor * (r_d * diffuse[i] + r_s * s)
-        mean = sensor.black + dark + signal
+        mean = black + dark + signal
         # the mean of frames has less noise; but it is saturated where any one of them is
         share = 1.0 if saturated[j] else 1.0 / facts.frames[m]
-        variance = share * sensor.read_variance + tau2
+        variance = share * read_variance + tau2
         shot = 0.0
         if signal > 0.0:
-            shot = share * sensor.levels_per_electron
+            shot = share * levels_per_electron
             variance += shot * signal
         deviation = math.sqrt(variance)
         q, half = level[j], facts.half_width[m]
         # the interval that the signal was in, in standard deviations from the mean
-        a, b, outlier = -math.inf, math.inf, sensor.outlier
+        a, b, outlier = -math.inf, math.inf, spread_outliers
         if saturated[j]:
-            a = (min(q, sensor.ceiling) - half - mean) / deviation if half >= 0.5 else (q - mean) / deviation
+            a = (min(q, ceiling) - half - mean) / deviation if half >= 0.5 else (q - mean) / deviation
             outlier = EXTREME_SHARE
         elif q <= 0.0:
             b = (half - mean) / deviation

@@ -1,10 +1,8 @@
 """The set-up of a fit: its options, and rig, part and images made ready."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 
@@ -30,7 +28,7 @@ from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene
 
-Points: TypeAlias = "int | Literal['auto']"
+Points = int | Literal["auto"]
 
 MOST_PER_OCTAVE = 20_000
 PLACING_PER_OCTAVE = 800
