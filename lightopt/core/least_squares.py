@@ -43,6 +43,7 @@ class Problem(Protocol):
     @property
     def weight(self) -> Float64:
         """How much each row counts, shape (n,)."""
+        ...
 
     @property
     def correlated(self) -> Bool:
@@ -50,12 +51,15 @@ class Problem(Protocol):
 
         Their residuals are in units of their own spread.
         """
+        ...
 
     def residuals(self, x: Float64) -> Float64:
         """Measured minus predicted in standard deviations, shape (n,); not finite where nothing is predicted."""
+        ...
 
     def slopes(self, x: Float64) -> Float64:
         """Derivatives of what is predicted by the parameters, in standard deviations, shape (n, K)."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)

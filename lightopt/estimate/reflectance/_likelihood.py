@@ -50,8 +50,8 @@ class Criterion(Protocol):
     size: int  # number of parameters K
     sigma_range: tuple[float, float]  # values of ln σ for which it can be evaluated
 
-    def evaluate(self, x: Float64) -> Evaluation:
-        """Value, gradient and curvature at the parameters `x`, shape (K,)."""
+    # value, gradient and curvature at the parameters `x`, shape (K,)
+    def evaluate(self, x: Float64) -> Evaluation: ...
 
 
 class Coefficients:

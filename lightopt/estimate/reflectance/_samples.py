@@ -27,6 +27,7 @@ OCTAVES = 11
 # blocks along the longer side of the image: what the model gets wrong is taken as alike within each of them
 BLOCKS = 24
 
+WHOLE_IMAGE = slice(None), slice(None)
 UNLIT_SHARE = 0.25  # pixels that no light reaches determine the dark level; this share of an octave's budget is plenty
 
 
@@ -95,7 +96,7 @@ class Samples:
         fields = ("sample", "image", "level", "saturated")
         return replace(self, **{name: getattr(self, name)[where] for name in fields})
 
-    def with_images(self, images: Sequence[Observation], flip: tuple[slice, slice] = (slice(None),) * 2) -> Samples:
+    def with_images(self, images: Sequence[Observation], flip: tuple[slice, slice] = WHOLE_IMAGE) -> Samples:
         """The same pixels of other images of the same lights, postures and exposures, as `images` are, or flipped."""
         place = (self.image, *self.places)
         levels, saturated = np.stack([o.levels[flip] for o in images]), np.stack([o.saturated[flip] for o in images])
