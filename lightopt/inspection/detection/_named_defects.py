@@ -235,17 +235,11 @@ def _size(best: ExplainedDefect) -> tuple[float, float, float]:
 def _direction(best: ExplainedDefect, view: PostureView, scene: Scene, placement: Placement) -> float:
     # of the length, from the X axis of the mesh file in the tangent plane
     geometry = view.prediction.images.geometry
-    t = best.templates
-    place = (
-        min(t.corner[0] + best.row * t.ratio + t.ratio // 2, len(geometry.hit) - 1),
-        min(t.corner[1] + best.column * t.ratio + t.ratio // 2, geometry.hit.shape[1] - 1),
-    )
-    camera = scene.camera
-    normal = geometry.normals[place].astype(np.float64)[None]
-    towards = camera.position - geometry.points[place].astype(np.float64)[None]
+    normal = geometry.normals[best.middle].astype(np.float64)[None]
+    towards = scene.camera.position - geometry.points[best.middle].astype(np.float64)[None]
     towards /= np.linalg.norm(towards)
-    first = tangent_axis(normal, image_axes(towards, camera.right)[0])[0]
-    turn = float(t.hypotheses.turns[best.pose // len(t.halves)])
+    first = tangent_axis(normal, image_axes(towards, scene.camera.right)[0])[0]
+    turn = float(best.templates.hypotheses.turns[best.pose // len(best.templates.halves)])
     along = math.cos(turn) * first + math.sin(turn) * np.cross(normal[0], first)
     vectors = world_to_mesh_file(np.stack([along, normal[0]]), scene, placement, view.posture, direction=True)
     axes = np.eye(3)

@@ -70,16 +70,17 @@ def _score_catalogue(found: Deviations, least: int, _make: _Make, bank: Template
 
 
 RESIDUAL: Final = Detector(score=_score_deviations, tests=len(SCALES_PX))
-TEMPLATE: Final = Detector(
-    score=_score_synthetic,
-    tests=TEMPLATES,
-    uses_synthetic=True,
-    caveat="its rate of false alarms is that of an image of even texture; on this part it is known only with a "
-    "calibration",
-)
 
-# its scores allow for all tests of a pixel
-CATALOGUE: Final = Detector(score=_score_catalogue, tests=1, uses_catalogue=True)
-
-DETECTORS: Final[Mapping[str, Detector]] = {"residual": RESIDUAL, "catalogue": CATALOGUE, "template": TEMPLATE}
+DETECTORS: Final[Mapping[str, Detector]] = {
+    "residual": RESIDUAL,
+    # its scores allow for all tests of a pixel
+    "catalogue": Detector(score=_score_catalogue, tests=1, uses_catalogue=True),
+    "template": Detector(
+        score=_score_synthetic,
+        tests=TEMPLATES,
+        uses_synthetic=True,
+        caveat="its rate of false alarms is that of an image of even texture; on this part it is known only with a "
+        "calibration",
+    ),
+}
 """By the name that :class:`lightopt.inspection.InspectOptions` takes."""
