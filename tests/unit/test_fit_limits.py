@@ -326,9 +326,10 @@ def test_the_noise_of_dull_pixels_is_written_into_the_rig(cli, bench, noisy):
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_pixels_for_the_rest")
 def test_a_misfit_is_not_written_as_noise(cli, bench, noisy, monkeypatch):
-    from lightopt.estimate.reflectance import _clipped_least_squares
+    from lightopt.estimate.reflectance import _fit_samples, _quality
 
-    monkeypatch.setattr(_clipped_least_squares, "MOST_MISFIT", 0.1)
+    for module in (_fit_samples, _quality):
+        monkeypatch.setattr(module, "MOST_MISFIT", 0.1)
     ran = fit(cli, bench, noisy, bench.out, "--write-noise")
     assert ran.status == 0
     assert "the noise is not written: the model does not describe these images" in ran.err

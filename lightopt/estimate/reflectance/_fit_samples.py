@@ -91,7 +91,10 @@ def _least_squares_estimate(samples: Samples, scan: SigmaScan) -> Estimate:
     # no less than that of independent pixels, which the scatter of few groups may be by chance
     independent = np.sqrt(1.0 / np.maximum(np.diag(best.evaluation.curvature)[list(fitted)], 1e-300))
     errors = np.clip(np.maximum(spread, independent), 0.0, UNDETERMINED)
-    covariance = _rescaled_covariance(scatter.covariance, errors)
+    # the same correlations
+    correlation = scatter.covariance / np.outer(np.maximum(spread, 1e-100), np.maximum(spread, 1e-100))
+    np.fill_diagonal(correlation, 1.0)
+    covariance = correlation * np.outer(errors, errors)
     best = replace(best, converged=has_settled(best, fitted, errors))
     # the noise that the likelihood would see around this reflectance, for figures that are compared
     noise = maximise(likelihood_at(samples, float(best.x[LOG_SIGMA])), best.x, scan.free[-2:])
@@ -169,14 +172,6 @@ def upper_covariance(covariance: Float64, other: Float64) -> Float64:
     values, vectors = np.linalg.eigh((other - covariance) / scale)
     more = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return covariance + 0.5 * (more + more.T) * scale
-
-
-def _rescaled_covariance(covariance: Float64, errors: Float64) -> Float64:
-    # the same correlations and other standard errors
-    spread = np.maximum(np.sqrt(np.diag(covariance)), 1e-100)
-    correlation = covariance / np.outer(spread, spread)
-    np.fill_diagonal(correlation, 1.0)
-    return correlation * np.outer(errors, errors)
 
 
 def _scatter(criterion: LeastSquares, x: Float64, free: Sequence[int], label: Index, of: str) -> Jackknife:

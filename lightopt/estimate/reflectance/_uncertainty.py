@@ -35,19 +35,10 @@ SAME_REGION = 0.02
 FARTHEST = 12.0
 
 
-def _determined_parameters(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> list[int]:
-    # without a noise τ or an outlier share ε at its bound: the likelihood has no maximum there, and neither information
-    # nor scores mean anything
-    low, high = bounds(likelihood)
-    curvature = np.diag(likelihood.evaluate(x).curvature)
-    determined = (low + AT_BOUND < x) & (x < high - AT_BOUND) & (curvature > LEAST_INFORMATION)
-    return [place for place in free if place < likelihood.size - 2 or determined[place]]
-
-
-def _information(likelihood: Likelihood, x: Float64, places: Sequence[int]) -> Float64:
-    # observed information: minus the Hessian of the log-likelihood along some parameters, shape (k, k)
+def _information(likelihood: Likelihood, x: Float64, places: Sequence[int], curvature: Float64) -> Float64:
+    # observed information: minus the Hessian of the log-likelihood along some parameters, shape (k, k); `curvature` is
+    # its approximate diagonal along all
     index = np.asarray(places, dtype=np.intp)
-    curvature = np.diag(likelihood.evaluate(x).curvature)
     result = np.zeros((len(index), len(index)))
     for j, place in enumerate(index):
         h = STEP / np.sqrt(max(float(curvature[place]), 1e-12))
@@ -70,9 +61,13 @@ def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tupl
 
     Shapes (k, k), and (k,) of at least 1; 0 and 1 for noise parameters that the images do not determine.
     """
-    places = _determined_parameters(likelihood, x, free)
+    # without a noise τ or an outlier share ε at its bound: the likelihood has no maximum there, and neither information
+    # nor scores mean anything
+    (low, high), curvature = bounds(likelihood), np.diag(likelihood.evaluate(x).curvature)
+    determined = (low + AT_BOUND < x) & (x < high - AT_BOUND) & (curvature > LEAST_INFORMATION)
+    places = [place for place in free if place < likelihood.size - 2 or determined[place]]
     rows = [list(free).index(place) for place in places]
-    inner = _inverse(_information(likelihood, x, places))
+    inner = _inverse(_information(likelihood, x, places, curvature))
     gradients, curvatures = likelihood.by_block(x)
     moves = gradients[:, places] @ inner
     blocks = len(moves)

@@ -36,16 +36,9 @@ REPEATED = 4  # sizes of blocks that a cycle goes through twice: more of them ta
 Grid = NDArray[Any]  # float64 or float32
 
 
-@dataclass(frozen=True)
-class _Level:
-    """Weights of the edges between blocks of one size, and one over their sums at each block; with a border of zeros.
-
-    Single precision will do for a preconditioner.
-    """
-
-    wx: Float32
-    wy: Float32
-    reciprocal: Float32
+# weights of the edges between blocks of one size, right and below, and one over their sums at each block; with a border
+# of zeros. Single precision will do for a preconditioner
+_Level = tuple[Float32, Float32, Float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +53,8 @@ class _Workspace:
     @staticmethod
     def of(levels: Sequence[_Level]) -> _Workspace:
         """One for so many sizes of blocks."""
-        u, p, q = (np.zeros(levels[0].wx.shape) for _ in range(3))
-        return _Workspace(u, p, q, tuple((np.zeros_like(each.wx), np.zeros_like(each.wx)) for each in levels))
+        u, p, q = (np.zeros(levels[0][0].shape) for _ in range(3))
+        return _Workspace(u, p, q, tuple((np.zeros_like(wx), np.zeros_like(wx)) for wx, _, _ in levels))
 
 
 @dataclass(frozen=True)
@@ -127,17 +120,17 @@ class PoissonGrid:
         if not again:
             u.fill(0.0)
         if depth + 1 == len(self._levels):
-            relax(u, b, level.wx, level.wy, level.reciprocal, 0, COARSEST_SWEEPS)
-            relax(u, b, level.wx, level.wy, level.reciprocal, 1, COARSEST_SWEEPS)
+            relax(u, b, *level, 0, COARSEST_SWEEPS)
+            relax(u, b, *level, 1, COARSEST_SWEEPS)
             return
-        relax(u, b, level.wx, level.wy, level.reciprocal, 0, SWEEPS)
+        relax(u, b, *level, 0, SWEEPS)
         coarse, correction = grids[depth + 1]
-        residual(u, b, level.wx, level.wy, coarse)
+        residual(u, b, *level[:2], coarse)
         self._cycle(depth + 1, grids)
         if depth < REPEATED:
             self._cycle(depth + 1, grids, again=True)
-        add_coarse(u, correction, level.reciprocal)
-        relax(u, b, level.wx, level.wy, level.reciprocal, 1, SWEEPS)
+        add_coarse(u, correction, level[2])
+        relax(u, b, *level, 1, SWEEPS)
 
 
 def poisson_grid(mask: Bool, wx: Float64, wy: Float64) -> PoissonGrid:
@@ -155,7 +148,7 @@ def poisson_grid(mask: Bool, wx: Float64, wy: Float64) -> PoissonGrid:
     level = [(wx.astype(np.float32), wy.astype(np.float32))]
     while min(level[-1][0].shape) - 2 > SMALLEST_SIDE:
         level.append(coarser(*level[-1]))
-    levels = tuple(_Level(x, y, reciprocal_sums(x, y)) for x, y in level)
+    levels = tuple((x, y, reciprocal_sums(x, y)) for x, y in level)
     return PoissonGrid(mask, components, cast(int, count), window, wx, wy, levels)
 
 
