@@ -145,12 +145,27 @@ def add_slopes(
     slopes: Of the level by R_d, ln R_s, ln σ and ln gain; that by the dark level is 1.
     """
     (r_d, r_s, sigma, signal), (gradient, curvature) = slopes, sums
-    by, place = (r_d, r_s, sigma, 1.0, signal), (0, 1, 2, 3, gain)
-    for a in range(5):
-        gradient[place[a]] += dark if a == 3 else score * by[a]
-        bent = bend * by[a]
-        for b in range(a, 5):
-            curvature[place[a], place[b]] += bent * by[b]
+    gradient[0] += score * r_d
+    gradient[1] += score * r_s
+    gradient[2] += score * sigma
+    gradient[3] += dark
+    gradient[gain] += score * signal
+    by_r_d, by_r_s, by_sigma = bend * r_d, bend * r_s, bend * sigma
+    curvature[0, 0] += by_r_d * r_d
+    curvature[0, 1] += by_r_d * r_s
+    curvature[0, 2] += by_r_d * sigma
+    curvature[0, 3] += by_r_d
+    curvature[0, gain] += by_r_d * signal
+    curvature[1, 1] += by_r_s * r_s
+    curvature[1, 2] += by_r_s * sigma
+    curvature[1, 3] += by_r_s
+    curvature[1, gain] += by_r_s * signal
+    curvature[2, 2] += by_sigma * sigma
+    curvature[2, 3] += by_sigma
+    curvature[2, gain] += by_sigma * signal
+    curvature[3, 3] += bend
+    curvature[3, gain] += bend * signal
+    curvature[gain, gain] += bend * signal * signal
 
 
 class Likelihood:
