@@ -221,7 +221,6 @@ def refuse_out_of_range(found: Estimate, brightest: float) -> None:
 
 
 def convergence_warnings(found: Estimate) -> Iterator[str]:
-    """Warn where the optimiser did not converge."""
     if not found.maximum.converged:
         lights = found.criterion.samples.lights
         names = [parameter_name(place, lights) for place in found.maximum.unsettled]

@@ -81,14 +81,12 @@ class PackedDeviations:
         return index.reshape(height, width)
 
     def save(self, path: Path) -> None:
-        """Write to a file."""
         flags: dict[str, Any] = {name: np.packbits(getattr(self, name), axis=1) for name in ("usable", "lit")}
         flags |= {"shape": np.array(self.shape), "correlation": np.array(self.correlation)}
         np.savez(path, own=self.own, nominal=self.nominal, z=self.z, **flags)
 
     @staticmethod
     def load(path: Path) -> PackedDeviations:
-        """Read what :meth:`save` wrote."""
         with np.load(path) as arrays:
             own = arrays["own"]
             rows, columns = (int(side) for side in arrays["shape"])
@@ -139,7 +137,6 @@ class SystematicSums:
         self._sums: list[Float32] = []  # of counts, of deviations, and by scale of their sums and these squared
 
     def add(self, one: PackedDeviations) -> None:
-        """Count a set in."""
         self._sums = self._with(one, 1.0)
         self.sets += 1
 

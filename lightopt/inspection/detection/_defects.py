@@ -64,7 +64,6 @@ class Detection:
         return max((abs(c) for c in self.contrast.values()), default=0.0)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             "posture": self.posture.as_dict(),
             "pixels": self.pixels,

@@ -48,7 +48,6 @@ class KnownDefect:
     found: bool  # whether a region that is not far larger than it touches it in any posture
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         facts = {"name": self.name, "kind": self.kind, "size_mm": round(self.size, 5), "pixels": self.pixels}
         return {**facts, "posture": self.posture.as_dict(), "found": self.found}
 
@@ -184,7 +183,6 @@ class DetectionCurve:
     a90_95: float | None = None  # its upper bound of 95 % confidence [mm]; None likewise, or where there is none
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             name: None if value is None else (value if isinstance(value, int) else float(f"{value:.6g}"))
             for name, value in vars(self).items()
