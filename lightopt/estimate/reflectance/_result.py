@@ -27,21 +27,17 @@ FIT_NAME = "fit.json"
 
 @dataclass(frozen=True)
 class FittedValue:
-    """A coefficient and its uncertainty.
+    """A coefficient and its uncertainty."""
 
-    name: ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light
-        stops being saturated.
-    value: In the part file's unit.
-    standard_error: 0, null in the JSON form, for a value that was held or by a method that knows none.
-    interval: 95 %, from the profile of the criterion, None for an end that the images do not bound; None for a value
-        that was held or by a method that knows none.
-    regions: Those that the interval joins where values between them are excluded; none where there is only one.
-    """
-
+    # ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light stops
+    # being saturated
     name: str
-    value: float
-    standard_error: float = 0.0
+    value: float  # in the part file's unit
+    standard_error: float = 0.0  # 0, null in the JSON form, for a value that was held or by a method that knows none
+    # 95 %, from the profile of the criterion, None for an end that the images do not bound; None for a value that was
+    # held or by a method that knows none
     interval: Interval | None = None
+    # those that the interval joins where values between them are excluded; none where there is only one
     regions: tuple[Interval, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -59,41 +55,32 @@ def _rounded(interval: Interval) -> list[float | None]:
 
 @dataclass(frozen=True, kw_only=True)
 class FitResult:
-    """Fitted reflectance.
-
-    points: Point lights per panel, or ``"auto"``.
-    fitted: Names of the values that were fitted and belong in the part file.
-    gains: Gain of each light for the rig file, where gains were freed; the first light's is held.
-    dark: Black level for the rig file [sensor level], where it was freed.
-    write_noise: Whether `noise` belongs in the rig file.
-    registration, file_placement: Measured placement, and the same as values of the part file, where it was freed.
-    highlight_fit: Only of a diffuse fit: that of the whole model, which locates the highlights.
-    correlation: Of ln R_s and ln σ; None where they were not both fitted.
-    observations, pixels: Number of levels that were used, and of their pixels.
-    left_out: Validation, one entry per light.
-    rows: One per number of points that was tried.
-    """
+    """Fitted reflectance."""
 
     kind: Literal["diffuse", "specular"]
     method: Literal["likelihood", "paper"]
-    points: int | Literal["auto"]
+    points: int | Literal["auto"]  # point lights per panel, or ``"auto"``
     values: tuple[FittedValue, ...]
-    fitted: tuple[str, ...]
+    fitted: tuple[str, ...]  # names of the values that were fitted and belong in the part file
+    # gain of each light for the rig file, where gains were freed; the first light's is held
     gains: Mapping[str, FittedValue] | None = None
-    dark: FittedValue | None = None
+    dark: FittedValue | None = None  # black level for the rig file [sensor level], where it was freed
     noise: MeasuredNoise | None = None
-    write_noise: bool = False
+    write_noise: bool = False  # whether `noise` belongs in the rig file
+    # measured placement, and the same as values of the part file, where it was freed
     registration: Registration | None = None
     file_placement: PlacementConfig | None = None
+    # only of a diffuse fit: that of the whole model, which locates the highlights
     highlight_fit: Estimate | None = None
-    correlation: float | None = None
+    correlation: float | None = None  # of ln R_s and ln σ; None where they were not both fitted
+    # number of levels that were used, and of their pixels
     observations: int = 0
     pixels: int = 0
     quality: Quality | None = None
     warnings: tuple[str, ...] = ()
     estimate: Estimate | None = None
-    left_out: tuple[LeftOut, ...] = ()
-    rows: tuple[PointsRow, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()  # validation, one entry per light
+    rows: tuple[PointsRow, ...] = ()  # one per number of points that was tried
     paper: PaperDiffuse | PaperSpecular | None = None
 
     def value(self, name: str) -> float:
