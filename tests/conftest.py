@@ -20,7 +20,7 @@ from hypothesis import settings
 from lightopt.cli._main import run
 from lightopt.core.threads import available_processors
 from lightopt.estimate.reflectance import _fit
-from lightopt.estimate.registration import _refinement, _registration
+from lightopt.estimate.registration import _image_checks, _refinement
 from lightopt.geometry import _load_mesh
 from lightopt.geometry._step import read_step
 
@@ -222,7 +222,7 @@ def shared_bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 def few_pixels_for_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Registration and second opinions on fits look at a third of their pixels: for tests of files and words."""
     monkeypatch.setattr(_fit, "SECOND_BUDGET", 80)
-    monkeypatch.setattr(_registration, "PIXELS", 2000)
+    monkeypatch.setattr(_image_checks, "PIXELS", 2000)
     monkeypatch.setattr(_refinement, "INNER_PIXELS", 4000)
     monkeypatch.setattr(_refinement, "FIRST_INNER_PIXELS", 1000)
 

@@ -110,16 +110,13 @@ bits_of_float: Any = intrinsic(_same_bits(types.float64, types.int64))
 float_of_bits: Any = intrinsic(_same_bits(types.int64, types.float64))
 
 
+@cache
 def fingerprint(compiled: Any) -> str:
     """Digest of all that the machine code of a kernel depends on, but the types of its arguments and the processor.
 
     Raises TypeError: When the kernel uses something whose content has no digest, such as a module of the package
     """
-    return _fingerprint(compiled.py_func)
-
-
-@cache
-def _fingerprint(function: FunctionType) -> str:
+    function: FunctionType = compiled.py_func
     digest = hashlib.sha256(_VERSIONS.encode())
     digest.update(f"{function.__module__}\n".encode())  # kept machine code names the modules of its types
     code = function.__code__
@@ -154,7 +151,7 @@ def _content(value: Any, name: str, user: FunctionType) -> str:
     """What a kernel sees of a global: the fingerprint of another kernel, the value of a constant."""
     if isinstance(value, Dispatcher):
         function = value.py_func  # pyright: ignore[reportAttributeAccessIssue]
-        return "itself" if function is user else _fingerprint(function)
+        return "itself" if function is user else fingerprint(value)
     if value is None or isinstance(value, bool | int | float | complex | str | bytes | np.generic | np.dtype):
         return repr(value)
     if isinstance(value, tuple):

@@ -144,22 +144,17 @@ def linear_problem(slope: Float64, measured: Float64, weight: Float64 | None = N
 
 
 def solve(
+    # rows without a finite residual at the start do not count; those without finite slopes have no effect
     problem: Problem,
-    start: Float64,
+    start: Float64,  # shape (K,)
     limits: Limits,
     *,
+    # Tukey's (far residuals count alike) or Huber's (they pull alike; doi:10.1214/aoms/1177703732)
     loss: Literal["tukey", "huber"] = "tukey",
-    least_spread: float = 0.3,
-    most_iterations: int = MOST_ITERATIONS,
+    least_spread: float = 0.3,  # lower bound of the residuals' spread [standard deviations]
+    most_iterations: int = MOST_ITERATIONS,  # steps to try at most
 ) -> Solution:
-    """Find the parameters with the least robust cost.
-
-    problem: Rows without a finite residual at the start do not count; those without finite slopes have no effect.
-    start: Shape (K,).
-    loss: Tukey's (far residuals count alike) or Huber's (they pull alike; doi:10.1214/aoms/1177703732).
-    least_spread: Lower bound of the residuals' spread [standard deviations].
-    most_iterations: Steps to try at most.
-    """
+    """Find the parameters with the least robust cost."""
     return _Solver(problem, limits, _Loss(loss), least_spread).run(np.asarray(start, np.float64), most_iterations)
 
 

@@ -14,6 +14,10 @@ Share = Callable[[float], None]  # called with the share that is done, 0 to 1; a
 StageShare = Callable[[str, float], None]  # called with the stage of the work and the share of it that is done
 
 
+def ignore(_share: float) -> None:
+    """Progress where nobody listens."""
+
+
 class RunContext:
     """Threads of a run, and where it reports to. No result depends on it.
 
@@ -56,10 +60,10 @@ class RunContext:
                 if self._warn is not None:
                     self._warn(text)
 
-    def stage(self, name: str) -> Share | None:
-        """Progress of one stage; None where nobody listens."""
+    def stage(self, name: str) -> Share:
+        """Progress of one stage."""
         _log.info("%s", name)
-        return None if self._progress is None else partial(self._progress, name)
+        return ignore if self._progress is None else partial(self._progress, name)
 
     def within(self, name: str) -> "RunContext":
         """Context of a part of the run, whose stages are reported as "name, stage"."""
@@ -89,8 +93,6 @@ class WorkCounter:
             self._report(min(1.0, self._done / self._total))
 
 
-def part_of(report: Share | None, start: float, end: float) -> Share | None:
+def part_of(report: Share | None, start: float, end: float) -> Share:
     """Reports the share of a part of the work as a share of the whole: from `start` to `end`."""
-    if report is None:
-        return None
-    return lambda share: report(start + (end - start) * share)
+    return ignore if report is None else lambda share: report(start + (end - start) * share)

@@ -4,8 +4,6 @@ There the first pixel's centre is at (0, 0), and [R|t] turns the world's points 
 down in the image, z ahead.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -30,37 +28,24 @@ _ROTATION, _TRANSLATION = ("rvec", "R"), ("tvec", "T", "t")
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """How a camera images.
+    """How a camera images."""
 
-    focal: In columns and rows [px]
-    principal_point: Column and row [px]; the first pixel's centre is at (0.5, 0.5)
-    distortion: Coefficients k1, k2, p1, p2, k3 by their name
-    size: Width and height of the images that were calibrated [px], where the file says so
-    """
-
-    focal: tuple[float, float]
-    principal_point: tuple[float, float]
-    distortion: Mapping[str, float]
-    size: tuple[int, int] | None
+    focal: tuple[float, float]  # in columns and rows [px]
+    principal_point: tuple[float, float]  # column and row [px]; the first pixel's centre is at (0.5, 0.5)
+    distortion: Mapping[str, float]  # coefficients k1, k2, p1, p2, k3 by their name
+    size: tuple[int, int] | None  # width and height of the images that were calibrated [px], where the file says so
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a camera is, world frame.
+    """Where a camera is, world frame."""
 
-    position: [mm], shape (3,)
-    rotation: From the camera's own axes (x right, y down, z ahead) to the world's, shape (3, 3)
-    """
-
-    position: Float64
-    rotation: Float64
+    position: Float64  # [mm], shape (3,)
+    rotation: Float64  # from the camera's own axes (x right, y down, z ahead) to the world's, shape (3, 3)
 
 
 def read_intrinsics(path: Path) -> Intrinsics:
-    """Focal lengths, principal point and distortion from a calibration file.
-
-    Raises InputError: The file, K or the lens model is not as expected
-    """
+    """Focal lengths, principal point and distortion; InputError where the file, K or the lens is not as expected."""
     values = _read(path)
     K = _numbers(path, values, _K, (3, 3))
     if K is None:

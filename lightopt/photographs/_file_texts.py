@@ -1,7 +1,5 @@
 """Texts of the rig and part files of imported photographs, with where each value comes from."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Sequence
 
@@ -61,7 +59,6 @@ def _light(row: TableRow) -> str:
 
 
 def part_text(part: PhotographedPart, rows: Sequence[TableRow]) -> str:
-    """Part file."""
     postures = [
         f"  - {{elevation_deg: {p.elevation_deg:.9g}, rotation_deg: {p.rotation_deg:.9g}}}"
         for p in dict.fromkeys(row.posture for row in rows)

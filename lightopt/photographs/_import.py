@@ -1,7 +1,5 @@
 """From a folder of photographs, a table of lights and a calibration to a rig, a part and an image set."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -9,9 +7,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.config import load_part, load_rig
-from lightopt.core.arrays import Bool
+from lightopt.core.arrays import Bool, UInt8
 from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.core.run_context import RunContext
@@ -29,9 +28,8 @@ from lightopt.images import (
 )
 from lightopt.photographs._calibration import Intrinsics, Pose, read_intrinsics, read_pose
 from lightopt.photographs._file_texts import part_text, rig_text
-from lightopt.photographs._grey_levels import grey_levels, read_mask
 from lightopt.photographs._light_table import TableRow, read_light_table
-from lightopt.photographs._part import PhotographedPart, mesh_part, sphere_in_mask, sphere_part
+from lightopt.photographs._part import PhotographedPart, mesh_part, read_mask, sphere_in_mask, sphere_part
 from lightopt.rendering import cast_rays_at, set_manifest, trace_pixels
 from lightopt.scene import Scene, build_scene
 
@@ -39,6 +37,7 @@ Turn = Literal["x180", "x90", "x-90"]
 
 _DOWN = np.diag([1.0, -1.0, -1.0])  # axes of a camera that looks straight down with the world's X to the right
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)  # ITU-R BT.709-6, section 3.2
 _SRGB_BITS = 12  # of linear levels of 8-bit sRGB samples: enough that no two become one
 _LOW = 2**14  # levels of 16 bits that all stay below this are probably of fewer bits
 _LEAST_OVERLAP = 0.9  # of mask and part; less says that calibration, units or placement are wrong
@@ -77,14 +76,11 @@ class ImportOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedSet:
-    """What :func:`import_photographs` wrote.
-
-    overlap: Intersection over union of mask and part; None without a mask
-    """
+    """What :func:`import_photographs` wrote."""
 
     manifest: Manifest
     size: tuple[int, int]
-    overlap: float | None
+    overlap: float | None  # intersection over union of mask and part; None without a mask
 
 
 def import_photographs(
@@ -132,7 +128,7 @@ def import_photographs(
         samples = read_photograph(folder / row.image)
         highest = max(highest, int(samples.max()))
         full = 2 ** (options.bits or shape.bits) - 1
-        levels = grey_levels(samples, full=full, srgb=options.gamma == "srgb", bits=bits)
+        levels = _grey_levels(samples, full=full, srgb=options.gamma == "srgb", bits=bits)
         if mask is not None:
             levels[~mask] = 0
         entry = ImageEntry(
@@ -144,8 +140,7 @@ def import_photographs(
             extra={"photograph": row.image},
         )
         writer.add_image(entry, png=levels)
-        if (progress := run.stage("importing")) is not None:
-            progress((number + 1) / len(rows))
+        run.stage("importing")((number + 1) / len(rows))
     if shape.bits == 16 and highest < _LOW and options.bits is None:
         run.warn(f"no level reaches {_LOW} of 65535; a camera of 10 to 14 bits needs option 'bits'")
     writer.add_warnings(run.warnings)
@@ -254,3 +249,18 @@ def _overlap(scene: Scene, mask: Bool) -> float:
     part = np.zeros_like(mask)
     part[pixels.row, pixels.column] = True
     return float((part & mask).sum() / (part | mask).sum())
+
+
+def _grey_levels(samples: NDArray[Any], *, full: int, srgb: bool, bits: int) -> UInt8 | NDArray[np.uint16]:
+    # linear grey levels of so many bits, shape (H, W), of samples as stored, shape (H, W, 1 or 3); the highest where a
+    # channel is at `full` scale
+    value = samples.astype(np.float32) / np.float32(full)
+    if srgb:
+        # IEC 61966-2-1, section 5.2
+        decoded = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+        value = decoded.astype(np.float32)
+    grey = value @ _LUMINANCE if value.shape[2] == 3 else value[..., 0]
+    top = 2**bits - 1
+    levels = np.floor(grey * np.float32(top) + np.float32(0.5))
+    levels[np.any(value >= 1.0, axis=2)] = top
+    return levels.astype(np.uint8) if bits <= 8 else levels.astype(np.uint16)

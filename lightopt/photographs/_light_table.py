@@ -1,7 +1,5 @@
 """Tables of lights, CSV: one row per photograph, with its light, where that stood, exposure and posture."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re
@@ -23,20 +21,15 @@ _UNIT_TOLERANCE = 0.05  # a direction whose length is further off 1 is suspected
 
 @dataclass(frozen=True)
 class TableRow:
-    """One photograph.
+    """One photograph."""
 
-    where: File and line, for messages
-    place: Unit vector to a distant light or, if `near`, where it stands [mm]; shape (3,)
-    intensity: Brightness of the light, relative to the others
-    """
-
-    where: str
+    where: str  # file and line, for messages
     image: str
     light: str
-    place: Float64
+    place: Float64  # unit vector to a distant light or, if `near`, where it stands [mm]; shape (3,)
     near: bool
     exposure: float
-    intensity: float
+    intensity: float  # brightness of the light, relative to the others
     posture: Posture
 
 

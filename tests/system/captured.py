@@ -100,4 +100,4 @@ def captured(scene: Scene, *, reflectance=None, mesh=None, **options) -> tuple[O
 
 def remeasured(samples: Samples, observations: tuple[Observation, ...]) -> Samples:
     """The same pixels with the levels of other images of the same lights and postures."""
-    return samples.with_levels([o.levels for o in observations], [o.saturated for o in observations])
+    return samples.with_images(observations)

@@ -23,7 +23,7 @@ from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_im
 from lightopt.estimate.reflectance._quality import assess_quality
 from lightopt.estimate.reflectance._samples import collect_samples
 from lightopt.estimate.reflectance._setup import FitSetup
-from lightopt.estimate.registration import _refinement, _registration
+from lightopt.estimate.registration import _image_checks, _refinement
 from lightopt.rendering import cast_rays_at
 
 SURFACES = {
@@ -167,7 +167,7 @@ CHROME = Surface(0.6, 1.12, ((280.0, 0.03), (30.0, 0.09)))
 )
 def test_where_a_chrome_ball_lies_is_found_from_its_highlights(tmp_path, monkeypatch, change, words):
     """Hardly any light of it is diffuse, and its highlights are few pixels: not dust, nor another posture."""
-    monkeypatch.setattr(_registration, "PIXELS", 2000)
+    monkeypatch.setattr(_image_checks, "PIXELS", 2000)
     monkeypatch.setattr(_refinement, "FIRST_INNER_PIXELS", 1000)
     bench = Bench(tmp_path, CHROME, lights=4, size=96, noise=0.3)
     images = [

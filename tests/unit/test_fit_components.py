@@ -132,8 +132,8 @@ def test_thinning_keeps_only_what_was_kept(samples):
 
 
 def test_pixels_are_chosen_without_looking_at_the_images(samples):
-    other = samples.with_levels(
-        [np.zeros_like(o.levels) for o in samples.images], [np.zeros_like(o.saturated) for o in samples.images]
+    other = samples.with_images(
+        [replace(o, levels=np.zeros_like(o.levels), saturated=np.zeros_like(o.saturated)) for o in samples.images]
     )
     np.testing.assert_array_equal(subsample(samples, 50).diffuse, subsample(other, 50).diffuse)
     assert not other.level.any()

@@ -13,9 +13,8 @@ import pytest
 from lightopt import load_rig
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance import FitResult, FittedValue, _fit, _likelihood_fit, format_interval
-from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint
+from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint, has_settled, maximise
 from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_SIGMA, R_D, Evaluation, parameter_name
-from lightopt.estimate.reflectance._newton import has_settled, maximise
 from lightopt.estimate.reflectance._quality import convergence_warnings, poor_fit_warnings, refuse_out_of_range
 from lightopt.estimate.reflectance._result import bounded, separate_region_warnings
 from lightopt.estimate.reflectance._sigma_scan import peaks, profile_over_sigma
@@ -90,8 +89,7 @@ def test_fits_without_a_light_that_did_not_converge_are_counted_and_named():
     assert said.startswith("3 of the fits without one of the 12 lights each did not converge")
     image = Comparison(image="a", rms=1.0, rms_sensor=1.0, iou=None, border=None, area=0, predicted_area=0)
     left_out = tuple(
-        LeftOut(light=name, R_d=45.0, R_s=1.0, sigma=0.1, images=(image,), converged=name != "two")
-        for name in ("one", "two")
+        LeftOut(light=name, x=at(45.0, -2.3), images=(image,), converged=name != "two") for name in ("one", "two")
     )
     (said,) = validation_warnings(left_out, SimpleNamespace(max_level=255))
     assert "1 of the 2 fits without one light each did not converge (without two)" in said
@@ -105,13 +103,13 @@ def test_the_optimum_of_the_most_value_on_all_samples_is_the_best():
     """Whatever the few pixels of the scan prefer; climbs that ended in the same place are one."""
 
     def found(log_sigma, value, *, far=False):
-        top = Optimum(start_sigma=0.1, x=at(1.0, log_sigma), value=value, converged=True, criterion=None)
-        return top, None if far else SimpleNamespace(maximum=top)
+        top = SimpleNamespace(x=at(1.0, log_sigma), value=value, converged=True)
+        return Optimum(0.1, top, None), None if far else SimpleNamespace(maximum=top)
 
     ends = [found(-3.0, 5.0), found(-2.0, 9.0), found(-2.01, 8.0), found(-1.0, -99.0, far=True)]
     best, kept = _likelihood_fit.best_first(ends)
     assert best is ends[1][1]
-    assert [optimum.value for optimum, _ in kept] == [9.0, 5.0, -99.0]
+    assert [optimum.top.value for optimum, _ in kept] == [9.0, 5.0, -99.0]
 
 
 def test_a_profile_over_sigma_finds_every_peak_and_the_best_first():
@@ -201,10 +199,7 @@ def two_optima(drop):
 
     criterion = Landscape(value, bend=400.0)
     tops = [maximise(criterion, at(0.0, start), [LOG_SIGMA]) for start in (FIRST - 0.05, SECOND + 0.05)]
-    optima = tuple(
-        Optimum(start_sigma=0.1, x=top.x, value=top.evaluation.value, converged=top.converged, criterion=criterion)
-        for top in tops
-    )
+    optima = tuple(Optimum(0.1, top, criterion) for top in tops)
     return Estimate(
         x=tops[0].x,
         free=(LOG_SIGMA,),
@@ -331,9 +326,10 @@ def test_the_noise_of_dull_pixels_is_written_into_the_rig(cli, bench, noisy):
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_pixels_for_the_rest")
 def test_a_misfit_is_not_written_as_noise(cli, bench, noisy, monkeypatch):
-    from lightopt.estimate.reflectance import _clipped_least_squares
+    from lightopt.estimate.reflectance import _fit_samples, _quality
 
-    monkeypatch.setattr(_clipped_least_squares, "MOST_MISFIT", 0.1)
+    for module in (_fit_samples, _quality):
+        monkeypatch.setattr(module, "MOST_MISFIT", 0.1)
     ran = fit(cli, bench, noisy, bench.out, "--write-noise")
     assert ran.status == 0
     assert "the noise is not written: the model does not describe these images" in ran.err

@@ -38,12 +38,12 @@ def both(bench, folder, *, rendered, register):
     image_set = read_image_set(folder)
     result = inspect_set(rig, part, image_set, options=replace(QUICK, register=register), run=RunContext(threads=2))
     known = place_defects(result.nominal, rig, part)
-    stored = true_labels(image_set, result, known=known)
-    cast = true_labels(unlabelled(image_set), result, known=known)
-    assert (stored.source, cast.source) == ("images", "part file")
-    assert [one["name"] for one in cast.listed] == [one["name"] for one in stored.listed]
-    assert [one["position_mm"] for one in cast.listed] == [one["position_mm"] for one in stored.listed]
-    return stored.of_posture, cast.of_posture
+    listed, stored, source = true_labels(image_set, result, known=known)
+    cast_list, cast, cast_source = true_labels(unlabelled(image_set), result, known=known)
+    assert (source, cast_source) == ("images", "part file")
+    assert [one["name"] for one in cast_list] == [one["name"] for one in listed]
+    assert [one["position_mm"] for one in cast_list] == [one["position_mm"] for one in listed]
+    return stored, cast
 
 
 def test_cast_labels_are_those_of_the_renderer_in_every_posture(bench, tmp_path):

@@ -9,9 +9,7 @@ import pytest
 from lightopt import build_scene, load_part, load_rig
 from lightopt.core import threads as _threads
 from lightopt.core.threads import end_if_stopped, in_threads, run_all
-from lightopt.estimate.registration import read_observations
-from lightopt.estimate.registration._image_checks import refuse_useless_pixels
-from lightopt.estimate.registration._registration import coarse_pixels
+from lightopt.estimate.registration import read_observations, refuse_useless_images
 from lightopt.images import read_image_set
 from lightopt.rendering import _images, cast_rays_at
 
@@ -78,5 +76,4 @@ def test_one_thread_is_one_thread_whatever_is_done(cli, bench, monkeypatch):
     assert ran.status == 0, ran.err
     observations = read_observations(read_image_set(images), load_rig(bench.rig), load_part(bench.part), threads=1)
     scene = build_scene(bench.rig, bench.part)
-    sets = coarse_pixels(scene, observations)
-    refuse_useless_pixels(scene, sets, observations, caster=cast_rays_at(scene), threads=1)
+    refuse_useless_images(scene, observations, caster=cast_rays_at(scene), threads=1)

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy import ndimage
 
-from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
+from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.estimate.reflectance._likelihood import (
     DARK,
@@ -113,7 +114,6 @@ class LeastSquares:
         return -2.0 * self._sums(x)[0] / max(1, len(self.samples.sample))
 
     def evaluate(self, x: Float64) -> Evaluation:
-        """Value, gradient and curvature at the parameters `x`, shape (K,)."""
         value, gradient, curvature = self._sums(x)
         count = len(self.samples.sample)
         mean = max(-2.0 * value / max(1, count), LEAST_MEAN_SQUARE)
@@ -179,12 +179,13 @@ def find_dust(samples: Samples, mean: Float64) -> Bool:
     step = np.floor(DIFFUSE_STEPS * samples.diffuse).astype(np.intp)
     exposure = np.unique(samples.facts.factor, return_inverse=True)[1]
     key = ((ring * 1000 + np.minimum(step, 999)) * 100)[samples.sample] + exposure[samples.image]
-    middle, count = _medians(key, residual)
-    spread, _ = _medians(key, np.abs(residual - middle))
+    _, group, count = np.unique(key, return_inverse=True, return_counts=True)
+    groups = np.arange(len(count))
+    off = np.abs(residual - ndimage.median(residual, group, groups)[group])
+    spread = ndimage.median(off, group, groups)
     limit = np.maximum(DUST_SPREADS * 1.4826 * spread, DUST_LEVELS * samples.sensor.max_level)
-    far = (np.abs(residual - middle) > limit) & (count >= LEAST_ALIKE)
-    _, group = np.unique(key, return_inverse=True)
-    share = np.bincount(group, weights=far) / np.bincount(group)
+    far = (off > limit[group]) & (count >= LEAST_ALIKE)[group]
+    share = np.bincount(group, weights=far) / count
     return far & (share <= MOST_DUST)[group]
 
 
@@ -210,21 +211,3 @@ def measure_misfit(criterion: LeastSquares, x: Float64) -> float:
     squares = np.bincount(exposure, weights=weight * (level - model) ** 2)
     floors = np.bincount(exposure, weights=weight * variance)
     return math.sqrt(float(np.max(squares[floors > 0.0] / floors[floors > 0.0])))
-
-
-def is_significant(misfit: float) -> bool:
-    """Whether the model does not describe the images, by :func:`measure_misfit`."""
-    return misfit > MOST_MISFIT
-
-
-def _medians(key: Index, values: Float64) -> tuple[Float64, Index]:
-    # per value, the median and the number of those with its key
-    order = np.lexsort((values, key))
-    sorted_key = key[order]
-    starts = np.flatnonzero(np.append(True, sorted_key[1:] != sorted_key[:-1]))
-    counts = np.diff(np.append(starts, len(key)))
-    ranked = values[order]
-    middles = 0.5 * (ranked[starts + (counts - 1) // 2] + ranked[starts + counts // 2])
-    group = np.empty(len(key), np.intp)
-    group[order] = np.repeat(np.arange(len(starts)), counts)
-    return middles[group], counts[group]

@@ -138,7 +138,7 @@ def fit_specular(
             likelihood = None if result.estimate is None else result.estimate.mean_log_likelihood
             row = compare_regions(setup, _parameters(result, setup), likelihood)
         tried.append((result, setup, samples, row))
-    result, setup, samples, _ = max(tried, key=lambda one: _rank(one[3]))
+    result, setup, samples, _ = max(tried, key=lambda one: 0.0 if one[3] is None else one[3].rank)
     result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None))
     if result.estimate is not None and "auto" not in options.points:
         result = replace(result, warnings=(*result.warnings, *_evenly_lit_warnings(setup, samples, result.estimate)))
@@ -210,13 +210,6 @@ def _result(
         warnings=(*warnings, *more),
         estimate=found,
     )
-
-
-def _rank(row: PointsRow | None) -> float:
-    # the likelihood where there is one; the paper compares area and perimeter
-    if row is None:
-        return 0.0
-    return -row.misfit if row.likelihood is None else row.likelihood
 
 
 def _parameters(result: FitResult, setup: FitSetup) -> Float64:

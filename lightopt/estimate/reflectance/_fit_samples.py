@@ -18,24 +18,20 @@ from scipy.special import stdtrit
 
 from lightopt.core.arrays import Float64, Index
 from lightopt.core.run_context import RunContext, part_of
-from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable, find_dust, is_significant
-from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, optimum_of
+from lightopt.estimate.reflectance._clipped_least_squares import MOST_MISFIT, LeastSquares, SpecularTable, find_dust
+from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, Maximum, Optimum, has_settled, maximise
 from lightopt.estimate.reflectance._likelihood import (
     DARK,
     FIRST_GAIN,
-    LOG_R_S,
     LOG_SIGMA,
-    R_D,
     likelihood_at,
     outlier_share,
     predicted,
 )
 from lightopt.estimate.reflectance._likelihood_fit import USUAL_TABLE, climb, likelihood_estimate
-from lightopt.estimate.reflectance._newton import Maximum, has_settled, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._sigma_scan import SigmaScan, scan_budget, scan_points, scan_sigma
 from lightopt.estimate.reflectance._uncertainty import criterion_drop
-from lightopt.optics import Reflectance
 
 # the likelihood's answer is only taken where it predicts the scan's pixels about as well as least squares [rms]
 WORSE_PREDICTION = 1.03
@@ -54,29 +50,17 @@ ERROR_STEPS = (1.0, 0.3, 0.1)
 def fit_reflectance(
     samples: Samples, *, freed: FreeParameters | None = None, held: Float64 | None = None, run: RunContext | None = None
 ) -> Estimate:
-    """Fit R_d, R_s and σ, and what else is freed, to samples.
-
-    held: Values (R_d, R_s, σ) of those that are not freed; required for those.
-    """
+    """Fit R_d, R_s and σ, and what else is freed, to samples; those that are not freed have the values `held`."""
     run = run or RunContext()
     scan = scan_sigma(samples, freed or FreeParameters(), held, part_of(run.stage("scanning σ"), 0.0, 0.5))
-    if is_significant(scan.misfit):
-        if (refining := run.stage("refining")) is not None:
-            refining(0.5)
+    if scan.misfit > MOST_MISFIT:
+        run.stage("refining")(0.5)
         return _least_squares_estimate(samples, scan)
     found = likelihood_estimate(samples, scan, run)
     ratio = scan.criterion.mean_square(found.x) / scan.criterion.mean_square(scan.best.x)
     if ratio > WORSE_PREDICTION**2:
         return _least_squares_estimate(samples, scan)
     return found
-
-
-def least_squares_reflectance(
-    samples: Samples, reflectance: Reflectance, *, freed: FreeParameters | None = None
-) -> Reflectance:
-    """R_d, R_s and σ by least squares alone, without intervals: good enough to find a part by."""
-    x = scan_sigma(samples, freed or FreeParameters(), None).best.x
-    return replace(reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
 
 
 def refit(samples: Samples, start: Estimate, *, only_reflectance: bool = False) -> Estimate:
@@ -87,7 +71,7 @@ def refit(samples: Samples, start: Estimate, *, only_reflectance: bool = False) 
     size = start.criterion.size
     free = tuple(p for p in start.free if not only_reflectance or p < DARK or p >= size - 2)
     if start.describes:
-        return climb(samples, start.x, free, USUAL_TABLE).as_estimate(start.scan)
+        return replace(climb(samples, start.x, free, USUAL_TABLE), scan=start.scan)
     # as many pixels as the estimate itself is from
     few = subsample(samples, scan_budget(samples))
     criterion = LeastSquares(few, SpecularTable(few))
@@ -107,7 +91,10 @@ def _least_squares_estimate(samples: Samples, scan: SigmaScan) -> Estimate:
     # no less than that of independent pixels, which the scatter of few groups may be by chance
     independent = np.sqrt(1.0 / np.maximum(np.diag(best.evaluation.curvature)[list(fitted)], 1e-300))
     errors = np.clip(np.maximum(spread, independent), 0.0, UNDETERMINED)
-    covariance = _rescaled_covariance(scatter.covariance, errors)
+    # the same correlations
+    correlation = scatter.covariance / np.outer(np.maximum(spread, 1e-100), np.maximum(spread, 1e-100))
+    np.fill_diagonal(correlation, 1.0)
+    covariance = correlation * np.outer(errors, errors)
     best = replace(best, converged=has_settled(best, fitted, errors))
     # the noise that the likelihood would see around this reflectance, for figures that are compared
     noise = maximise(likelihood_at(samples, float(best.x[LOG_SIGMA])), best.x, scan.free[-2:])
@@ -120,7 +107,7 @@ def _least_squares_estimate(samples: Samples, scan: SigmaScan) -> Estimate:
         criterion=criterion,
         maximum=best,
         scan=scan_points([*scan.profile, best]),
-        optima=tuple(optimum_of(start, top, criterion) for start, top in ((scan.climbs[0][0], best), *scan.climbs[1:])),
+        optima=tuple(Optimum(start, top, criterion) for start, top in ((scan.climbs[0][0], best), *scan.climbs[1:])),
         mean_log_likelihood=noise.value / max(1, len(samples.sample)),
         unexplained=outlier_share(noise.x),
         misfit=scan.misfit,
@@ -149,18 +136,12 @@ def _inflation(found: Estimate, errors: Sequence[float] | Float64) -> Float64:
 
 @dataclass(frozen=True, kw_only=True)
 class Jackknife:
-    """Scatter of the estimates without one group of images each.
+    """Scatter of the estimates without one group of images each."""
 
-    covariance: Shape (k, k); very large where there is only one group.
-    of: Number of groups and what they are, such as "12 lights".
-    quantile: Student's t of a two-sided 95 % interval for so many groups.
-    refits: The fits without one group each.
-    """
-
-    covariance: Float64
-    of: str
-    quantile: float
-    refits: tuple[Maximum, ...] = ()
+    covariance: Float64  # shape (k, k); very large where there is only one group
+    of: str  # number of groups and what they are, such as "12 lights"
+    quantile: float  # Student's t of a two-sided 95 % interval for so many groups
+    refits: tuple[Maximum, ...] = ()  # the fits without one group each
 
 
 def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -> Jackknife:
@@ -191,14 +172,6 @@ def upper_covariance(covariance: Float64, other: Float64) -> Float64:
     values, vectors = np.linalg.eigh((other - covariance) / scale)
     more = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return covariance + 0.5 * (more + more.T) * scale
-
-
-def _rescaled_covariance(covariance: Float64, errors: Float64) -> Float64:
-    # the same correlations and other standard errors
-    spread = np.maximum(np.sqrt(np.diag(covariance)), 1e-100)
-    correlation = covariance / np.outer(spread, spread)
-    np.fill_diagonal(correlation, 1.0)
-    return correlation * np.outer(errors, errors)
 
 
 def _scatter(criterion: LeastSquares, x: Float64, free: Sequence[int], label: Index, of: str) -> Jackknife:

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
-from lightopt.optics import Sensor
 
 # places in the vector of parameters: R_d, ln R_s, ln σ, dark level, then ln gain per light, ln τ², logit ε
 R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
@@ -37,30 +36,43 @@ _Sums = tuple[Float64, Float64]  # gradient, shape (K,), and curvature, shape (K
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A criterion at a vector of parameters.
-
-    curvature: Positive semi-definite matrix that stands for minus the Hessian in a Newton step, shape (K, K).
-    """
+    """A criterion at a vector of parameters."""
 
     value: float
     gradient: Float64
-    curvature: Float64
+    curvature: Float64  # positive semi-definite matrix that stands for minus the Hessian in a Newton step, shape (K, K)
 
 
 class Criterion(Protocol):
-    """A log-likelihood of samples: the censored one of noise and outliers, or that of least squares.
-
-    size: Number of parameters K.
-    sigma_range: Values of ln σ for which it can be evaluated.
-    """
+    """A log-likelihood of samples: the censored one of noise and outliers, or that of least squares."""
 
     samples: Samples
-    size: int
-    sigma_range: tuple[float, float]
+    size: int  # number of parameters K
+    sigma_range: tuple[float, float]  # values of ln σ for which it can be evaluated
 
-    def evaluate(self, x: Float64) -> Evaluation:
-        """Value, gradient and curvature at the parameters `x`, shape (K,)."""
-        ...
+    # value, gradient and curvature at the parameters `x`, shape (K,)
+    def evaluate(self, x: Float64) -> Evaluation: ...
+
+
+class Coefficients:
+    """R_d, R_s and σ in a vector of parameters."""
+
+    x: Float64  # shape (K,)
+
+    @property
+    def R_d(self) -> float:  # noqa: N802
+        """[grey level]."""
+        return float(self.x[R_D])
+
+    @property
+    def R_s(self) -> float:  # noqa: N802
+        """[grey level]."""
+        return math.exp(self.x[LOG_R_S])
+
+    @property
+    def sigma(self) -> float:
+        """[rad]."""
+        return math.exp(self.x[LOG_SIGMA])
 
 
 def parameter_count(samples: Samples) -> int:
@@ -156,26 +168,6 @@ def add_slopes(
     curvature[gain, gain] += bend * signal * signal
 
 
-class SensorNumbers(NamedTuple):
-    """Black level and noise of a sensor, the level from which a pixel is saturated, and the density of outliers."""
-
-    black: float
-    read_variance: float
-    levels_per_electron: float
-    ceiling: float
-    outlier: float
-
-
-def _sensor_numbers(sensor: Sensor) -> SensorNumbers:
-    return SensorNumbers(
-        black=sensor.black_level,
-        read_variance=sensor.read_noise_levels**2,
-        levels_per_electron=1.0 / sensor.electrons_per_level if sensor.electrons_per_level else 0.0,
-        ceiling=float(math.ceil(sensor.saturated_from)),
-        outlier=(1.0 - 2.0 * EXTREME_SHARE) / max(1.0, sensor.max_level - 1.0),
-    )
-
-
 class Likelihood:
     """The likelihood of a set of samples, for σ near those of the specular light's columns.
 
@@ -193,7 +185,6 @@ class Likelihood:
         self.sigma_range = low - reach, high + reach
 
     def evaluate(self, x: Float64) -> Evaluation:
-        """Value, gradient and curvature at the parameters `x`, shape (K,)."""
         s = self.samples
         add = self._summation(s, x)
         return Evaluation(*sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads))
@@ -214,7 +205,13 @@ class Likelihood:
     def _summation(self, s: Samples, x: Float64) -> Callable[[int, int, Float64, Float64], float]:
         # sums over a range of the observations of some samples, as :func:`sum_in_chunks` takes it
         c, dc = lagrange(self.log_sigmas, float(x[LOG_SIGMA]))
-        sensor = _sensor_numbers(s.sensor)
+        sensor = (
+            s.sensor.black_level,
+            s.sensor.read_noise_levels**2,
+            1.0 / s.sensor.electrons_per_level if s.sensor.electrons_per_level else 0.0,
+            float(math.ceil(s.sensor.saturated_from)),  # the level from which a pixel is saturated
+            (1.0 - 2.0 * EXTREME_SHARE) / max(1.0, s.sensor.max_level - 1.0),  # density of outliers
+        )
         observed, light = (s.sample, s.level, s.saturated, s.image), (s.diffuse, self.specular, c, dc)
         return lambda start, end, *sums: _accumulate(observed, start, end, light, s.facts, sensor, x, sums)
 
@@ -225,20 +222,14 @@ def likelihood_at(samples: Samples, log_sigma: float) -> Likelihood:
 
 
 def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:
-    """Sensor levels, not clipped, that the parameters `x` predict for each observation, shape (N,).
-
-    specular: Per unit of R_s at the σ of `x`, shape (n,).
-    """
+    """Sensor levels, not clipped, of each observation, (N,), by `x` and the light per unit of R_s at its σ, (n,)."""
     light = x[R_D] * samples.diffuse + math.exp(x[LOG_R_S]) * specular
     factor = samples.facts.factor * np.exp(x[FIRST_GAIN + samples.facts.light])
     return samples.sensor.black_level + x[DARK] + factor[samples.image] * light[samples.sample]
 
 
 def clipped_levels(samples: Samples, mean: Float64) -> tuple[Float64, Float64]:
-    """Measured and predicted sensor levels of each observation, both clipped where the camera clips, shape (N,) each.
-
-    mean: Predicted levels, not clipped, shape (N,), as :func:`predicted` gives them.
-    """
+    """Sensor levels of each observation, measured and :func:`predicted`, both clipped where the camera clips, (N,)."""
     top = samples.sensor.saturated_from
     return np.minimum(samples.level.astype(np.float64), top), np.clip(mean, 0.0, top)
 
@@ -272,12 +263,12 @@ def _accumulate(
     end: int,
     light: tuple[Float64, Float64, Float64, Float64],
     facts: ImageFacts,
-    sensor: SensorNumbers,
+    sensor: tuple[float, float, float, float, float],
     x: Float64,
     sums: _Sums,
 ) -> float:
     (sample, level, saturated, image), (diffuse, specular, c, dc) = observed, light
-    gradient, curvature = sums
+    (black, read_variance, levels_per_electron, ceiling, spread_outliers), (gradient, curvature) = sensor, sums
     size = len(x)
     r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
     factor_of = image_factors(facts, x)
@@ -289,20 +280,20 @@ def _accumulate(
         factor = factor_of[m]
         s, ds = specular_and_slope(i, specular, c, dc)
         signal = factor * (r_d * diffuse[i] + r_s * s)
-        mean = sensor.black + dark + signal
+        mean = black + dark + signal
         # the mean of frames has less noise; but it is saturated where any one of them is
         share = 1.0 if saturated[j] else 1.0 / facts.frames[m]
-        variance = share * sensor.read_variance + tau2
+        variance = share * read_variance + tau2
         shot = 0.0
         if signal > 0.0:
-            shot = share * sensor.levels_per_electron
+            shot = share * levels_per_electron
             variance += shot * signal
         deviation = math.sqrt(variance)
         q, half = level[j], facts.half_width[m]
         # the interval that the signal was in, in standard deviations from the mean
-        a, b, outlier = -math.inf, math.inf, sensor.outlier
+        a, b, outlier = -math.inf, math.inf, spread_outliers
         if saturated[j]:
-            a = (min(q, sensor.ceiling) - half - mean) / deviation if half >= 0.5 else (q - mean) / deviation
+            a = (min(q, ceiling) - half - mean) / deviation if half >= 0.5 else (q - mean) / deviation
             outlier = EXTREME_SHARE
         elif q <= 0.0:
             b = (half - mean) / deviation

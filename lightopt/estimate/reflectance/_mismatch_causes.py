@@ -162,7 +162,7 @@ def _better_explanation(samples: Samples, noise: float) -> str | None:
     few = subsample(samples, FLIP_BUDGET)
     own = _excess_residual(few, noise)
     gone = {
-        f"{name}: {remedy}": explained_share(own, _excess_residual(_flipped(few, flip), noise), noise)
+        f"{name}: {remedy}": explained_share(own, _excess_residual(few.with_images(few.images, flip), noise), noise)
         for name, (flip, remedy) in FLIPS.items()
     }
     swaps, share = _swaps(few, own, noise)
@@ -171,12 +171,6 @@ def _better_explanation(samples: Samples, noise: float) -> str | None:
         gone[f"with {exchanged}: check the wiring of the lights"] = share
     name = max(gone, key=lambda key: gone[key])
     return f"they fit far better {name}" if gone[name] > LEAST_EXPLAINED else None
-
-
-def _flipped(samples: Samples, flip: tuple[slice, slice]) -> Samples:
-    levels = [image.levels[flip] for image in samples.images]
-    saturated = [image.saturated[flip] for image in samples.images]
-    return samples.with_levels(levels, saturated)
 
 
 def _swaps(samples: Samples, own: Float64, noise: float) -> tuple[list[tuple[str, str]], float]:
@@ -203,5 +197,4 @@ def _exchanged(samples: Samples, pairs: list[tuple[str, str]]) -> Samples:
     other = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
     by_key = {(image.light, image.posture, image.exposure): image for image in samples.images}
     keys = ((other.get(image.light, image.light), image.posture, image.exposure) for image in samples.images)
-    taken = [by_key.get(key, image) for key, image in zip(keys, samples.images, strict=True)]
-    return samples.with_levels([image.levels for image in taken], [image.saturated for image in taken])
+    return samples.with_images([by_key.get(key, image) for key, image in zip(keys, samples.images, strict=True)])

@@ -26,19 +26,15 @@ WELL_KNOWN = 0.3  # a figure is determined where its standard error is no more t
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredNoise:
-    """Noise of the camera, from the variance of measured minus predicted level over the level.
+    """Noise of the camera, from the variance of measured minus predicted level over the level."""
 
-    read_noise, read_noise_error: Deviation without light, and its standard error [sensor level]; None where not
-        determined.
-    electrons, electrons_error: Photo-electrons per level and their standard error; None where not determined.
-    hindrance: Why something is not determined, or empty.
-    """
-
+    # deviation without light, and its standard error [sensor level]; None where not determined
     read_noise: float | None = None
     read_noise_error: float | None = None
+    # photo-electrons per level and their standard error; None where not determined
     electrons: float | None = None
     electrons_error: float | None = None
-    hindrance: str = ""
+    hindrance: str = ""  # why something is not determined, or empty
 
     def as_dict(self) -> dict[str, Any]:
         names = ("read_noise_levels", "read_noise_standard_error", "electrons_per_level", "electrons_standard_error")

@@ -14,7 +14,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import Share
+from lightopt.core.run_context import Share, ignore
 from lightopt.estimate.reflectance._likelihood import significant
 from lightopt.estimate.reflectance._samples import Samples
 
@@ -78,16 +78,12 @@ class PaperOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperDiffuse:
-    """R_d by section 4.2.
+    """R_d by section 4.2."""
 
-    R_d: [grey level].
-    iterations: (R_d, B_r, D) of each [grey level].
-    """
-
-    R_d: float
+    R_d: float  # [grey level]
     image: str
     pixels: int
-    iterations: tuple[tuple[float, float, float], ...]
+    iterations: tuple[tuple[float, float, float], ...]  # (R_d, B_r, D) of each [grey level]
 
     def as_dict(self) -> dict[str, Any]:
         rows = [{"R_d": r, "B_r": b, "D": d} for r, b, d in self.iterations]
@@ -96,16 +92,12 @@ class PaperDiffuse:
 
 @dataclass(frozen=True, kw_only=True)
 class SigmaStep:
-    """One σ of the sweep.
-
-    R_s: Where N_s came close enough to N_m [grey level].
-    brightness: Total specular brightness of the simulated image over the measured one.
-    """
+    """One σ of the sweep."""
 
     sigma: float
-    R_s: float
+    R_s: float  # where N_s came close enough to N_m [grey level]
     reached: bool
-    brightness: float
+    brightness: float  # total specular brightness of the simulated image over the measured one
     iterations: tuple[tuple[float, int], ...]
 
     def as_dict(self) -> dict[str, Any]:
@@ -116,16 +108,14 @@ class SigmaStep:
 
 @dataclass(frozen=True)
 class PaperSpecular:
-    """R_s and σ by section 4.3.
-
-    matching_sigmas: The σ at which both the count and the brightness come within λ_s1 and λ_s2, ascending [rad].
-    """
+    """R_s and σ by section 4.3."""
 
     R_s: float
     sigma: float
     image: str
     saturated: int
     steps: tuple[SigmaStep, ...]
+    # the σ at which both the count and the brightness come within λ_s1 and λ_s2, ascending [rad]
     matching_sigmas: tuple[float, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -180,9 +170,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
     )
 
 
-def paper_specular(
-    samples: Samples, options: PaperOptions, *, R_d: float, progress: Share | None = None
-) -> PaperSpecular:
+def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progress: Share = ignore) -> PaperSpecular:
     """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3)."""
     if problems := options.problems():
         raise InputError(*problems)
@@ -205,8 +193,7 @@ def paper_specular(
     for sigma in sigmas:
         light = factor * mine.specular(sigma)[mine.sample]
         steps.append(_match_area(light, diffuse, room, measured, total, sigma, options))
-        if progress is not None:
-            progress(len(steps) / len(sigmas))
+        progress(len(steps) / len(sigmas))
     reached = [step for step in steps if step.reached]
     if not reached:
         raise InputError(

@@ -8,7 +8,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
-from lightopt.estimate.reflectance._clipped_least_squares import is_significant
+from lightopt.estimate.reflectance._clipped_least_squares import MOST_MISFIT
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
 from lightopt.estimate.reflectance._likelihood import (
     DARK,
@@ -40,29 +40,22 @@ EDGE = 1.01  # a value within this factor of an edge is at it
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """Residuals of the pixels of a fit, in sensor levels of the images as they were delivered.
-
-    typical: Median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level].
-    noise: Of a typical pixel by the rig's noise figures and the number of frames, with quantisation [sensor level].
-    image_noise: By the images: typical distance of pixels from the plane through their neighbours [sensor level].
-    explained: Share of the variance of the unsaturated pixels beyond the noise that the model explains.
-    epsilon: Share of outliers.
-    tau: Deviation beside the sensor's noise [sensor level].
-    saturated: Share of the observations that are saturated.
-    misfit: Residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not tested.
-    describes: Whether the model describes the images within that; else values are those of least squares, and intervals
-        come from the scatter between lights.
-    """
+    """Residuals of the pixels of a fit, in sensor levels of the images as they were delivered."""
 
     rms: float
-    typical: float
+    typical: float  # median absolute residual times 1.48, which a few unexplained pixels do not move [sensor level]
+    # of a typical pixel by the rig's noise figures and the number of frames, with quantisation [sensor level]
     noise: float
+    # by the images: typical distance of pixels from the plane through their neighbours [sensor level]
     image_noise: float
-    explained: float
-    epsilon: float
-    tau: float
-    saturated: float
+    explained: float  # share of the variance of the unsaturated pixels beyond the noise that the model explains
+    epsilon: float  # share of outliers
+    tau: float  # deviation beside the sensor's noise [sensor level]
+    saturated: float  # share of the observations that are saturated
+    # residual of least squares over the noise, both rms, at the worst exposure; 0 where that was not tested
     misfit: float = 0.0
+    # whether the model describes the images within that; else values are those of least squares, and intervals come
+    # from the scatter between lights
     describes: bool = True
 
     @property
@@ -164,7 +157,7 @@ def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False
         left = (
             f"the model describes these images badly: its best fit leaves {quality.misfit:.1f} times the noise "
             f"({quality.rms:.3g} sensor levels rms)"
-            if is_significant(quality.misfit)
+            if quality.misfit > MOST_MISFIT
             else f"the residual of the fit ({quality.rms:.3g} sensor levels rms) is not much larger than the noise, "
             "but is neither noise nor dust"
         )
@@ -201,10 +194,7 @@ def _rms(values: Float64) -> float:
 
 
 def refuse_out_of_range(found: Estimate, brightest: float) -> None:
-    """Refuse images that do not determine R_s and σ, and values that no real surface has.
-
-    brightest: Greatest specular light of a pixel [grey level].
-    """
+    """Refuse a `brightest` specular light [grey level] that determines nothing, and values that no real surface has."""
     if brightest < 1.0:
         raise InputError(
             "no highlight in any image: nothing determines R_s and σ. Add images under lights that the surface mirrors "
@@ -231,7 +221,6 @@ def refuse_out_of_range(found: Estimate, brightest: float) -> None:
 
 
 def convergence_warnings(found: Estimate) -> Iterator[str]:
-    """Warn where the optimiser did not converge."""
     if not found.maximum.converged:
         lights = found.criterion.samples.lights
         names = [parameter_name(place, lights) for place in found.maximum.unsettled]
@@ -246,10 +235,11 @@ def convergence_warnings(found: Estimate) -> Iterator[str]:
             f"{found.unsettled_refits} of the fits without one of the {found.scatter} each did not converge: the "
             "intervals, which come from their scatter, may be wrong"
         )
-    best = max((optimum.value for optimum in found.optima if optimum.converged), default=-math.inf)
+    best = max((optimum.top.value for optimum in found.optima if optimum.top.converged), default=-math.inf)
     for optimum in found.optima:
-        if not optimum.converged and optimum.value >= best:
+        if not optimum.top.converged and optimum.top.value >= best:
             yield (
-                f"the optimisation that started at σ {optimum.start_sigma:.3g} rad stopped at σ {optimum.sigma:.3g} "
-                "rad before convergence, with a result not worse than the best: there may be another optimum"
+                f"the optimisation that started at σ {optimum.start_sigma:.3g} rad stopped at σ "
+                f"{optimum.top.sigma:.3g} rad before convergence, with a result not worse than the best: there may be "
+                "another optimum"
             )

@@ -1,11 +1,14 @@
-"""The result of a fit."""
+"""The result of a fit, and its files: the part and the rig with the fitted values, and all figures as JSON."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
-from lightopt.config import PlacementConfig
+from lightopt.config import PartConfig, PlacementConfig, RigConfig, Source, copied_text, input_hashes
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import provenance
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
 from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
 from lightopt.estimate.reflectance._noise import MeasuredNoise
@@ -14,26 +17,27 @@ from lightopt.estimate.reflectance._quality import Quality, convergence_warnings
 from lightopt.estimate.reflectance._uncertainty import profile_regions
 from lightopt.estimate.reflectance._validation import LeftOut, PointsRow
 from lightopt.estimate.registration import Placement, Registration
+from lightopt.images import ImageSet, ResultFolder
 from lightopt.scene import Scene
+
+PART_NAME = "part.fitted.yaml"
+RIG_NAME = "rig.fitted.yaml"
+FIT_NAME = "fit.json"
 
 
 @dataclass(frozen=True)
 class FittedValue:
-    """A coefficient and its uncertainty.
+    """A coefficient and its uncertainty."""
 
-    name: ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light
-        stops being saturated.
-    value: In the part file's unit.
-    standard_error: 0, null in the JSON form, for a value that was held or by a method that knows none.
-    interval: 95 %, from the profile of the criterion, None for an end that the images do not bound; None for a value
-        that was held or by a method that knows none.
-    regions: Those that the interval joins where values between them are excluded; none where there is only one.
-    """
-
+    # ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light stops
+    # being saturated
     name: str
-    value: float
-    standard_error: float = 0.0
+    value: float  # in the part file's unit
+    standard_error: float = 0.0  # 0, null in the JSON form, for a value that was held or by a method that knows none
+    # 95 %, from the profile of the criterion, None for an end that the images do not bound; None for a value that was
+    # held or by a method that knows none
     interval: Interval | None = None
+    # those that the interval joins where values between them are excluded; none where there is only one
     regions: tuple[Interval, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -51,41 +55,32 @@ def _rounded(interval: Interval) -> list[float | None]:
 
 @dataclass(frozen=True, kw_only=True)
 class FitResult:
-    """Fitted reflectance.
-
-    points: Point lights per panel, or ``"auto"``.
-    fitted: Names of the values that were fitted and belong in the part file.
-    gains: Gain of each light for the rig file, where gains were freed; the first light's is held.
-    dark: Black level for the rig file [sensor level], where it was freed.
-    write_noise: Whether `noise` belongs in the rig file.
-    registration, file_placement: Measured placement, and the same as values of the part file, where it was freed.
-    highlight_fit: Only of a diffuse fit: that of the whole model, which locates the highlights.
-    correlation: Of ln R_s and ln σ; None where they were not both fitted.
-    observations, pixels: Number of levels that were used, and of their pixels.
-    left_out: Validation, one entry per light.
-    rows: One per number of points that was tried.
-    """
+    """Fitted reflectance."""
 
     kind: Literal["diffuse", "specular"]
     method: Literal["likelihood", "paper"]
-    points: int | Literal["auto"]
+    points: int | Literal["auto"]  # point lights per panel, or ``"auto"``
     values: tuple[FittedValue, ...]
-    fitted: tuple[str, ...]
+    fitted: tuple[str, ...]  # names of the values that were fitted and belong in the part file
+    # gain of each light for the rig file, where gains were freed; the first light's is held
     gains: Mapping[str, FittedValue] | None = None
-    dark: FittedValue | None = None
+    dark: FittedValue | None = None  # black level for the rig file [sensor level], where it was freed
     noise: MeasuredNoise | None = None
-    write_noise: bool = False
+    write_noise: bool = False  # whether `noise` belongs in the rig file
+    # measured placement, and the same as values of the part file, where it was freed
     registration: Registration | None = None
     file_placement: PlacementConfig | None = None
+    # only of a diffuse fit: that of the whole model, which locates the highlights
     highlight_fit: Estimate | None = None
-    correlation: float | None = None
+    correlation: float | None = None  # of ln R_s and ln σ; None where they were not both fitted
+    # number of levels that were used, and of their pixels
     observations: int = 0
     pixels: int = 0
     quality: Quality | None = None
     warnings: tuple[str, ...] = ()
     estimate: Estimate | None = None
-    left_out: tuple[LeftOut, ...] = ()
-    rows: tuple[PointsRow, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()  # validation, one entry per light
+    rows: tuple[PointsRow, ...] = ()  # one per number of points that was tried
     paper: PaperDiffuse | PaperSpecular | None = None
 
     def value(self, name: str) -> float:
@@ -235,3 +230,83 @@ def fitted_dark(scene: Scene, found: Estimate) -> FittedValue:
     """Black level of the sensor [sensor level], its own plus what was fitted."""
     black = scene.sensor.black_level
     return _fitted("black_level", float(black + found.x[DARK]), found, DARK, lambda end: black + end)
+
+
+def fit_provenance(rig: RigConfig, part: PartConfig, image_set: ImageSet, options: Mapping[str, Any]) -> dict[str, Any]:
+    """What a fit depends on, in the layout of :mod:`lightopt.core.provenance`."""
+    return provenance(inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}, options=options)
+
+
+class FitFolder(ResultFolder):
+    """A folder that a fit is written to.
+
+    folder: Made where it does not exist.
+    made_from: From :func:`fit_provenance`.
+    Raises InputError: the folder holds a fit of other inputs, and `force` is False.
+    """
+
+    def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
+        names = {"name": FIT_NAME, "format": "lightopt-fit/1", "what": "a fit"}
+        super().__init__(folder, made_from, **names, also=(PART_NAME, RIG_NAME), force=force)
+
+    def write(self, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
+        """Write the part, where gains, the dark level or the noise are written the rig, and at last ``fit.json``.
+
+        Raises InputError: a file cannot be written.
+        """
+        texts = {PART_NAME: _part_text(self.folder, result, part)}
+        values = _rig_values(result, rig)
+        if result.gains is not None or values:
+            _check_text(rig.source)
+            texts[RIG_NAME] = copied_text(rig, self.folder, values)
+        written = [self.write_text(name, text) for name, text in texts.items()]
+        return [self.finish(result.as_dict()), *written]
+
+
+def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
+    values: dict[tuple[str | int, ...], str] = {
+        ("reflectance", name): f"{result.value(name):.6g}" for name in result.fitted
+    }
+    if result.file_placement is not None:
+        values |= _placement_values(part, result.file_placement)
+    _check_text(part.source)
+    return copied_text(part, folder, values)
+
+
+def _placement_values(part: PartConfig, found: PlacementConfig) -> dict[tuple[str | int, ...], str]:
+    vectors = {"rotate_deg": found.rotate_deg, "translate_mm": found.translate_mm}
+    lists = {key: "[" + ", ".join(f"{value:.6g}" for value in vector) + "]" for key, vector in vectors.items()}
+    lines = part.source.lines
+    if ("placement",) not in lines:
+        inside = ", ".join(f"{key}: {text}" for key, text in lists.items())
+        return {("placement",): f"{{anchor: {found.anchor}, {inside}}}"}
+    values: dict[tuple[str | int, ...], str] = {}
+    for key, vector in vectors.items():
+        if ("placement", key) in lines:
+            values |= {("placement", key, i): f"{value:.6g}" for i, value in enumerate(vector)}
+        else:
+            values["placement", key] = lists[key]
+    return values
+
+
+def _rig_values(result: FitResult, rig: RigConfig) -> dict[tuple[str | int, ...], str]:
+    values: dict[tuple[str | int, ...], str] = {}
+    for index, light in enumerate(rig.lights):
+        gain = None if result.gains is None else result.gains.get(light.name)
+        if gain is not None and gain.interval is not None:  # the one that is held keeps its line in the file
+            values["lights", index, "gain"] = f"{gain.value:.6g}"
+    if result.dark is not None:
+        values["camera", "sensor", "black_level"] = f"{max(result.dark.value, 0.0):.6g}"
+    noise = result.noise if result.write_noise else None
+    figures = {} if noise is None else {"read_noise_levels": noise.read_noise, "electrons_per_level": noise.electrons}
+    for key, figure in figures.items():
+        if figure is not None:
+            values["camera", "sensor", key] = f"{figure:.4g}"
+    return values
+
+
+def _check_text(source: Source) -> None:
+    if not source.text:
+        raise InputError(
+            f"{source.path}: built in code, so that there is no file to write the fitted values into; load it from one"
+        )

@@ -11,7 +11,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import Share
+from lightopt.core.run_context import Share, ignore
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
@@ -27,23 +27,20 @@ OCTAVES = 11
 # blocks along the longer side of the image: what the model gets wrong is taken as alike within each of them
 BLOCKS = 24
 
+WHOLE_IMAGE = slice(None), slice(None)
 UNLIT_SHARE = 0.25  # pixels that no light reaches determine the dark level; this share of an octave's budget is plenty
 
 
 @dataclass(frozen=True, kw_only=True)
 class SampleGroup:
-    """Pixels of one posture under one light.
-
-    layer: Their light per unit of reflectance; None for pixels that no light reaches.
-    weight: Pixels of the image that each stands for, shape (n,).
-    """
+    """Pixels of one posture under one light."""
 
     light: int
     posture: Posture
-    layer: LightLayer | None
+    layer: LightLayer | None  # their light per unit of reflectance; None for pixels that no light reaches
     row: Int32
     column: Int32
-    weight: Float64
+    weight: Float64  # pixels of the image that each stands for, shape (n,)
     passed: Float64 | float = 1.0
 
     def __len__(self) -> int:
@@ -67,60 +64,43 @@ class SampleGroup:
 
 
 class ImageFacts(NamedTuple):
-    """Per image, for the kernels; arrays of shape (images,).
+    """Per image, for the kernels; arrays of shape (images,)."""
 
-    factor: Sensor levels per grey level: exposure times the sensor's full scale over the reflectance's.
-    half_width: How far from a level the signal may have been [sensor level].
-    frames: Number of frames that the image is the mean of, as float64.
-    """
-
-    factor: Float64
+    factor: Float64  # sensor levels per grey level: exposure times the sensor's full scale over the reflectance's
     light: Int32
-    half_width: Float64
-    frames: Float64
+    half_width: Float64  # how far from a level the signal may have been [sensor level]
+    frames: Float64  # number of frames that the image is the mean of, as float64
 
 
 @dataclass(frozen=True, kw_only=True)
 class Samples:
-    """Pixels (n) and what was measured there (N observations: a pixel has one per exposure).
-
-    diffuse: Light per unit of R_d, 0 where none arrives, shape (n,).
-    deflection: Least angle between normal and half vector [rad], π where no light arrives, shape (n,).
-    weight: Pixels of the image that each stands for, shape (n,).
-    block: Block of the image that each pixel lies in, one number per posture and block, shape (n,).
-    sample: Pixel of each observation, shape (N,).
-    image: Image of each observation, shape (N,).
-    level: Sensor level, shape (N,).
-    saturated: Where `level` is only a lower bound, shape (N,).
-    lights: Names of the scene's lights.
-    threads: Number of threads that work on them; no result depends on it.
-    """
+    """Pixels (n) and what was measured there (N observations: a pixel has one per exposure)."""
 
     groups: tuple[SampleGroup, ...]
-    diffuse: Float64
-    deflection: Float64
-    weight: Float64
-    block: Int32
-    sample: Int32
-    image: Int32
-    level: Float32
-    saturated: Bool
+    diffuse: Float64  # light per unit of R_d, 0 where none arrives, shape (n,)
+    deflection: Float64  # least angle between normal and half vector [rad], π where no light arrives, shape (n,)
+    weight: Float64  # pixels of the image that each stands for, shape (n,)
+    block: Int32  # block of the image that each pixel lies in, one number per posture and block, shape (n,)
+    sample: Int32  # pixel of each observation, shape (N,)
+    image: Int32  # image of each observation, shape (N,)
+    level: Float32  # sensor level, shape (N,)
+    saturated: Bool  # where `level` is only a lower bound, shape (N,)
     images: tuple[Observation, ...]
     facts: ImageFacts
-    lights: tuple[str, ...]
+    lights: tuple[str, ...]  # names of the scene's lights
     sensor: Sensor
-    threads: int | None = None
+    threads: int | None = None  # number of threads that work on them; no result depends on it
 
     def select(self, where: Bool | Index) -> Samples:
         """Only the observations that `where` marks, shape (N,), or lists; the pixels stay."""
         fields = ("sample", "image", "level", "saturated")
         return replace(self, **{name: getattr(self, name)[where] for name in fields})
 
-    def with_levels(self, levels: Sequence[Float32], saturated: Sequence[Bool]) -> Samples:
-        """The same pixels of other images of the same lights, postures and exposures; one array per image."""
-        rows, columns = self.places
-        stack, flags = np.stack(levels), np.stack(saturated)
-        return replace(self, level=stack[self.image, rows, columns], saturated=flags[self.image, rows, columns])
+    def with_images(self, images: Sequence[Observation], flip: tuple[slice, slice] = WHOLE_IMAGE) -> Samples:
+        """The same pixels of other images of the same lights, postures and exposures, as `images` are, or flipped."""
+        place = (self.image, *self.places)
+        levels, saturated = np.stack([o.levels[flip] for o in images]), np.stack([o.saturated[flip] for o in images])
+        return replace(self, level=levels[place], saturated=saturated[place])
 
     @property
     def places(self) -> tuple[Int32, Int32]:
@@ -134,20 +114,17 @@ class Samples:
 
 
 def collect_samples(
-    scene: Scene,
+    scene: Scene,  # with the postures and lights of the images
     observations: Sequence[Observation],
     *,
     caster: RayCaster,
     budget: int,
+    # whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image
     uniform: bool = False,
     threads: int | None = None,
-    progress: Share | None = None,
+    progress: Share = ignore,
 ) -> Samples:
-    """Choose pixels by their geometry alone and look up what was measured there.
-
-    uniform: Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
-    scene: With the postures and lights of the images.
-    """
+    """Choose pixels by their geometry alone and look up what was measured there."""
     names = [light.name for light in scene.lights]
     groups: list[SampleGroup] = []
     wanted = sorted({(scene.postures.index(o.posture), names.index(o.light)) for o in observations})
@@ -156,8 +133,7 @@ def collect_samples(
         if pixels is None or pixels.posture != scene.postures[posture]:
             pixels = trace_pixels(scene, scene.postures[posture], caster, threads=threads)
         groups += _choose(pixels, posture, light, caster, budget, uniform, threads)
-        if progress is not None:
-            progress((done + 1) / len(wanted))
+        progress((done + 1) / len(wanted))
     return _assemble(scene, groups, tuple(observations), threads)
 
 
@@ -197,17 +173,14 @@ def subsample(samples: Samples, budget: int) -> Samples:
 
 def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
     """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again."""
-    groups = tuple(
-        group
-        if group.layer is None
-        else replace(
-            group,
-            layer=light_layer(
-                group.layer.surface, replace(group.layer.light, points="auto"), caster, threads=samples.threads
-            ),
-        )
-        for group in samples.groups
-    )
+
+    def evenly(group: SampleGroup) -> SampleGroup:
+        if group.layer is None:
+            return group
+        panel = replace(group.layer.light, points="auto")
+        return replace(group, layer=light_layer(group.layer.surface, panel, caster, threads=samples.threads))
+
+    groups = tuple(map(evenly, samples.groups))
     return replace(samples, groups=groups, diffuse=np.concatenate([group.diffuse for group in groups]))
 
 

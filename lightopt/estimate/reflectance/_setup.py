@@ -1,10 +1,8 @@
 """The set-up of a fit: its options, and rig, part and images made ready."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 
@@ -12,9 +10,9 @@ from lightopt.config import PartConfig, PlacementConfig, RigConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance._estimate import FreeParameters
-from lightopt.estimate.reflectance._fit_samples import least_squares_reflectance
 from lightopt.estimate.reflectance._paper import PaperOptions
 from lightopt.estimate.reflectance._samples import OCTAVES, Samples, collect_samples
+from lightopt.estimate.reflectance._sigma_scan import scan_sigma
 from lightopt.estimate.registration import (
     Observation,
     Registration,
@@ -30,7 +28,7 @@ from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene
 
-Points: TypeAlias = "int | Literal['auto']"
+Points = int | Literal["auto"]
 
 MOST_PER_OCTAVE = 20_000
 PLACING_PER_OCTAVE = 800
@@ -67,15 +65,13 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class FitSetup:
-    """The inputs of a fit: the scene with its part placed, the rays of the part, the images, and the options.
-
-    registration, file_placement: How the part was placed, relative to its file and as values of the part file; None
-        where the part was not registered.
-    """
+    """The inputs of a fit: the scene with its part placed, the rays of the part, the images, and the options."""
 
     scene: Scene
     caster: RayCaster
     observations: tuple[Observation, ...]
+    # how the part was placed, relative to its file and as values of the part file; None where the part was not
+    # registered
     registration: Registration | None = None
     file_placement: PlacementConfig | None = None
     options: FitOptions = field(default_factory=FitOptions)
@@ -141,6 +137,8 @@ def register_with_fit(
         samples = collect_samples(
             moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=run.threads
         )
-        return least_squares_reflectance(samples, moved.reflectance, freed=freed)
+        # least squares alone, without intervals, are good enough to find a part by
+        found = scan_sigma(samples, freed or FreeParameters(), None).best
+        return replace(moved.reflectance, R_d=found.R_d, R_s=found.R_s, sigma=found.sigma)
 
     return register(scene, observations, caster=caster, reflectance_at=first_reflectance, reduced=reduced, run=run)

@@ -7,14 +7,15 @@ all other parameters at each of a row of σ, from several starts.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import Share
+from lightopt.core.run_context import Share, ignore
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable, find_dust, measure_misfit
-from lightopt.estimate.reflectance._estimate import FreeParameters, ScanPoint
+from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, Maximum, ScanPoint, maximise
 from lightopt.estimate.reflectance._likelihood import (
     DARK,
     FIRST_GAIN,
@@ -25,7 +26,6 @@ from lightopt.estimate.reflectance._likelihood import (
     parameter_count,
     predicted,
 )
-from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
 
 SCAN_SAMPLES = 50_000  # pixels of the scan over σ, in all
@@ -34,6 +34,8 @@ WEAK_START = 0.1  # share of the R_s that saturates as many pixels as measured, 
 MOST_PEAKS = 4
 SAME_PEAK = 0.02  # climbs that end within this of ln σ have found the same peak
 HELD_SIGMA = 0.05  # width of a lobe that is neither fitted nor given [rad]
+
+Top = TypeVar("Top", Maximum, Estimate)
 
 # σ of a peak of the profile [rad], and where the climb from it ended; the best first
 Climbs = list[tuple[float, Maximum]]
@@ -50,15 +52,11 @@ SCAN_TOLERANCE = 0.1
 
 @dataclass(frozen=True)
 class SigmaScan:
-    """Least squares over all σ.
+    """Least squares over all σ."""
 
-    samples: Those of the scan; `criterion` and `profile` are without dust.
-    free: Places of the parameters that are fitted, those of the likelihood's noise last.
-    log_sigmas, starts: ln σ of the profile, and where the climbs at each began, shape (K,).
-    """
-
-    samples: Samples
-    free: tuple[int, ...]
+    samples: Samples  # those of the scan; `criterion` and `profile` are without dust
+    free: tuple[int, ...]  # places of the parameters that are fitted, those of the likelihood's noise last
+    # ln σ of the profile, and where the climbs at each began, shape (K,)
     log_sigmas: list[float]
     starts: list[Float64]
     criterion: LeastSquares
@@ -77,9 +75,7 @@ class SigmaScan:
         return math.exp(-2.0 * self.profile[number].value / count - 1.0) / (2.0 * math.pi)
 
 
-def scan_sigma(
-    samples: Samples, freed: FreeParameters, held: Float64 | None, progress: Share | None = None
-) -> SigmaScan:
+def scan_sigma(samples: Samples, freed: FreeParameters, held: Float64 | None, progress: Share = ignore) -> SigmaScan:
     """Fit a subset of the samples by least squares at each σ of the range, and climb from the peaks.
 
     held: Values (R_d, R_s, σ) of those that are not fitted.
@@ -125,9 +121,9 @@ def scan_sigma(
     return SigmaScan(few, free, log_sigmas, starts, criterion, profile, climbs, misfit)
 
 
-def climb_from_peaks(profile: Sequence[Maximum], climb: Callable[[Float64], Maximum]) -> Climbs:
+def climb_from_peaks(profile: Sequence[Maximum], climb: Callable[[Float64], Top]) -> list[tuple[float, Top]]:
     """Climb from each peak of a profile to its top."""
-    tops: Climbs = []
+    tops: list[tuple[float, Top]] = []
     for peak in peaks(profile)[:MOST_PEAKS]:
         top = climb(peak.x)
         if all(abs(top.x[LOG_SIGMA] - other.x[LOG_SIGMA]) > SAME_PEAK for _, other in tops):
@@ -215,14 +211,11 @@ def profile_over_sigma(
     criterion_at: Callable[[float], Criterion],
     starts_at: Callable[[int], Sequence[Float64]],
     log_sigmas: Sequence[float],
-    free: Sequence[int],
+    free: Sequence[int],  # places of the parameters that are fitted; σ is not, whether or not it is among them
     *,
-    progress: Share | None = None,
+    progress: Share = ignore,
 ) -> list[Maximum]:
-    """The best fit at each σ, from its own starts and from the best at its neighbours on both sides.
-
-    free: Places of the parameters that are fitted; σ is not, whether or not it is among them.
-    """
+    """The best fit at each σ, from its own starts and from the best at its neighbours on both sides."""
     fixed = [place for place in free if place != LOG_SIGMA]
     criteria = [criterion_at(log_sigma) for log_sigma in log_sigmas]
     best: list[Maximum] = []
@@ -231,8 +224,7 @@ def profile_over_sigma(
         if best:
             starts.append(_moved(best[-1].x, log_sigmas[number]))
         best.append(_best(criterion, starts, fixed))
-        if progress is not None:
-            progress((number + 1) / len(criteria))
+        progress((number + 1) / len(criteria))
     for number in range(len(criteria) - 2, -1, -1):
         other = _best(criteria[number], [_moved(best[number + 1].x, log_sigmas[number])], fixed)
         best[number] = max(best[number], other, key=lambda one: one.value)
@@ -246,7 +238,7 @@ def profile_outwards(
     free: Sequence[int],
     *,
     begin: int,
-    progress: Share | None = None,
+    progress: Share = ignore,
 ) -> list[Maximum]:
     """The best fit at each σ, from one σ outwards: a climb begins where its neighbour's ended, or at a better start.
 
@@ -264,8 +256,7 @@ def profile_outwards(
             first = [_moved(before, log_sigmas[number]), *starts]
             starts = [_best(criterion, first, fixed, most_steps=FIRST_STEPS).x]
         found[number] = _best(criterion, starts, fixed)
-        if progress is not None:
-            progress(len(found) / count)
+        progress(len(found) / count)
     return [found[number] for number in range(count)]
 
 

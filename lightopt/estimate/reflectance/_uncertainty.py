@@ -11,9 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from lightopt.core.arrays import Float64
-from lightopt.estimate.reflectance._estimate import Estimate, Optimum
+from lightopt.estimate.reflectance._estimate import Estimate, Optimum, bounds, maximise
 from lightopt.estimate.reflectance._likelihood import R_D, Likelihood
-from lightopt.estimate.reflectance._newton import bounds, maximise
 
 STEP = 0.3  # differences of the gradient are taken this many (conditional) standard errors to either side
 LONGEST_DIFFERENCE = 0.1  # but no logarithm is moved by more than this for it
@@ -36,19 +35,10 @@ SAME_REGION = 0.02
 FARTHEST = 12.0
 
 
-def _determined_parameters(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> list[int]:
-    # without a noise τ or an outlier share ε at its bound: the likelihood has no maximum there, and neither information
-    # nor scores mean anything
-    low, high = bounds(likelihood)
-    curvature = np.diag(likelihood.evaluate(x).curvature)
-    determined = (low + AT_BOUND < x) & (x < high - AT_BOUND) & (curvature > LEAST_INFORMATION)
-    return [place for place in free if place < likelihood.size - 2 or determined[place]]
-
-
-def _information(likelihood: Likelihood, x: Float64, places: Sequence[int]) -> Float64:
-    # observed information: minus the Hessian of the log-likelihood along some parameters, shape (k, k)
+def _information(likelihood: Likelihood, x: Float64, places: Sequence[int], curvature: Float64) -> Float64:
+    # observed information: minus the Hessian of the log-likelihood along some parameters, shape (k, k); `curvature` is
+    # its approximate diagonal along all
     index = np.asarray(places, dtype=np.intp)
-    curvature = np.diag(likelihood.evaluate(x).curvature)
     result = np.zeros((len(index), len(index)))
     for j, place in enumerate(index):
         h = STEP / np.sqrt(max(float(curvature[place]), 1e-12))
@@ -71,9 +61,13 @@ def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tupl
 
     Shapes (k, k), and (k,) of at least 1; 0 and 1 for noise parameters that the images do not determine.
     """
-    places = _determined_parameters(likelihood, x, free)
+    # without a noise τ or an outlier share ε at its bound: the likelihood has no maximum there, and neither information
+    # nor scores mean anything
+    (low, high), curvature = bounds(likelihood), np.diag(likelihood.evaluate(x).curvature)
+    determined = (low + AT_BOUND < x) & (x < high - AT_BOUND) & (curvature > LEAST_INFORMATION)
+    places = [place for place in free if place < likelihood.size - 2 or determined[place]]
     rows = [list(free).index(place) for place in places]
-    inner = _inverse(_information(likelihood, x, places))
+    inner = _inverse(_information(likelihood, x, places, curvature))
     gradients, curvatures = likelihood.by_block(x)
     moves = gradients[:, places] @ inner
     blocks = len(moves)
@@ -110,9 +104,9 @@ def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float]
     best = estimate.maximum.value
     regions = [_around(estimate, place, target)]
     for other in estimate.optima[1:]:
-        drop = 2.0 * (best - other.value)
+        drop = 2.0 * (best - other.top.value)
         if drop < target:
-            at = float(other.x[place])
+            at = float(other.top.x[place])
             there = _at_optimum(estimate, other)
             regions.append((at, at) if there is None else _around(there, place, target - drop))
     # neighbours along the scan belong together
@@ -127,10 +121,10 @@ def _at_optimum(estimate: Estimate, other: Optimum) -> Estimate | None:
     # as if the other optimum were the estimate, with the covariance that its own curvature has
     if other.criterion is None:
         return None
-    here = other.criterion.evaluate(other.x)
+    here = other.criterion.evaluate(other.top.x)
     covariance = _inverse(here.curvature[np.ix_(estimate.free, estimate.free)])
-    top = replace(estimate.maximum, x=other.x, evaluation=here)
-    return replace(estimate, x=other.x, criterion=other.criterion, maximum=top, covariance=covariance)
+    top = replace(estimate.maximum, x=other.top.x, evaluation=here)
+    return replace(estimate, x=top.x, criterion=other.criterion, maximum=top, covariance=covariance)
 
 
 def _joined(regions: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:

@@ -16,7 +16,15 @@ from scipy.spatial import KDTree
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._fit_samples import refit
-from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
+from lightopt.estimate.reflectance._likelihood import (
+    DARK,
+    FIRST_GAIN,
+    LOG_R_S,
+    LOG_SIGMA,
+    R_D,
+    Coefficients,
+    significant,
+)
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Observation
@@ -35,20 +43,14 @@ SavePrediction = Callable[[Observation, Float32], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """A predicted image against the measured one.
-
-    rms: Of the clipped residual on the part's pixels [grey level at exposure 1].
-    rms_sensor: The same in the image as it was delivered [sensor level].
-    iou: Intersection over union of the saturated areas; None where neither image has any.
-    border: Mean distance between the borders of the saturated areas [px]; None where one image has none.
-    area, predicted_area: Saturated pixels of the measured and of the predicted image.
-    """
+    """A predicted image against the measured one."""
 
     image: str
-    rms: float
-    rms_sensor: float
-    iou: float | None
-    border: float | None
+    rms: float  # of the clipped residual on the part's pixels [grey level at exposure 1]
+    rms_sensor: float  # the same in the image as it was delivered [sensor level]
+    iou: float | None  # intersection over union of the saturated areas; None where neither image has any
+    border: float | None  # mean distance between the borders of the saturated areas [px]; None where one image has none
+    # saturated pixels of the measured and of the predicted image
     area: int
     predicted_area: int
 
@@ -64,25 +66,23 @@ class Comparison:
         }
 
 
-def _coefficients(found: "LeftOut | PointsRow") -> dict[str, float]:
+def _rounded(found: Coefficients) -> dict[str, float]:
     values = {"R_d": found.R_d, "R_s": found.R_s, "sigma_rad": found.sigma}
     return {name: significant(value, 6) for name, value in values.items()}
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeftOut(Coefficients):
     """A light whose images were predicted from those of the others; values are those fitted to the others."""
 
     light: str
-    R_d: float
-    R_s: float
-    sigma: float
+    x: Float64
     images: tuple[Comparison, ...]
     converged: bool = True
 
     def as_dict(self) -> dict[str, Any]:
         images = [image.as_dict() for image in self.images]
-        return {"light": self.light, **_coefficients(self), "converged": self.converged, "images": images}
+        return {"light": self.light, **_rounded(self), "converged": self.converged, "images": images}
 
 
 def leave_lights_out(
@@ -107,10 +107,8 @@ def leave_lights_out(
             comparisons.append(compare_image(seen, levels, hit, scene.sensor, scene.reflectance.full_scale))
             if save_prediction is not None:
                 save_prediction(seen, levels)
-        name, images, converged = samples.lights[light], tuple(comparisons), fitted.maximum.converged
-        results.append(LeftOut(name, fitted.R_d, fitted.R_s, fitted.sigma, images, converged))
-        if progress is not None:
-            progress((done + 1) / len(used))
+        results.append(LeftOut(samples.lights[light], fitted.x, tuple(comparisons), fitted.maximum.converged))
+        progress((done + 1) / len(used))
     return tuple(results)
 
 
@@ -134,11 +132,7 @@ def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> Iterat
 
 
 def compare_image(seen: Observation, levels: Float32, hit: Bool, sensor: Sensor, full_scale: float) -> Comparison:
-    """Compare a measured image with the sensor levels predicted for it.
-
-    levels: Predicted, not clipped, shape (height, width).
-    hit: Where the part is, same shape.
-    """
+    """Compare a measured image with the sensor levels predicted for it, not clipped, where the part is; (H, W)."""
     top = sensor.saturated_from
     measured = np.minimum(seen.levels, np.float32(top))
     residual = (measured - np.clip(levels, 0.0, top))[hit].astype(np.float64)
@@ -171,10 +165,7 @@ def _border(mask: Bool) -> Float64:
 def predict_images(
     scene: Scene, x: Float64, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
 ) -> Iterator[tuple[Observation, Float32, Bool]]:
-    """Per observation: itself, the sensor levels predicted for it, not clipped, and where the part is.
-
-    x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
-    """
+    """Per observation: itself, the levels that parameters `x`, (K,), predict, not clipped, and where the part is."""
     names = [light.name for light in scene.lights]
     reflectance = replace(scene.reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
     scale = scene.sensor.max_level / scene.reflectance.full_scale
@@ -194,36 +185,33 @@ def predict_images(
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointsRow:
-    """The fit with one number of points per panel: a row of the paper's Table 1.
-
-    area, measured_area: Saturated pixels of all images together, predicted and measured [px].
-    perimeter, measured_perimeter: Of the saturated regions of all images together [px].
-    likelihood: Mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the
-        greatest reproduces the images best: area and perimeter of a noisy image hardly separate two numbers of points
-        apart.
-    """
+class PointsRow(Coefficients):
+    """The fit with one number of points per panel: a row of the paper's Table 1."""
 
     points: int | Literal["auto"]
-    R_d: float
-    R_s: float
-    sigma: float
+    x: Float64
+    # saturated pixels of all images together, predicted and measured [px]
     area: int
     measured_area: int
+    # of the saturated regions of all images together [px]
     perimeter: float
     measured_perimeter: float
+    # mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the greatest
+    # reproduces the images best: area and perimeter of a noisy image hardly separate two numbers of points apart.
     likelihood: float | None
 
     @property
-    def misfit(self) -> float:
-        """Relative deviations of area and perimeter, added (paper, section 4.4)."""
+    def rank(self) -> float:
+        """The likelihood or, without one, minus the relative deviations of area and perimeter (paper, section 4.4)."""
+        if self.likelihood is not None:
+            return self.likelihood
         area = abs(self.area - self.measured_area) / max(self.measured_area, 1)
-        return area + abs(self.perimeter - self.measured_perimeter) / max(self.measured_perimeter, 1.0)
+        return -(area + abs(self.perimeter - self.measured_perimeter) / max(self.measured_perimeter, 1.0))
 
     def as_dict(self) -> dict[str, Any]:
         return {
             "points": self.points,
-            **_coefficients(self),
+            **_rounded(self),
             "area_px": self.area,
             "measured_area_px": self.measured_area,
             "perimeter_px": round(self.perimeter, 1),
@@ -233,11 +221,9 @@ class PointsRow:
 
 
 def compare_regions(setup: FitSetup, x: Float64, likelihood: float | None) -> PointsRow:
-    """Render all images with a fit and compare the saturated regions with the measured ones.
+    """Render all images with the parameters `x`, (K,), and compare the saturated regions with the measured ones.
 
     Both are taken from whole levels, since the camera delivers no others.
-
-    x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
     """
     scene, sensor = setup.scene, setup.scene.sensor
     areas, perimeters = np.zeros(2), np.zeros(2)
@@ -250,9 +236,7 @@ def compare_regions(setup: FitSetup, x: Float64, likelihood: float | None) -> Po
             perimeters[i] += region.perimeter
     return PointsRow(
         points=scene.lights[0].points,
-        R_d=float(x[R_D]),
-        R_s=math.exp(x[LOG_R_S]),
-        sigma=math.exp(x[LOG_SIGMA]),
+        x=x,
         area=int(areas[0]),
         measured_area=int(areas[1]),
         perimeter=float(perimeters[0]),

@@ -9,6 +9,7 @@ from lightopt.estimate.registration._image_checks import (
     Agreement as Agreement,
     agreement as agreement,
     refuse_mismatch as refuse_mismatch,
+    refuse_useless_images as refuse_useless_images,
 )
 from lightopt.estimate.registration._observations import (
     Observation as Observation,
@@ -28,8 +29,4 @@ from lightopt.estimate.registration._placement import (
     place_part as place_part,
 )
 from lightopt.estimate.registration._refinement import DARK_SPREAD as DARK_SPREAD, GAIN_SPREAD as GAIN_SPREAD
-from lightopt.estimate.registration._registration import (
-    Registration as Registration,
-    refuse_useless_images as refuse_useless_images,
-    register as register,
-)
+from lightopt.estimate.registration._registration import Registration as Registration, register as register

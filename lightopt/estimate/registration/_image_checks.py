@@ -18,9 +18,13 @@ from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, view_of_placed
 from lightopt.estimate.registration._placement import Placement
 from lightopt.geometry import RayCaster
-from lightopt.scene import Scene
+from lightopt.scene import Scene, screen_window, view_from_part
 
 Array = NDArray[np.floating]
+
+# the coarse search: pixels per posture, and lights
+PIXELS, MOST_LIGHTS = 6000, 8
+MARGIN_MM = 3.0  # pixels up to this far around the part's nominal outline are used
 
 CLEAR = 3.5
 # images are black where fewer pixels than this share are this many standard deviations of noise above black
@@ -57,18 +61,14 @@ FLIPS: dict[str, tuple[tuple[slice, slice], str]] = {
 """Flips of images: by name, the rows and columns that undo it, and the remedy."""
 
 
-def refuse_useless_pixels(
-    scene: Scene,
-    sets: Sequence[PixelSet],
-    observations: Sequence[Observation],
-    *,
-    caster: RayCaster,
-    threads: int | None = None,
-) -> None:
-    """Refuse images that cannot show where the part is.
+def refuse_useless_images(
+    scene: Scene, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
+) -> list[PixelSet]:
+    """Refuse images that cannot show where the part is; returns pixels on and around it.
 
     Raises InputError: the part is outside the view, or all images are saturated or black where it is expected.
     """
+    sets = _coarse_pixels(scene, observations)
     where = observations[0].source.parent
     images = counted(len(observations), "image")
     shown: list[Bool] = []
@@ -98,6 +98,30 @@ def refuse_useless_pixels(
             f"{where}: the {images} are black where the part is expected: {max(mean, 0.0):.3g} sensor levels above the "
             "black level on average; check the lens cap, that the lights are on, and the exposure"
         )
+    return sets
+
+
+def _coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[PixelSet]:
+    # a grid on and around the part in each posture, under the longest exposure of up to eight lights
+    sets: list[PixelSet] = []
+    for posture in dict.fromkeys(o.posture for o in observations):
+        view = view_from_part(scene, posture)
+        left, top, right, bottom = screen_window(view.camera, scene.mesh)
+        distance = float(np.linalg.norm(view.camera.position))
+        margin = math.ceil(MARGIN_MM * view.camera.image_distance / (view.camera.pixel_size * distance))
+        left, top = max(0, left - margin), max(0, top - margin)
+        right, bottom = min(view.camera.width, right + margin), min(view.camera.height, bottom + margin)
+        if right <= left or bottom <= top:
+            continue
+        step = max(1, math.floor(math.sqrt((right - left) * (bottom - top) / PIXELS)))
+        column, row = (
+            a.ravel().astype(np.int32) for a in np.meshgrid(np.arange(left, right, step), np.arange(top, bottom, step))
+        )
+        mine = sorted((o for o in observations if o.posture == posture), key=lambda o: o.exposure)
+        longest = list({o.light: o for o in mine}.values())
+        longest = longest[:: math.ceil(len(longest) / MOST_LIGHTS)]
+        sets.append(PixelSet.look_up(posture, row, column, longest, scene.sensor.black_level))
+    return sets
 
 
 @dataclass(frozen=True)
@@ -126,10 +150,7 @@ class Agreement:
 
 
 def agreement(measured: Array, predicted: Array, noise: Array) -> Agreement:
-    """Compare levels above black with those of a model, both clipped where the camera clips.
-
-    noise: Standard deviation of the sensor's noise, same shape.
-    """
+    """Compare levels above black with a model's, both clipped where the camera clips; `noise` [standard deviation]."""
     if not measured.size:
         return Agreement(0.0, 0.0, 0.0)
     return Agreement(_rms(measured - predicted), _rms(noise), _rms(predicted))

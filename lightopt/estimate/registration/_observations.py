@@ -30,26 +30,20 @@ _REACH_PX = 4  # a frame without light is smoothed over windows of 9 × 9 pixels
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
-    """One image.
-
-    exposure: At which `levels` were taken; 1 for a linear EXR.
-    levels: Sensor levels, black level included, shape (height, width): as delivered, minus what the set's frames
-        without light show above black; or from an EXR.
-    saturated: Where `levels` are only a lower bound, same shape.
-    half_width: How far from a level the signal may have been [sensor level].
-    frames: Number of frames that it is the mean of.
-    subtracted: Dark level that was taken off `levels` [sensor level], shape (height, width) or the same for all pixels:
-        so much below the sensor's saturation level they are saturated.
-    """
+    """One image."""
 
     light: str
     posture: Posture
-    exposure: float
+    exposure: float  # at which `levels` were taken; 1 for a linear EXR
+    # sensor levels, black level included, shape (height, width): as delivered, minus what the set's frames without
+    # light show above black; or from an EXR
     levels: Float32
-    saturated: Bool
-    half_width: float
+    saturated: Bool  # where `levels` are only a lower bound, same shape
+    half_width: float  # how far from a level the signal may have been [sensor level]
     source: Path
-    frames: int = 1
+    frames: int = 1  # number of frames that it is the mean of
+    # dark level that was taken off `levels` [sensor level], shape (height, width) or the same for all pixels: so much
+    # below the sensor's saturation level they are saturated
     subtracted: Float32 | float = 0.0
 
     @property
@@ -149,33 +143,27 @@ def _read(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Observation
     image = image_set.load(entry)
     manifest = image_set.manifest
     if image.sensor is not None:
+        file, exposure, half_width, frames = entry.png, entry.held_exposure, PNG_HALF_WIDTH, frames_of(entry)
         levels, subtracted = _above_dark(image_set, entry, image.sensor, sensor)
-        return Observation(
-            light=entry.light,
-            posture=entry.posture,
-            exposure=entry.held_exposure,
-            levels=levels,
-            saturated=image.saturated,
-            half_width=PNG_HALF_WIDTH,
-            source=image_set.path(entry.png or ""),
-            frames=frames_of(entry),
-            subtracted=subtracted,
-        )
-    scale = manifest.max_level / manifest.full_scale
-    levels = (image.levels * scale + manifest.black_level).astype(np.float32)
-    if manifest.kind != "captured":
-        # whether a foreign file was clipped is not known: saturated levels only say that they are at least that
-        scale_at_exposure = manifest.saturated_from - manifest.black_level
-        ceiling = manifest.black_level + scale_at_exposure / entry.held_exposure
-        levels = np.where(image.saturated, np.minimum(levels, np.float32(ceiling)), levels)
+    else:
+        file, exposure, half_width, frames, subtracted = entry.exr, 1.0, EXR_HALF_WIDTH, 1, 0.0
+        scale = manifest.max_level / manifest.full_scale
+        levels = (image.levels * scale + manifest.black_level).astype(np.float32)
+        if manifest.kind != "captured":
+            # whether a foreign file was clipped is not known: saturated levels only say that they are at least that
+            scale_at_exposure = manifest.saturated_from - manifest.black_level
+            ceiling = manifest.black_level + scale_at_exposure / entry.held_exposure
+            levels = np.where(image.saturated, np.minimum(levels, np.float32(ceiling)), levels)
     return Observation(
         light=entry.light,
         posture=entry.posture,
-        exposure=1.0,
+        exposure=exposure,
         levels=levels,
         saturated=image.saturated,
-        half_width=EXR_HALF_WIDTH,
-        source=image_set.path(entry.exr or ""),
+        half_width=half_width,
+        source=image_set.path(file or ""),
+        frames=frames,
+        subtracted=subtracted,
     )
 
 

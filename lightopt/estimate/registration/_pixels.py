@@ -23,20 +23,15 @@ _OFFSETS = np.array([0.6180339887498949, 0.4142135623730951])
 
 @dataclass(frozen=True, kw_only=True)
 class PixelSet:
-    """Pixels of one posture, shape (n,), and what was measured there.
-
-    levels: Sensor levels above black, one row per image, shape (images, n).
-    saturated: Where those are lower bounds, same shape.
-    rays: Per pixel: 1 for one at its centre, more for a mean over its area.
-    """
+    """Pixels of one posture, shape (n,), and what was measured there."""
 
     posture: Posture
     row: Int32
     column: Int32
     images: tuple[Observation, ...]
-    levels: Float64
-    saturated: Bool
-    rays: int = 1
+    levels: Float64  # sensor levels above black, one row per image, shape (images, n)
+    saturated: Bool  # where those are lower bounds, same shape
+    rays: int = 1  # per pixel: 1 for one at its centre, more for a mean over its area
 
     @staticmethod
     def look_up(

@@ -35,24 +35,20 @@ _LENGTHS = ("x", "y", "z")
 
 @dataclass(frozen=True, kw_only=True)
 class Placement:
-    """How a part lies on the stage, from where rig and part file have it.
+    """How a part lies on the stage, from where rig and part file have it."""
 
-    x, y: Shift in the plane of the stage's plate, world axes at posture (0, 0) [mm].
-    turn: About the stage's own axis [rad].
-    z: Shift along that axis [mm].
-    tilt_x, tilt_y: Rotation vector of the part's tilt after its turn, about the pivot [rad].
-    errors: Standard errors of the first three or of all six, in the order of `NAMES`; 0 where not known.
-    observable: Whether the images determine each of them; what they do not is as in the part file. Where they leave a
-        direction between two of them open, these have large errors.
-    """
-
+    # shift in the plane of the stage's plate, world axes at posture (0, 0) [mm]
     x: float = 0.0
     y: float = 0.0
-    turn: float = 0.0
-    z: float = 0.0
+    turn: float = 0.0  # about the stage's own axis [rad]
+    z: float = 0.0  # shift along that axis [mm]
+    # rotation vector of the part's tilt after its turn, about the pivot [rad]
     tilt_x: float = 0.0
     tilt_y: float = 0.0
+    # standard errors of the first three or of all six, in the order of `NAMES`; 0 where not known
     errors: tuple[float, ...] = (0.0, 0.0, 0.0)
+    # whether the images determine each of them; what they do not is as in the part file. Where they leave a direction
+    # between two of them open, these have large errors.
     observable: tuple[bool, ...] = (True, True, True)
 
     @property
@@ -122,16 +118,12 @@ class PoseFrame:
     In six degrees of freedom, shape (6,), they go on with the shift in z [mm] and the two tilts [rad]. A placement
     rotates the part about the stage's axis. About the part's own middle shift and rotation hardly depend on each other:
     of a body of revolution that stands off the axis, the rotation alone is undetermined.
-
-    middle: Of the part from the stage's pivot, shape (3,) [mm].
-    radius: Of the part about its middle, seen along Z [mm].
-    freedoms: 3 or 6.
     """
 
-    middle: Float64
-    radius: float
+    middle: Float64  # of the part from the stage's pivot, shape (3,) [mm]
+    radius: float  # of the part about its middle, seen along Z [mm]
     pixel: float
-    freedoms: int = 3
+    freedoms: int = 3  # 3 or 6
 
     @staticmethod
     def of(scene: Scene) -> PoseFrame:

@@ -61,13 +61,10 @@ def choose_pixels(
     placement: Placement,
     *,
     outline: bool,
-    reduced: bool = False,
+    reduced: bool = False,  # whether fewer pixels are enough, for the first stage or a rough placement
     threads: int | None = None,
 ) -> tuple[list[PixelSet], list[PixelSet]]:
-    """Inner pixels, and pixels across the outline where `outline`; one set per posture that shows any.
-
-    reduced: Whether fewer pixels are enough, for the first stage or a rough placement.
-    """
+    """Inner pixels, and pixels across the outline where `outline`; one set per posture that shows any."""
     placed = place_part(scene, placement)
     caster = RayCaster(placed.mesh.vertices, placed.mesh.faces)
     inner: list[PixelSet] = []
@@ -132,7 +129,8 @@ class RefinementProblem:
         self._scale = _joined([_per_observation(p, [sensor_scale(scene, o) for o in p.images]) for p in self._sets])
         self._measured = _joined([p.levels.ravel() for p in self._sets])
         frames = _joined([_per_observation(p, [float(o.frames) for o in p.images]) for p in self._sets])
-        subtracted = _joined([_subtracted(p) for p in self._sets])
+        parts = ((np.broadcast_to(o.subtracted, o.levels.shape), p) for p in self._sets for o in p.images)
+        subtracted = _joined([image[p.row, p.column].astype(np.float64) for image, p in parts])
         self.correlated = _joined([np.full(p.levels.size, p.rays > 1) for p in self._sets], np.bool_)
         self.weight = np.ones(len(self._measured))
         self._light_cache: tuple[Float64, Float64] | None = None
@@ -253,12 +251,6 @@ def _joined(parts: Sequence[NDArray[Any]], dtype: type[np.generic] = np.float64)
 
 def _per_observation(pixels: PixelSet, values: Sequence[float]) -> Float64:
     return np.repeat(np.asarray(values, np.float64), len(pixels.row))
-
-
-def _subtracted(pixels: PixelSet) -> Float64:
-    return np.concatenate(
-        [np.broadcast_to(np.float64(o.subtracted), o.levels.shape)[pixels.row, pixels.column] for o in pixels.images]
-    )
 
 
 def start_parameters(scene: Scene, frame: PoseFrame, placement: Placement) -> Float64:

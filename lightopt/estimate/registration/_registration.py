@@ -21,7 +21,7 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.least_squares import Solution, solve
 from lightopt.core.run_context import RunContext
-from lightopt.estimate.registration._image_checks import refuse_useless_pixels
+from lightopt.estimate.registration._image_checks import refuse_useless_images
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
 from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
@@ -35,13 +35,10 @@ from lightopt.estimate.registration._refinement import (
 from lightopt.estimate.registration._revolution import unobservable_rotation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
-from lightopt.scene import Scene, screen_window, view_from_part
+from lightopt.scene import Scene
 
 _log = logging.getLogger("lightopt.estimate")
 
-# coarse search: pixels per posture, and lights
-PIXELS, MOST_LIGHTS = 6000, 8
-MARGIN_MM = 3.0  # pixels up to this far around the part's nominal outline are used
 FIRST_SHIFT_MM = 2.5  # the search begins at the best of the nominal place and of eight this far around it
 
 # residuals beyond this share of a typical lit level count alike: highlights are not modelled while searching
@@ -66,24 +63,21 @@ ALONG_AXIS = 0.9  # a direction is named by a parameter that has this share of i
 
 @dataclass(frozen=True, kw_only=True)
 class Registration:
-    """A placement and how well the images determine it.
-
-    pose_errors: Standard errors of the shift of the part's middle in x and y [mm], of the turn about it [rad], and of
-        height [mm] and tilts [rad] where these are searched; those of the placement are larger off the stage's axis.
-    converged: Whether a further step would change nothing, the part kept its place in the last stage, and the place is
-        none of the furthest allowed.
-    cost_before, cost_after: Robust cost per pixel where the last stage began and where it ended.
-    warnings: Directions that the images do not determine, or a search that did not converge.
-    """
+    """A placement and how well the images determine it."""
 
     placement: Placement
+    # standard errors of the shift of the part's middle in x and y [mm], of the turn about it [rad], and of height [mm]
+    # and tilts [rad] where these are searched; those of the placement are larger off the stage's axis
     pose_errors: tuple[float, ...]
+    # whether a further step would change nothing, the part kept its place in the last stage, and the place is none of
+    # the furthest allowed
     converged: bool = True
     iterations: int = 0
+    # robust cost per pixel where the last stage began and where it ended
     cost_before: float = 0.0
     cost_after: float = 0.0
     outline: bool = False
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # directions that the images do not determine, or a search that did not converge
 
     def as_dict(self) -> dict[str, bool | int | float]:
         """JSON form, without the placement."""
@@ -121,41 +115,6 @@ def register(
     return refine_placement(scene, observations, start, caster=caster, reduced=reduced, run=run)
 
 
-def refuse_useless_images(
-    scene: Scene, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
-) -> list[PixelSet]:
-    """Refuse images that cannot show where the part is; returns pixels on and around it.
-
-    Raises InputError: the part is outside the view, or all images are saturated or black where it is expected.
-    """
-    sets = coarse_pixels(scene, observations)
-    refuse_useless_pixels(scene, sets, observations, caster=caster, threads=threads)
-    return sets
-
-
-def coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[PixelSet]:
-    """A grid of pixels on and around the part in each posture, under the longest exposure of up to eight lights."""
-    sets: list[PixelSet] = []
-    for posture in dict.fromkeys(o.posture for o in observations):
-        view = view_from_part(scene, posture)
-        left, top, right, bottom = screen_window(view.camera, scene.mesh)
-        distance = float(np.linalg.norm(view.camera.position))
-        margin = math.ceil(MARGIN_MM * view.camera.image_distance / (view.camera.pixel_size * distance))
-        left, top = max(0, left - margin), max(0, top - margin)
-        right, bottom = min(view.camera.width, right + margin), min(view.camera.height, bottom + margin)
-        if right <= left or bottom <= top:
-            continue
-        step = max(1, math.floor(math.sqrt((right - left) * (bottom - top) / PIXELS)))
-        column, row = (
-            a.ravel().astype(np.int32) for a in np.meshgrid(np.arange(left, right, step), np.arange(top, bottom, step))
-        )
-        mine = sorted((o for o in observations if o.posture == posture), key=lambda o: o.exposure)
-        longest = list({o.light: o for o in mine}.values())
-        longest = longest[:: math.ceil(len(longest) / MOST_LIGHTS)]
-        sets.append(PixelSet.look_up(posture, row, column, longest, scene.sensor.black_level))
-    return sets
-
-
 def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster, run: RunContext) -> Placement:
     # by its outline and its diffuse light, to about a pixel, without knowing its reflectance: a simplex search (Nelder
     # and Mead 1965, doi:10.1093/comjnl/7.4.308) within the greatest shift and turn
@@ -168,8 +127,7 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
     def misfit(pose: Float64) -> float:
         nonlocal done
         done += 1
-        if progress is not None:
-            progress(min(1.0, done / SEARCH_STEPS))
+        progress(min(1.0, done / SEARCH_STEPS))
         place = frame.placement(pose)
         lit: list[Float64] = []
         seen: list[Float64] = []
@@ -218,7 +176,7 @@ def refine_placement(
     start: Placement,
     *,
     caster: RayCaster,
-    reduced: bool = False,
+    reduced: bool = False,  # whether all stages have as few pixels as the first
     run: RunContext | None = None,
 ) -> Registration:
     """Refine a placement that is good to about a pixel, highlights included, to a small part of a pixel.
@@ -226,8 +184,6 @@ def refine_placement(
     R_d, R_s, σ, the lights' gains and the dark level are adjusted as well, since those of a misplaced part are never
     quite right. A pixel counts by the sensor's variance of its level. The model decides which pixels count at all, not
     the noisy level: those just below saturation that are not saturated are the darker ones.
-
-    reduced: Whether all stages have as few pixels as the first.
     """
     run = run or RunContext()
     progress = run.stage("refining the registration")
@@ -254,8 +210,7 @@ def refine_placement(
         solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)
         iterations += solution.iterations
         moved = frame.distance_px(frame.placement(x[own]), frame.placement(solution.x[own]))
-        if progress is not None:
-            progress((number + 1) / (STAGES + OUTLINE_STAGES))
+        progress((number + 1) / (STAGES + OUTLINE_STAGES))
         if not outline and np.any(solution.errors[own] > OUTLINE_PX * frame.pixel_steps):
             # the inner pixels do not determine the place well enough: begin again, with the outline
             outline = True

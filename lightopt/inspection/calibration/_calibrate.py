@@ -41,17 +41,15 @@ from lightopt.scene import build_catalogue
 
 @dataclass
 class _GoodPosture:
-    """What is gathered of one posture from good set to good set.
-
-    mean: of the deviations from the model, where good parts are the reference and not the model; the others are then
-        deviations from that.
-    """
+    """What is gathered of one posture from good set to good set."""
 
     exposures: ExposuresByLight
     first_set: str
     packed: list[Path] = field(default_factory=list)
     peaks: list[float] = field(default_factory=list)
     sums: SystematicSums = field(default_factory=SystematicSums)
+    # of the deviations from the model, where good parts are the reference and not the model; the others are then
+    # deviations from that
     mean: SystematicDeviations | None = None
 
     def refer_to_mean(self, threads: int | None) -> None:

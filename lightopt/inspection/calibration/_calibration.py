@@ -35,16 +35,13 @@ CONFIDENCE: Final = 0.95  # probability with which a threshold holds its rate
 
 @dataclass(frozen=True)
 class CalibratedPosture:
-    """What was learned from good parts of one posture.
-
-    peaks: greatest score of each good set, judged by what the others have in common.
-    systematic: what they have in common; None for a detector that does not use deviations. Where good parts are the
-        reference, its spread is that of deviations from its mean without texture.
-    """
+    """What was learned from good parts of one posture."""
 
     posture: Posture
     exposures: ExposuresByLight
-    peaks: tuple[float, ...]
+    peaks: tuple[float, ...]  # greatest score of each good set, judged by what the others have in common
+    # what they have in common; None for a detector that does not use deviations. Where good parts are the reference,
+    # its spread is that of deviations from its mean without texture.
     systematic: SystematicDeviations | None = field(repr=False)
 
     def threshold(self, rate: float) -> float:
@@ -60,20 +57,15 @@ class CalibratedPosture:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """What was learned from good parts.
+    """What was learned from good parts."""
 
-    rate: false alarms that it was made for: share of the good sets of a posture.
-    sets: names of the good sets' folders.
-    computed_by: from :func:`lightopt.core.provenance.computed_by`: scores of other code are other scores.
-    name, sha256: of its file: for the provenance of what is inspected with it; the hash is empty where there is no
-        file.
-    """
-
-    rate: float
-    sets: tuple[str, ...]
+    rate: float  # false alarms that it was made for: share of the good sets of a posture
+    sets: tuple[str, ...]  # names of the good sets' folders
     postures: tuple[CalibratedPosture, ...]
     fingerprint: Mapping[str, Any]
+    # from :func:`lightopt.core.provenance.computed_by`: scores of other code are other scores
     computed_by: Mapping[str, Any] = field(default_factory=computed_by)
+    # of its file: for the provenance of what is inspected with it; the hash is empty where there is no file
     name: str = CALIBRATION_NAME
     sha256: str = ""
 

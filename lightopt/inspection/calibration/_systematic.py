@@ -26,13 +26,10 @@ GREATEST_Z = 100.0  # deviations are clipped here: a single outlier does not out
 
 @dataclass(frozen=True, kw_only=True)
 class SystematicDeviations:
-    """Common deviations of good parts, in the image of the part at its nominal placement.
+    """Common deviations of good parts, in the image of the part at its nominal placement."""
 
-    mean: of the deviations of good parts, in standard deviations of the noise model, shape (lights, H, W).
-    spread: by how much sums of deviations scatter around that more than noise makes them, at least 1, same shape.
-    """
-
-    mean: Float32
+    mean: Float32  # of the deviations of good parts, in standard deviations of the noise model, shape (lights, H, W)
+    # by how much sums of deviations scatter around that more than noise makes them, at least 1, same shape
     spread: Float32
 
     def where_known(self) -> SystematicDeviations:
@@ -42,13 +39,11 @@ class SystematicDeviations:
 
 @dataclass(frozen=True)
 class PackedDeviations:
-    """Deviations of one set in one posture, at the evaluable pixels: small enough to store those of all sets.
-
-    own, nominal: flat index of each pixel in the set's images, and in those of the part where its file has it (−1
-        outside of them), shape (n,); the others have shape (lights, n).
-    """
+    """Deviations of one set in one posture, at the evaluable pixels: small enough to store those of all sets."""
 
     shape: tuple[int, int]
+    # flat index of each pixel in the set's images, and in those of the part where its file has it (−1 outside of them),
+    # shape (n,); the others have shape (lights, n)
     own: Int32
     nominal: Int32
     z: NDArray[np.float16]
@@ -86,14 +81,12 @@ class PackedDeviations:
         return index.reshape(height, width)
 
     def save(self, path: Path) -> None:
-        """Write to a file."""
         flags: dict[str, Any] = {name: np.packbits(getattr(self, name), axis=1) for name in ("usable", "lit")}
         flags |= {"shape": np.array(self.shape), "correlation": np.array(self.correlation)}
         np.savez(path, own=self.own, nominal=self.nominal, z=self.z, **flags)
 
     @staticmethod
     def load(path: Path) -> PackedDeviations:
-        """Read what :meth:`save` wrote."""
         with np.load(path) as arrays:
             own = arrays["own"]
             rows, columns = (int(side) for side in arrays["shape"])
@@ -144,7 +137,6 @@ class SystematicSums:
         self._sums: list[Float32] = []  # of counts, of deviations, and by scale of their sums and these squared
 
     def add(self, one: PackedDeviations) -> None:
-        """Count a set in."""
         self._sums = self._with(one, 1.0)
         self.sets += 1
 

@@ -31,27 +31,22 @@ _ROWS = 16  # rows of places that a thread works on at once
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ExplainedDefect:
-    """A defect of the catalogue that explains deviations of a posture.
-
-    size, pose: Indices of the hypothesis
-    row, column: Pixel of its middle in the images of `templates`
-    sums, energies: U and E of each image, shape (lights,)
-    shares: U and E of each image over the pixels whose change is not clipped, which the amplitude follows from;
-        shape (lights, 2)
-    of_sizes: Z of each size at its place
-    rows, columns: Pixels of the images that it lies on, shape (n,)
-    """
+    """A defect of the catalogue that explains deviations of a posture."""
 
     templates: EntryTemplates
+    # indices of the hypothesis
     size: int
     pose: int
-    row: int
-    column: int
+    middle: tuple[int, int]  # row and column of its middle
     score: float
+    # U and E of each image, shape (lights,)
     sums: Float64
     energies: Float64
+    # U and E of each image over the pixels whose change is not clipped, which the amplitude follows from; shape
+    # (lights, 2)
     shares: Float64
-    of_sizes: Float64
+    of_sizes: Float64  # Z of each size at its place
+    # pixels of the images that it lies on, shape (n,)
     rows: Index
     columns: Index
 
@@ -83,17 +78,12 @@ class _Candidates:
 
 @dataclass
 class _Entry:
-    """An entry's images while defects are sought.
-
-    z: Deviations in its larger pixels, of variance 1, shape (h, w, lights)
-    free: Which of them no defect explains yet, same shape
-    handicap: What is taken off −log₁₀ of a test's probability, since the entry has so many tests
-    """
+    """An entry's images while defects are sought."""
 
     templates: EntryTemplates
-    z: Float32
-    handicap: float
-    free: Bool = field(init=False)
+    z: Float32  # deviations in its larger pixels, of variance 1, shape (h, w, lights)
+    handicap: float  # what is taken off −log₁₀ of a test's probability, since the entry has so many tests
+    free: Bool = field(init=False)  # which of them no defect explains yet, same shape
 
     def __post_init__(self) -> None:
         self.free = np.ones(self.z.shape, np.bool_)
@@ -150,12 +140,12 @@ def explain_deviations(
         if not best.score[0] >= LEAST_SCORE:
             break
         entry = entries[int(best.entry[0])]
-        sums, energies, shares = entry.measure(best)
-        rows, columns, middle = _support(entry.templates, best, lit.shape)
+        sums, energies, _ = by_light = entry.measure(best)
+        rows, columns, middle = support = _support(entry.templates, best, lit.shape)
         images = min(min_images, max(1, int(lit[middle])))
         confirmed = images == 1 or float(rest_of_images(sums, energies, images)[0]) >= CONFIRMED
         if confirmed:
-            result.append(_explained(entry, best, sums[0], energies[0], shares[0], rows, columns))
+            result.append(_explained(entry, best, by_light, support))
             lights = np.arange(sums.shape[1])
         else:
             lights = np.argsort(-sums[0] * np.sign(best.z[0]), kind="stable")[: images - 1]
@@ -243,8 +233,10 @@ def _support(t: EntryTemplates, one: _Candidates, shape: tuple[int, ...]) -> tup
 
 
 def _explained(
-    entry: _Entry, one: _Candidates, sums: Float32, energies: Float32, shares: Float32, rows: Index, columns: Index
+    entry: _Entry, one: _Candidates, by_light: Sequence[Float32], support: tuple[Index, Index, tuple[int, int]]
 ) -> ExplainedDefect:
+    sums, energies, shares = (some[0].astype(np.float64) for some in by_light)
+    rows, columns, middle = support
     every = one.take(np.zeros(len(SIZES), np.intp))
     every.size = np.arange(len(SIZES), dtype=np.int32)
     entry.rate(every)
@@ -252,12 +244,11 @@ def _explained(
         templates=entry.templates,
         size=int(one.size[0]),
         pose=int(one.pose[0]),
-        row=int(one.row[0]),
-        column=int(one.column[0]),
+        middle=middle,
         score=float(one.score[0]),
-        sums=sums.astype(np.float64),
-        energies=energies.astype(np.float64),
-        shares=shares.astype(np.float64),
+        sums=sums,
+        energies=energies,
+        shares=shares,
         of_sizes=every.z,
         rows=rows,
         columns=columns,

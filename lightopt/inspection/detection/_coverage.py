@@ -61,29 +61,24 @@ _STATES = len(SurfaceState)
 
 @dataclass(frozen=True, kw_only=True)
 class Shares:
-    """Areas of a surface by class: the defects that a place can show, or the reason why it shows none.
+    """Areas of a surface by class: the defects that a place can show, or the reason why it shows none."""
 
-    seen: by the camera, not at a grazing angle [mm²].
-    inspected: of it, judged [mm²]: the areas of :attr:`classes`.
-    glints: of what was inspected, dark under all lights that reach it [mm²]: what makes it brighter shows, what makes
-        it darker does not.
-    fewer: of what was inspected, lit in fewer images than a defect must show in, but in one at least [mm²]: it has to
-        show in these alone.
-    saturated, shadow, edge: of what is seen, not judged: image and prediction are saturated under each light that
-        reaches it; no light does; next to silhouettes and creases [mm²].
-    grazing: seen at a grazing angle only, which is left out [mm²].
-    sensitivity: by contrast: of what was inspected, where an even disc of 5 pixels that changes the light by that
-        share is found half of the time [mm²]. The rest is dark, or shows stronger ones.
-    """
-
-    seen: float
-    inspected: float
+    seen: float  # by the camera, not at a grazing angle [mm²]
+    inspected: float  # of it, judged [mm²]: the areas of :attr:`classes`
+    # of what was inspected, dark under all lights that reach it [mm²]: what makes it brighter shows, what makes it
+    # darker does not
     glints: float = 0.0
+    # of what was inspected, lit in fewer images than a defect must show in, but in one at least [mm²]: it has to show
+    # in these alone
     fewer: float = 0.0
+    # of what is seen, not judged: image and prediction are saturated under each light that reaches it; no light does;
+    # next to silhouettes and creases [mm²]
     saturated: float
     shadow: float
     edge: float
-    grazing: float = 0.0
+    grazing: float = 0.0  # seen at a grazing angle only, which is left out [mm²]
+    # by contrast: of what was inspected, where an even disc of 5 pixels that changes the light by that share is found
+    # half of the time [mm²]. The rest is dark, or shows stronger ones.
     sensitivity: dict[float, float]
 
     @property
@@ -139,14 +134,11 @@ def _class_areas(of_state: Float64, of_contrast: Float64) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class PostureCoverage(Shares):
-    """The surface that the camera sees in a posture.
+    """The surface that the camera sees in a posture."""
 
-    state: :class:`SurfaceState` of each pixel, shape (H, W).
-    least_contrast: share of the light that a disc of 5 pixels must change to be found at a pixel, shape (H, W);
-        infinite where it is dark, or nothing was inspected.
-    """
-
-    state: UInt8 = field(compare=False, repr=False)
+    state: UInt8 = field(compare=False, repr=False)  # :class:`SurfaceState` of each pixel, shape (H, W)
+    # share of the light that a disc of 5 pixels must change to be found at a pixel, shape (H, W); infinite where it is
+    # dark, or nothing was inspected
     least_contrast: Float32 = field(compare=False, repr=False)
 
     def as_dict(self) -> dict[str, Any]:
@@ -245,15 +237,13 @@ def _needed(images: int, min_images: int, high: float, correlation: float) -> Fl
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceCoverage(Shares):
-    """The surface of the part, each place counted once, by the posture that shows it best.
+    """The surface of the part, each place counted once, by the posture that shows it best."""
 
-    area: of the whole surface, undersides and insides too [mm²]; `seen` of it by the camera in at least one posture,
-        with images or without, not at a grazing angle.
-    missing: of what is seen, not judged for want of images: what a posture without images shows, and those with
-        images at an edge at most [mm²].
-    """
-
+    # of the whole surface, undersides and insides too [mm²]; `seen` of it by the camera in at least one posture, with
+    # images or without, not at a grazing angle
     area: float
+    # of what is seen, not judged for want of images: what a posture without images shows, and those with images at an
+    # edge at most [mm²]
     missing: float = 0.0
 
     @property

@@ -30,34 +30,27 @@ FACING = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Detection:
-    """A defect in the images of one posture.
-
-    centre_px: column and row of the middle; pixel centres at +0.5.
-    box_px: first column and row, and those after the last.
-    position, normal: middle of its surface and the normal there, in the coordinates of the mesh file [mm].
-    size: extent along its longer and its shorter axis on the surface [mm].
-    area: of its surface [mm²].
-    score: −log₁₀ of the probability that noise alone looks as much like a defect.
-    contrast: per light that shows it, greatest deviation as a share of the predicted light, with its sign; where that
-        is darker than one standard deviation of the noise, as a multiple of this.
-    kind: ``shape`` where light and dark lie side by side or change with the light, ``stain`` where all lights lose
-        (or gain) the same share of diffuse light, ``unknown`` else.
-    points: of its surface, one per pixel, in the coordinates of the mesh file [mm], shape (pixels, 3).
-    named: what it is by the part's catalogue; None where the detector does not test for that, or no entry explains it.
-    """
+    """A defect in the images of one posture."""
 
     posture: Posture
     pixels: int
-    centre_px: tuple[float, float]
-    box_px: tuple[int, int, int, int]
+    centre_px: tuple[float, float]  # column and row of the middle; pixel centres at +0.5
+    box_px: tuple[int, int, int, int]  # first column and row, and those after the last
+    # middle of its surface and the normal there, in the coordinates of the mesh file [mm]
     position: tuple[float, float, float]
     normal: tuple[float, float, float]
-    size: tuple[float, float]
-    area: float
-    score: float
+    size: tuple[float, float]  # extent along its longer and its shorter axis on the surface [mm]
+    area: float  # of its surface [mm²]
+    score: float  # −log₁₀ of the probability that noise alone looks as much like a defect
+    # per light that shows it, greatest deviation as a share of the predicted light, with its sign; where that is darker
+    # than one standard deviation of the noise, as a multiple of this
     contrast: dict[str, float]
+    # ``shape`` where light and dark lie side by side or change with the light, ``stain`` where all lights lose (or
+    # gain) the same share of diffuse light, ``unknown`` else
     kind: Kind
+    # of its surface, one per pixel, in the coordinates of the mesh file [mm], shape (pixels, 3)
     points: Float64 = field(compare=False, repr=False)
+    # what it is by the part's catalogue; None where the detector does not test for that, or no entry explains it
     named: NamedDefect | None = None
 
     @cached_property
@@ -71,7 +64,6 @@ class Detection:
         return max((abs(c) for c in self.contrast.values()), default=0.0)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             "posture": self.posture.as_dict(),
             "pixels": self.pixels,
@@ -90,12 +82,9 @@ class Detection:
 
 @dataclass(frozen=True, kw_only=True)
 class FoundDefect:
-    """A defect, seen in one posture or in several.
+    """A defect, seen in one posture or in several."""
 
-    number: from 1, the highest score first.
-    """
-
-    number: int
+    number: int  # from 1, the highest score first
     detections: tuple[Detection, ...]
 
     @property

@@ -32,22 +32,18 @@ MEAN_OF_NORMAL = 0.7979  # mean magnitude of a standard normal deviate
 
 @dataclass(frozen=True)
 class Deviations:
-    """Measured minus predicted of a posture.
+    """Measured minus predicted of a posture."""
 
-    z: in standard deviations, shape (lights, H, W); 0 where not usable.
-    scale: the standard deviation [grey level at exposure 1], same shape; at pixels that cannot be judged, of noise
-        and surroundings alone.
-    usable: pixels that can show a defect in an image: reached by the light, off edges, not saturated in both image
-        and prediction, same shape.
-    lit: of these, the ones that are not :data:`DARK`: they show most defects, dark ones only what glints there, same
-        shape.
-    correlation: of what is no defect, from image to image at the same place: that of a texture; noise has none.
-    """
-
-    z: Float32
+    z: Float32  # in standard deviations, shape (lights, H, W); 0 where not usable
+    # the standard deviation [grey level at exposure 1], same shape; at pixels that cannot be judged, of noise and
+    # surroundings alone
     scale: Float32
+    # pixels that can show a defect in an image: reached by the light, off edges, not saturated in both image and
+    # prediction, same shape
     usable: Bool
+    # of these, the ones that are not :data:`DARK`: they show most defects, dark ones only what glints there, same shape
     lit: Bool
+    # of what is no defect, from image to image at the same place: that of a texture; noise has none
     correlation: float = 0.0
 
     def in_box(self, rows: slice, columns: slice = slice(None)) -> Deviations:

@@ -1,7 +1,7 @@
 """Name the defects that the catalogue explains: kind, size, orientation, slope or depth, with intervals."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -43,30 +43,22 @@ DISC = np.hypot(*np.mgrid[-GAP_PX : GAP_PX + 1, -GAP_PX : GAP_PX + 1]) <= GAP_PX
 
 @dataclass(frozen=True, kw_only=True)
 class NamedDefect:
-    """What a detection is by the catalogue. Intervals are of 95 %, if it is of this kind; None where unknown.
+    """What a detection is by the catalogue. Intervals are of 95 %, if it is of this kind; None where unknown."""
 
-    entry: name of the catalogue's entry that explains it best.
-    kind: of that entry, or the opposite: where a bump's walls lean the other way, it is a dent.
-    length, width: [mm], with intervals.
-    direction: of the length, as part files count it [rad]; None for a round one.
-    amplitude: of its effect, as a multiple of the entry's, with its interval.
-    slope: steepest slope of its walls [rad], and depth: [mm], with intervals; None for kinds that have none.
-    factor: by which R_d (stain) or σ (haze) is multiplied, with its interval; None for other kinds.
-    z: the statistic of all images together.
-    evidence: per light what it adds to `z`.
-    """
-
-    entry: str
-    kind: DefectKind
+    entry: str  # name of the catalogue's entry that explains it best
+    kind: DefectKind  # of that entry, or the opposite: where a bump's walls lean the other way, it is a dent
+    # [mm], with intervals
     length: tuple[float, float, float]
     width: tuple[float, float, float]
-    direction: float | None
-    amplitude: tuple[float, float, float] | None
+    direction: float | None  # of the length, as part files count it [rad]; None for a round one
+    amplitude: tuple[float, float, float] | None  # of its effect, as a multiple of the entry's, with its interval
+    # steepest slope of its walls [rad], and depth: [mm], with intervals; None for kinds that have none
     slope: tuple[float, float, float] | None
     depth: tuple[float, float, float] | None
+    # by which R_d (stain) or σ (haze) is multiplied, with its interval; None for other kinds
     factor: tuple[float, float, float] | None
-    z: float
-    evidence: dict[str, float]
+    z: float  # the statistic of all images together
+    evidence: dict[str, float]  # per light what it adds to `z`
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form; values before their intervals."""
@@ -156,18 +148,15 @@ def label_connected(mask: Bool) -> tuple[Int32, int]:
 
 def name_defect(
     explained: Sequence[ExplainedDefect],
-    extent: float,
+    extent: float,  # of the region along its longer axis [mm]: the length of a scratch
     view: PostureView,
     found: Deviations,
     *,
+    # where the part's file has it, and where it lies from there
     scene: Scene,
     placement: Placement,
 ) -> NamedDefect:
-    """Name a region by the defects that explain it, the strongest of them first.
-
-    extent: Of the region along its longer axis [mm]: the length of a scratch.
-    scene, placement: Where the part's file has it, and where it lies from there.
-    """
+    """Name a region by the defects that explain it, the strongest of them first."""
     best = max(explained, key=lambda one: abs(one.z))
     hypotheses, shape = best.templates.hypotheses, best.templates.hypotheses.shapes[best.size]
     # segments of a scratch are measured together
@@ -178,7 +167,7 @@ def name_defect(
     opposite = OPPOSITE.get(shape.kind)
     kind = shape.kind if best.z > 0.0 or opposite is None else opposite
     middle = hypotheses.shapes[1]
-    width, length = _scaled(middle.width, size), _scaled(middle.length, size)
+    width, length = (triple(side * factor for factor in size) for side in (middle.width, middle.length))
     if shape.kind == "scratch":
         length = (extent, max(0.0, extent - shape.length), extent + shape.length)
     amplitude = _amplitude(same, found)
@@ -187,9 +176,9 @@ def name_defect(
         steepest, *ends = (math.tan(shape.slope) * a for a in amplitude)
         low, high = sorted(map(abs, ends))
         tangents = (abs(steepest), 0.0 if ends[0] * ends[1] < 0.0 else low, high)
-        depth = _triple(depth_of_slope(kind, width[0], math.atan(t)) for t in tangents)
+        depth = triple(depth_of_slope(kind, width[0], math.atan(t)) for t in tangents)
         # what is known of the size limits what is known of the slope
-        slope = _triple(
+        slope = triple(
             math.atan(t * s) for t, s in zip(tangents, (1.0, size[1] / size[0], size[2] / size[0]), strict=True)
         )
     elif amplitude is not None:
@@ -240,23 +229,17 @@ def _size(best: ExplainedDefect) -> tuple[float, float, float]:
         middle = float(np.clip(-0.5 * slope / bend, x[0], x[-1]))
         known = SIZE_ERROR_PX / best.templates.width_px
         error = math.hypot(SIZE_ERROR, known, (-2.0 * bend) ** -0.5)
-    return _triple(math.exp(middle + NORMAL_95 * side * error) for side in (0.0, -1.0, 1.0))
+    return triple(math.exp(middle + NORMAL_95 * side * error) for side in (0.0, -1.0, 1.0))
 
 
 def _direction(best: ExplainedDefect, view: PostureView, scene: Scene, placement: Placement) -> float:
     # of the length, from the X axis of the mesh file in the tangent plane
     geometry = view.prediction.images.geometry
-    t = best.templates
-    place = (
-        min(t.corner[0] + best.row * t.ratio + t.ratio // 2, len(geometry.hit) - 1),
-        min(t.corner[1] + best.column * t.ratio + t.ratio // 2, geometry.hit.shape[1] - 1),
-    )
-    camera = scene.camera
-    normal = geometry.normals[place].astype(np.float64)[None]
-    towards = camera.position - geometry.points[place].astype(np.float64)[None]
+    normal = geometry.normals[best.middle].astype(np.float64)[None]
+    towards = scene.camera.position - geometry.points[best.middle].astype(np.float64)[None]
     towards /= np.linalg.norm(towards)
-    first = tangent_axis(normal, image_axes(towards, camera.right)[0])[0]
-    turn = float(t.hypotheses.turns[best.pose // len(t.halves)])
+    first = tangent_axis(normal, image_axes(towards, scene.camera.right)[0])[0]
+    turn = float(best.templates.hypotheses.turns[best.pose // len(best.templates.halves)])
     along = math.cos(turn) * first + math.sin(turn) * np.cross(normal[0], first)
     vectors = world_to_mesh_file(np.stack([along, normal[0]]), scene, placement, view.posture, direction=True)
     axes = np.eye(3)
@@ -265,10 +248,7 @@ def _direction(best: ExplainedDefect, view: PostureView, scene: Scene, placement
     return angle % math.pi
 
 
-def _scaled(value: float, factors: tuple[float, float, float]) -> tuple[float, float, float]:
-    return _triple(value * factor for factor in factors)
-
-
-def _triple(values: Any) -> tuple[float, float, float]:
+def triple(values: Iterable[float]) -> tuple[float, float, float]:
+    """Three numbers, as they are kept and written."""
     value, low, high = values
     return float(value), float(low), float(high)

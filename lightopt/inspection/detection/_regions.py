@@ -15,7 +15,7 @@ from lightopt.inspection._image_blocks import gaussian_taps
 from lightopt.inspection.detection._catalogue_score import ExplainedDefect
 from lightopt.inspection.detection._defects import Detection, Kind
 from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.detection._named_defects import DISC, GAP_PX, NamedDefect, label_connected, name_defect
+from lightopt.inspection.detection._named_defects import DISC, GAP_PX, NamedDefect, label_connected, name_defect, triple
 from lightopt.inspection.detection._residual_score import smoothed_deviations
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._registered_set import world_to_mesh_file
@@ -153,12 +153,10 @@ def measure_regions(
     *,
     scene: Scene,
     placement: Placement,
+    # by number of a region, the defects of the catalogue that it is of: they name it
     owners: Mapping[int, Sequence[ExplainedDefect]] = MappingProxyType({}),
 ) -> tuple[Detection, ...]:
-    """Measure the regions of a posture.
-
-    owners: By number of a region, the defects of the catalogue that it is of: they name it.
-    """
+    """Measure the regions of a posture."""
     geometry = view.prediction.images.geometry
     detections: list[Detection] = []
     for number, box in enumerate(ndimage.find_objects(labels, count), start=1):
@@ -194,8 +192,8 @@ def measure_regions(
                 pixels=len(row),
                 centre_px=(float(column.mean()) + 0.5, float(row.mean()) + 0.5),
                 box_px=(int(column.min()), int(row.min()), int(column.max()) + 1, int(row.max()) + 1),
-                position=_triple(points[nearest]),
-                normal=_triple(normal),
+                position=triple(points[nearest]),
+                normal=triple(normal),
                 size=size,
                 area=float(area.sum()),
                 score=float(score[box][region].max()),
@@ -276,7 +274,3 @@ def _kind(z: Float32, row: Index, column: Index, view: PostureView, contrast: di
 def _even(shares: Sequence[float]) -> bool:
     mean = sum(shares) / len(shares)
     return max(abs(share - mean) for share in shares) <= EVEN_CONTRAST * abs(mean)
-
-
-def _triple(vector: Float64) -> tuple[float, float, float]:
-    return float(vector[0]), float(vector[1]), float(vector[2])

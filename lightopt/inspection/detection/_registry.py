@@ -21,39 +21,29 @@ _Make = Callable[[], SyntheticImage] | None  # makes the synthetic image
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """How much the pixels of a posture look like a defect.
+    """How much the pixels of a posture look like a defect."""
 
-    score: −log₁₀ of the probability that noise alone looks as much like one, shape (H, W).
-    explained: Defects of the catalogue, where the detector tests for these, by descending score.
-    unexplained: The score without these, shape (H, W).
-    handicap: By how much scores of deviations are less than those of the residual detector.
-    """
-
-    score: Float32
+    score: Float32  # −log₁₀ of the probability that noise alone looks as much like one, shape (H, W)
+    # defects of the catalogue, where the detector tests for these, by descending score
     explained: tuple[ExplainedDefect, ...] = ()
-    unexplained: Float32
-    handicap: float = 0.0
+    unexplained: Float32  # the score without these, shape (H, W)
+    handicap: float = 0.0  # by how much scores of deviations are less than those of the residual detector
 
 
 @dataclass(frozen=True, kw_only=True)
 class Detector:
-    """A way to find defects in the images of a posture.
+    """A way to find defects in the images of a posture."""
 
-    score: Takes the deviations from the good part, in how many lights a defect must show, what makes the synthetic
-        image (it is made where a detector calls this), what the catalogue's defects would change (empty for others),
-        and the number of threads.
-    tests: How many scores of a pixel the one that it gets is the greatest of.
-    uses_synthetic: Whether it scores the synthetic image. Else it scores deviations, and a calibration learns which of
-        them good parts have in common.
-    uses_catalogue: Whether it tests for the defects of the part's catalogue.
-    caveat: Warning where there is no calibration; empty for none.
-    """
-
+    # takes the deviations from the good part, in how many lights a defect must show, what makes the synthetic image (it
+    # is made where a detector calls this), what the catalogue's defects would change (empty for others), and the number
+    # of threads
     score: Callable[[Deviations, int, _Make, TemplateBank, int | None], Scores]
-    tests: int
+    tests: int  # how many scores of a pixel the one that it gets is the greatest of
+    # whether it scores the synthetic image. Else it scores deviations, and a calibration learns which of them good
+    # parts have in common.
     uses_synthetic: bool = False
-    uses_catalogue: bool = False
-    caveat: str = ""
+    uses_catalogue: bool = False  # whether it tests for the defects of the part's catalogue
+    caveat: str = ""  # warning where there is no calibration; empty for none
 
 
 def _score_deviations(found: Deviations, least: int, _make: _Make, _bank: TemplateBank, threads: int | None) -> Scores:
@@ -80,16 +70,17 @@ def _score_catalogue(found: Deviations, least: int, _make: _Make, bank: Template
 
 
 RESIDUAL: Final = Detector(score=_score_deviations, tests=len(SCALES_PX))
-TEMPLATE: Final = Detector(
-    score=_score_synthetic,
-    tests=TEMPLATES,
-    uses_synthetic=True,
-    caveat="its rate of false alarms is that of an image of even texture; on this part it is known only with a "
-    "calibration",
-)
 
-# its scores allow for all tests of a pixel
-CATALOGUE: Final = Detector(score=_score_catalogue, tests=1, uses_catalogue=True)
-
-DETECTORS: Final[Mapping[str, Detector]] = {"residual": RESIDUAL, "catalogue": CATALOGUE, "template": TEMPLATE}
+DETECTORS: Final[Mapping[str, Detector]] = {
+    "residual": RESIDUAL,
+    # its scores allow for all tests of a pixel
+    "catalogue": Detector(score=_score_catalogue, tests=1, uses_catalogue=True),
+    "template": Detector(
+        score=_score_synthetic,
+        tests=TEMPLATES,
+        uses_synthetic=True,
+        caveat="its rate of false alarms is that of an image of even texture; on this part it is known only with a "
+        "calibration",
+    ),
+}
 """By the name that :class:`lightopt.inspection.InspectOptions` takes."""

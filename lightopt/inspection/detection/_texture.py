@@ -19,6 +19,7 @@ from lightopt.inspection._image_blocks import convolve, gaussian_taps, in_image_
 from lightopt.inspection.detection._deviation import BLOCK_PX, CLIPPED, MEAN_OF_NORMAL, Deviations, normalise_rows
 from lightopt.inspection.detection._regions import SPREAD_PX, find_regions
 from lightopt.inspection.detection._residual_score import noise_gain, smoothed_deviations
+from lightopt.inspection.fusion._synthetic_image import block_sums
 
 # the spectrum is the median over tiles of the first of these sides of which the surface has so many
 TILES_PX, LEAST_TILES, MOST_TILES = (64, 32, 16), 24, 1000
@@ -128,14 +129,10 @@ def _white_spread(whitening: Float64, width: float) -> float:
 def _largest_spread(found: Deviations, bounds: Float64, threads: int | None) -> Float32:
     # of the sums over all Gaussians around each block of pixels, at least `bounds`; shape (lights, rows, columns)
     lights, height, width = found.z.shape
-    rows, columns = -(-height // BLOCK_PX), -(-width // BLOCK_PX)
-    result = np.zeros((lights, rows, columns), np.float32)
+    result = np.zeros((lights, -(-height // BLOCK_PX), -(-width // BLOCK_PX)), np.float32)
 
     def around(values: Float32 | Bool) -> Float64:
-        padded = np.zeros((rows * BLOCK_PX, columns * BLOCK_PX))
-        padded[:height, :width] = values
-        sums = padded.reshape(rows, BLOCK_PX, columns, BLOCK_PX).sum(axis=(1, 3))
-        return ndimage.gaussian_filter(sums, LOCAL_PX / BLOCK_PX)
+        return ndimage.gaussian_filter(block_sums(values, BLOCK_PX), LOCAL_PX / BLOCK_PX)
 
     for scale, least in zip(SCALES_PX, bounds.T, strict=True):
         sums, counts = smoothed_deviations(found, scale, threads=threads)

@@ -38,42 +38,31 @@ FURTHEST, PLACES = 30.0, 120
 
 @dataclass(frozen=True)
 class KnownDefect:
-    """A defect that the images show, and whether it was found.
-
-    size: square root of length times width of its outline [mm].
-    pixels: of it that can be judged, in the posture that shows most of them.
-    found: whether a region that is not far larger than it touches it in any posture.
-    """
+    """A defect that the images show, and whether it was found."""
 
     name: str
     kind: str
-    size: float
-    pixels: int
+    size: float  # square root of length times width of its outline [mm]
+    pixels: int  # of it that can be judged, in the posture that shows most of them
     posture: Posture
-    found: bool
+    found: bool  # whether a region that is not far larger than it touches it in any posture
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         facts = {"name": self.name, "kind": self.kind, "size_mm": round(self.size, 5), "pixels": self.pixels}
         return {**facts, "posture": self.posture.as_dict(), "found": self.found}
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetEvaluation:
-    """The evaluation of one set of images against ground truth.
+    """The evaluation of one set of images against ground truth."""
 
-    defects, hidden: those with a pixel that can be judged in some posture, and the names of the others.
-    false_alarms: regions that touch no defect, or are far larger than those they touch, over all postures.
-    areas: area under the ROC of the score, pixel by pixel, of each posture that shows a defect.
-    labels: the source of ground truth.
-    """
-
+    # those with a pixel that can be judged in some posture, and the names of the others
     defects: tuple[KnownDefect, ...]
     hidden: tuple[str, ...]
-    false_alarms: int
+    false_alarms: int  # regions that touch no defect, or are far larger than those they touch, over all postures
     postures: int
-    areas: tuple[float, ...]
-    labels: Literal["images", "part file", "no defects"] = "images"
+    areas: tuple[float, ...]  # area under the ROC of the score, pixel by pixel, of each posture that shows a defect
+    labels: Literal["images", "part file", "no defects"] = "images"  # the source of ground truth
     name: str = ""
 
     def as_dict(self) -> dict[str, Any]:
@@ -183,23 +172,17 @@ def summarise(sets: Sequence[SetEvaluation]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class DetectionCurve:
-    """Probability of detection against size.
-
-    intercept, steepness: b₀ and b₁; None where hits and misses do not determine them: too few, all found or missed, or
-        no rise with size.
-    a90: Size that is found 90 % of the time [mm]; None likewise.
-    a90_95: Its upper bound of 95 % confidence [mm]; None likewise, or where there is none.
-    """
+    """Probability of detection against size."""
 
     defects: int
     found: int
+    # b₀ and b₁; None where hits and misses do not determine them: too few, all found or missed, or no rise with size
     intercept: float | None = None
     steepness: float | None = None
-    a90: float | None = None
-    a90_95: float | None = None
+    a90: float | None = None  # size that is found 90 % of the time [mm]; None likewise
+    a90_95: float | None = None  # its upper bound of 95 % confidence [mm]; None likewise, or where there is none
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             name: None if value is None else (value if isinstance(value, int) else float(f"{value:.6g}"))
             for name, value in vars(self).items()
@@ -244,12 +227,9 @@ def fit_detection_curve(sizes: Sequence[float], found: Sequence[bool]) -> Detect
     bound = None
     if inside.any() and not inside[-1]:
         last = int(np.flatnonzero(inside)[-1])
-        low, high = float(places[last]), float(places[last + 1])
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            near = 2.0 * (most - best_at(middle)[1]) <= ONE_SIDED_95
-            low, high = (middle, high) if near else (low, middle)
-        bound = math.exp(low)
+        ends = float(places[last]), float(places[last + 1])
+        root: Any = optimize.bisect(lambda place: 2.0 * (most - best_at(place)[1]) - ONE_SIDED_95, *ends)
+        bound = math.exp(root)
     elif not inside.any():
         bound = math.exp(float(places[int(np.searchsorted(places, place))]))
     return DetectionCurve(n, k, goal - steepness * place, steepness, math.exp(place), bound)

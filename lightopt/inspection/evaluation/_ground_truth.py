@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,11 +21,9 @@ from lightopt.scene import defect_facts
 
 @dataclass(frozen=True)
 class TruthSource:
-    """The source of ground truth for a set of images.
+    """The source of ground truth for a set of images."""
 
-    part: whose defects are on the part; None where the set has labels, or it was rendered without defects.
-    """
-
+    # whose defects are on the part; None where the set has labels, or it was rendered without defects
     part: PartConfig | None = None
     warnings: tuple[str, ...] = ()
 
@@ -91,31 +89,23 @@ def truth_sources(sets: Sequence[ImageSet], part: PartConfig) -> list[TruthSourc
     return sources
 
 
-class TrueLabels(NamedTuple):
-    """Ground truth of the images of a set.
-
-    listed: of each defect what :func:`lightopt.scene.defect_facts` gives.
-    of_posture: per posture the index of the defect that each pixel shows, −1 for none, shape (H, W).
-    source: the labels that the set was rendered with, or those cast from the part file, where the part was found.
-    """
-
-    listed: Sequence[Mapping[str, Any]]
-    of_posture: list[Int32]
-    source: Literal["images", "part file", "no defects"]
-
-
-def true_labels(image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect]) -> TrueLabels:
+def true_labels(
+    image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect]
+) -> tuple[Sequence[Mapping[str, Any]], list[Int32], Literal["images", "part file", "no defects"]]:
     """The labels of a set; of one without labels those of known defects where the inspection found the part.
+
+    Returns of each defect what :func:`lightopt.scene.defect_facts` gives, per posture the index of the defect that each
+    pixel shows, −1 for none, shape (H, W), and whether the set was rendered with them or they are cast.
 
     known: defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`);
         empty where it has none.
     """
     listed = image_set.manifest.extra.get("defects")
     if isinstance(listed, list):
-        return TrueLabels(listed, [_stored(image_set, posture) for posture in result.postures], "images")
+        return listed, [_stored(image_set, posture) for posture in result.postures], "images"
     arrays = [_cast(posture, result, known) for posture in result.postures]
     facts = defect_facts(known, result.nominal.placement)
-    return TrueLabels(facts, arrays, "part file" if known else "no defects")
+    return facts, arrays, "part file" if known else "no defects"
 
 
 def _stored(image_set: ImageSet, posture: InspectedPosture) -> Int32:

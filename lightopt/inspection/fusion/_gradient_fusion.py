@@ -7,7 +7,7 @@ weights of their pixels, no others.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Final, Literal
 
@@ -94,16 +94,11 @@ def _weigh_rows(image: tuple[Bool, Float32, Float32, Float32, Float32], top: int
 
 @dataclass(frozen=True)
 class Edges:
-    """The differences between neighbouring pixels of several images, and which of them show the surface.
+    """The differences between neighbouring pixels of several images, and which of them show the surface."""
 
-    axis: 1 for edges to the pixel to the right, 0 for those to the pixel below.
-    usable: which images are used at each edge, shape (images, H, W − 1) or (images, H − 1, W).
-    noise: standard deviation of each difference, same shape.
-    """
-
-    axis: int
-    usable: Bool
-    noise: Float32
+    axis: int  # 1 for edges to the pixel to the right, 0 for those to the pixel below
+    usable: Bool  # which images are used at each edge, shape (images, H, W − 1) or (images, H − 1, W)
+    noise: Float32  # standard deviation of each difference, same shape
 
     @staticmethod
     def of(weights: Float32, deviations: Float32, axis: int) -> Edges:
@@ -112,10 +107,6 @@ class Edges:
             (deviations[:, :, :-1], deviations[:, :, 1:]) if axis else (deviations[:, :-1], deviations[:, 1:])
         )
         return Edges(axis, _usable_edges(weights, axis), np.hypot(first, second))
-
-    def of_weights(self, weights: Float32) -> Edges:
-        """The same edges of images of the same noise and other weights."""
-        return replace(self, usable=_usable_edges(weights, self.axis))
 
     @property
     def unknown(self) -> Bool:
@@ -270,31 +261,17 @@ def _choose(gradients: Float32, usable: Bool, rule: int, first: int, top: int, f
 
 @dataclass(frozen=True)
 class FusionRule:
-    """A rule of fusion for the images of a posture.
-
-    edges: to the right, and to the pixel below.
-    deviations: standard deviation of the images' noise, shape (images, H, W).
-    """
+    """A rule of fusion for the images of a posture."""
 
     fusion: Fusion
-    edges: tuple[Edges, Edges]
-    deviations: Float32
+    edges: tuple[Edges, Edges]  # to the right, and to the pixel below
+    deviations: Float32  # standard deviation of the images' noise, shape (images, H, W)
 
     @staticmethod
     def of(weights: Float32, deviations: Float32, fusion: Fusion) -> FusionRule:
         """The rule for images of such weights and such noise, as :class:`Edges` has them."""
         edges = Edges.of(weights, deviations, 1), Edges.of(weights, deviations, 0)
         return FusionRule(fusion, edges, deviations)
-
-    def of_weights(self, weights: Float32) -> FusionRule:
-        """The same rule for images of the same noise and other weights."""
-        right, below = self.edges
-        return replace(self, edges=(right.of_weights(weights), below.of_weights(weights)))
-
-    @property
-    def unknown(self) -> list[Bool]:
-        """Edges at which no image is used."""
-        return [edges.unknown for edges in self.edges]
 
     def fuse(self, images: Float32) -> Gradients:
         """Gradients of the fused image, of images of shape (images, H, W)."""
@@ -329,7 +306,7 @@ def fuse_with_prediction(
     tasks = [
         partial(rule.fuse, levels),
         partial(rule.fuse, diffuse),
-        lambda: rule.of_weights(lit).fuse(diffuse),
+        lambda: FusionRule.of(lit, rule.deviations, rule.fusion).fuse(diffuse),
         # each draw has random numbers of its own, so that their order does not matter
         *(partial(rule.fuse_with_noise, diffuse, np.random.default_rng((seed, 0, i))) for i in range(draws)),
     ]

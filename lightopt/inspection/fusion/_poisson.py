@@ -36,50 +36,35 @@ REPEATED = 4  # sizes of blocks that a cycle goes through twice: more of them ta
 Grid = NDArray[Any]  # float64 or float32
 
 
-@dataclass(frozen=True)
-class _Level:
-    """Weights of the edges between blocks of one size, and one over their sums at each block; with a border of zeros.
-
-    Single precision will do for a preconditioner.
-    """
-
-    wx: Float32
-    wy: Float32
-    reciprocal: Float32
+# weights of the edges between blocks of one size, right and below, and one over their sums at each block; with a border
+# of zeros. Single precision will do for a preconditioner
+_Level = tuple[Float32, Float32, Float32]
 
 
 @dataclass(frozen=True, eq=False)
 class _Workspace:
-    """What solving for one image writes to: the image, its direction and that direction's Laplacian, with a border.
-
-    grids: of each size of blocks the right side and the solution of a cycle.
-    """
+    """What solving for one image writes to: the image, its direction and that direction's Laplacian, with a border."""
 
     u: Float64
     p: Float64
     q: Float64
-    grids: tuple[tuple[Float32, Float32], ...]
+    grids: tuple[tuple[Float32, Float32], ...]  # of each size of blocks the right side and the solution of a cycle
 
     @staticmethod
     def of(levels: Sequence[_Level]) -> _Workspace:
         """One for so many sizes of blocks."""
-        u, p, q = (np.zeros(levels[0].wx.shape) for _ in range(3))
-        return _Workspace(u, p, q, tuple((np.zeros_like(each.wx), np.zeros_like(each.wx)) for each in levels))
+        u, p, q = (np.zeros(levels[0][0].shape) for _ in range(3))
+        return _Workspace(u, p, q, tuple((np.zeros_like(wx), np.zeros_like(wx)) for wx, _, _ in levels))
 
 
 @dataclass(frozen=True)
 class PoissonGrid:
-    """Edges of a mask with their weights, at every size of blocks; made by :func:`poisson_grid`, serves many gradients.
+    """Edges of a mask with their weights, at every size of blocks, for many gradients; from :func:`poisson_grid`."""
 
-    mask: pixels of the image, shape (H, W).
-    components: number of each pixel's connected component of the mask, 0 outside of it, shape (H, W).
-    window: rows and columns that hold the mask.
-    """
-
-    mask: Bool
-    components: Int32
+    mask: Bool  # pixels of the image, shape (H, W)
+    components: Int32  # number of each pixel's connected component of the mask, 0 outside of it, shape (H, W)
     count: int
-    window: tuple[slice, slice]
+    window: tuple[slice, slice]  # rows and columns that hold the mask
     _wx: Float64
     _wy: Float64
     _levels: tuple[_Level, ...]
@@ -135,17 +120,17 @@ class PoissonGrid:
         if not again:
             u.fill(0.0)
         if depth + 1 == len(self._levels):
-            relax(u, b, level.wx, level.wy, level.reciprocal, 0, COARSEST_SWEEPS)
-            relax(u, b, level.wx, level.wy, level.reciprocal, 1, COARSEST_SWEEPS)
+            relax(u, b, *level, 0, COARSEST_SWEEPS)
+            relax(u, b, *level, 1, COARSEST_SWEEPS)
             return
-        relax(u, b, level.wx, level.wy, level.reciprocal, 0, SWEEPS)
+        relax(u, b, *level, 0, SWEEPS)
         coarse, correction = grids[depth + 1]
-        residual(u, b, level.wx, level.wy, coarse)
+        residual(u, b, *level[:2], coarse)
         self._cycle(depth + 1, grids)
         if depth < REPEATED:
             self._cycle(depth + 1, grids, again=True)
-        add_coarse(u, correction, level.reciprocal)
-        relax(u, b, level.wx, level.wy, level.reciprocal, 1, SWEEPS)
+        add_coarse(u, correction, level[2])
+        relax(u, b, *level, 1, SWEEPS)
 
 
 def poisson_grid(mask: Bool, wx: Float64, wy: Float64) -> PoissonGrid:
@@ -163,7 +148,7 @@ def poisson_grid(mask: Bool, wx: Float64, wy: Float64) -> PoissonGrid:
     level = [(wx.astype(np.float32), wy.astype(np.float32))]
     while min(level[-1][0].shape) - 2 > SMALLEST_SIDE:
         level.append(coarser(*level[-1]))
-    levels = tuple(_Level(x, y, reciprocal_sums(x, y)) for x, y in level)
+    levels = tuple((x, y, reciprocal_sums(x, y)) for x, y in level)
     return PoissonGrid(mask, components, cast(int, count), window, wx, wy, levels)
 
 

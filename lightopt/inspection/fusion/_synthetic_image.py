@@ -37,20 +37,14 @@ BLOCK_PX = 4
 
 @dataclass(frozen=True)
 class SyntheticImage:
-    """An image without highlights.
+    """An image without highlights."""
 
-    level: [grey level at exposure 1], shape (H, W); 0 outside of the mask.
-    deviation: its standard deviation: the noise of the images, propagated; what was filled in where no image is used;
-        what noise makes of edges by helping them through a rule or not, or the uncertainty of that where it is taken
-        off.
-    filled: pixels of the mask around which no image is used, shape (H, W).
-    mask: pixels that have a level, shape (H, W).
-    """
-
-    level: Float32
+    level: Float32  # [grey level at exposure 1], shape (H, W); 0 outside of the mask
+    # its standard deviation: the noise of the images, propagated; what was filled in where no image is used; what noise
+    # makes of edges by helping them through a rule or not, or the uncertainty of that where it is taken off
     deviation: Float32
-    filled: Bool
-    mask: Bool
+    filled: Bool  # pixels of the mask around which no image is used, shape (H, W)
+    mask: Bool  # pixels that have a level, shape (H, W)
 
 
 def synthetic_image(
@@ -114,7 +108,7 @@ def fuse_images(
         draws = probes if averaging else PROBES
         fused, missing, bias = fuse_with_prediction(rule, levels, diffuse, draws=draws, seed=seed, threads=threads)
     complete = [g + more for g, more in zip(fused, missing, strict=True)]
-    unknown = rule.unknown
+    unknown = [edges.unknown for edges in rule.edges]
     grid = poisson_grid(inner, *(np.where(u, FILL_WEIGHT, 1.0) for u in unknown))
     between = inner[:, 1:] & inner[:, :-1], inner[1:] & inner[:-1]  # edges beyond the mask have no say
     filling = any(bool(np.any(u & own)) for u, own in zip(unknown, between, strict=True))
@@ -171,18 +165,21 @@ def _typical_size(gradient: Float64, unknown: Bool) -> Float32:
     known = ~unknown
     square = np.where(known, np.square(gradient), 0.0)
     typical = math.sqrt(float(square.sum()) / max(float(known.sum()), 1.0))
-    shares, squares = (ndimage.gaussian_filter(_in_blocks(values), PRIOR_PX / BLOCK_PX) for values in (known, square))
+    # means of blocks
+    shares, squares = (
+        ndimage.gaussian_filter(block_sums(values, BLOCK_PX) / BLOCK_PX**2, PRIOR_PX / BLOCK_PX)
+        for values in (known, square)
+    )
     prior = np.where(shares > 1e-3, np.sqrt(squares / np.maximum(shares, 1e-3)), typical).astype(np.float32)
     rows, columns = gradient.shape
     return prior.repeat(BLOCK_PX, axis=0).repeat(BLOCK_PX, axis=1)[:rows, :columns]
 
 
-def _in_blocks(values: Float64 | Bool) -> Float64:
-    # means of blocks; beyond the last row and column is nothing
-    whole = np.pad(values, [(0, -side % BLOCK_PX) for side in values.shape])
+def block_sums(values: Float64 | Float32 | Bool, side: int) -> Float64:
+    """Sums over squares of so many pixels; beyond the last row and column is nothing."""
+    whole = np.pad(values, [(0, -size % side) for size in values.shape])
     rows, columns = whole.shape
-    blocks = whole.reshape(rows // BLOCK_PX, BLOCK_PX, columns // BLOCK_PX, BLOCK_PX)
-    return blocks.mean(axis=(1, 3), dtype=np.float64)
+    return whole.reshape(rows // side, side, columns // side, side).sum(axis=(1, 3), dtype=np.float64)
 
 
 def _smoothed(values: Float64, mask: Bool, threads: int | None) -> Float64:
