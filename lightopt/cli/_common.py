@@ -210,6 +210,5 @@ def _plain(parameter: Any, name: str, text: str) -> tuple[str, str]:
 
 def heading(parameter: Any) -> str:
     """Of the section that an argument or option belongs to."""
-    if parameter.param_type_name == "argument":
-        return "Arguments"
-    return getattr(parameter, "rich_help_panel", None) or "Options"
+    other = "Arguments" if parameter.param_type_name == "argument" else "Options"
+    return getattr(parameter, "rich_help_panel", None) or other

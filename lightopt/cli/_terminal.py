@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 if TYPE_CHECKING:
-    from lightopt.core.run_context import StageShare
+    from lightopt.core.run_context import RunContext, StageShare
     from lightopt.report import Table
 
 # flags that are not the parameter's name with dashes
@@ -61,6 +62,13 @@ def echo_error(*messages: str, label: str = "error: ") -> None:
 def echo_warning(message: str) -> None:
     """A warning on standard error."""
     typer.echo(f"warning: {with_flags(message)}", err=True)
+
+
+def echo_paths(paths: Iterable[Path], *, quiet: bool = False) -> None:
+    """Print where files were written, unless it is to be `quiet`."""
+    if not quiet:
+        for path in paths:
+            echo(f"{path}")
 
 
 def version_wanted(wanted: bool) -> None:
@@ -120,6 +128,15 @@ def show_progress(*, quiet: bool) -> Generator[StageShare | None]:
             bar.update(task, completed=share, description=stage)
 
         yield report
+
+
+@contextmanager
+def run_context(*, quiet: bool, threads: int | None = None) -> Generator[RunContext]:
+    """How a command runs: with a progress bar unless it is `quiet`, and warnings on standard error."""
+    from lightopt.core.run_context import RunContext
+
+    with show_progress(quiet=quiet) as progress:
+        yield RunContext(threads=threads, progress=progress, warn=echo_warning)
 
 
 def set_up_log(verbose: bool) -> bool:

@@ -6,7 +6,7 @@ the frame of the part's file, in mm, Z up.
 
 from lightopt.geometry._caster import Hits as Hits, RayCaster as RayCaster, resolve_hits as resolve_hits
 from lightopt.geometry._load_mesh import UNITLESS_SUFFIXES as UNITLESS_SUFFIXES, load_mesh as load_mesh
-from lightopt.geometry._mesh_formats import stl_bytes as stl_bytes
+from lightopt.geometry._mesh_formats import box_mesh as box_mesh, sphere_mesh as sphere_mesh, stl_bytes as stl_bytes
 from lightopt.geometry._nearest import (
     SurfaceFinder as SurfaceFinder,
     SurfacePlace as SurfacePlace,
@@ -18,7 +18,6 @@ from lightopt.geometry._patches import (
     longest_edges as longest_edges,
     refine as refine,
 )
-from lightopt.geometry._solids import box_mesh as box_mesh, sphere_mesh as sphere_mesh
 from lightopt.geometry._topology import merge_rows as merge_rows, mesh_edges as mesh_edges
 from lightopt.geometry._triangle_mesh import (
     TriangleMesh as TriangleMesh,

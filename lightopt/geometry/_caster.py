@@ -24,7 +24,6 @@ _log = logging.getLogger("lightopt.geometry")
 # within 1e-7 of the radius of the surface, and an offset 100 times smaller already shows no false self-shadow.
 SURFACE_OFFSET = 1e-5
 
-
 # rays per triangle below which a hierarchy that is built quicker and queried slower takes less time in all
 FEW_RAYS = 4.0
 
@@ -51,7 +50,7 @@ class RayCaster:
         self._lock = threading.Lock()
         self._rays_cast = self._rays_free = 0
         # float32 keeps 7 digits, so the mesh is centred and scaled to unit size before it is given to Embree
-        local = _local_vertices(vertices, self.centre, self.radius)
+        local = self._local(vertices).astype(np.float32)
         faces = np.ascontiguousarray(faces, dtype=np.int32)
         self._maps = BlockerMaps(local, faces)
         few = rays < FEW_RAYS * len(faces)
@@ -85,7 +84,7 @@ class RayCaster:
         directions: Shape (k, 3), any length
         neighbours: Whether rays that follow each other go nearly the same way: they are then cast together
         """
-        rays = _primary_rays(origin, directions, self.centre, self.radius)
+        rays = _primary_rays(self._local(origin), directions)
         if self._packets is None or self._recorder is not None:
             return self._run("INTERSECT", *rays)
         with self._lock:
@@ -163,32 +162,19 @@ class RayCaster:
 
 
 @kernel
-def _local_vertices(vertices: Float64, centre: Float64, radius: float) -> Float32:
-    local = np.empty(vertices.shape, np.float32)
-    for i in range(len(vertices)):
-        for axis in range(3):
-            local[i, axis] = (vertices[i, axis] - centre[axis]) / radius
-    return local
-
-
-@kernel
-def _primary_rays(origin: Float64, directions: Float64, centre: Float64, radius: float) -> tuple[Float32, Float32]:
+def _primary_rays(origin: Float64, directions: Float64) -> tuple[Float32, Float32]:
     # each ray starts near the mesh's bounding sphere, not at the far camera: the rounding of its origin to float32
     # then is that of the part's size, not of the camera's distance
     n = len(directions)
     origins32 = np.empty((n, 3), np.float32)
     directions32 = np.empty((n, 3), np.float32)
-    ox = (origin[0] - centre[0]) / radius
-    oy = (origin[1] - centre[1]) / radius
-    oz = (origin[2] - centre[2]) / radius
+    ox, oy, oz = origin
     outside = ox * ox + oy * oy + oz * oz > 1.21
     for i in range(n):
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
+        dx, dy, dz = directions[i]
         scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx * scale, dy * scale, dz * scale
-        start = 0.0
-        if outside:
-            start = max(0.0, -(ox * dx + oy * dy + oz * dz) - 1.1)
+        start = max(0.0, -(ox * dx + oy * dy + oz * dz) - 1.1) if outside else 0.0
         origins32[i, 0], origins32[i, 1], origins32[i, 2] = ox + start * dx, oy + start * dy, oz + start * dz
         directions32[i, 0], directions32[i, 1], directions32[i, 2] = dx, dy, dz
     return origins32, directions32
@@ -220,21 +206,14 @@ def _rays_of_pairs(
 
 @dataclass(frozen=True)
 class Hits:
-    """Rays that met the mesh, solved in float64 on the plane of the triangle that Embree named.
+    """Rays that met the mesh, solved in float64 on the plane of the triangle that Embree named; shapes (k,)."""
 
-    ray: Index of the ray among those cast, shape (k,)
-    face: Face that was met, shape (k,)
-    u, v: Barycentric coordinates: the point is (1−u−v)·A + u·B + v·C of the face's vertices; shape (k,)
-    points: Points on the surface, frame of the mesh [mm], shape (k, 3)
-    distance: Along the ray from its origin [mm], shape (k,)
-    """
-
-    ray: Int32
-    face: Int32
-    u: Float64
+    ray: Int32  # index of the ray among those cast
+    face: Int32  # face that was met
+    u: Float64  # barycentric coordinates: the point is (1−u−v)·A + u·B + v·C of the face's vertices
     v: Float64
-    points: Float64
-    distance: Float64
+    points: Float64  # points on the surface, frame of the mesh [mm], shape (k, 3)
+    distance: Float64  # along the ray from its origin [mm]
 
 
 def resolve_hits(face: Int32, origin: Float64, directions: Float64, vertices: Float64, faces: Int32) -> Hits:

@@ -59,11 +59,8 @@ def placed(matrix: Float64, vertices: Float64, faces: Int64, normals: Float64 | 
         "faces": faces[:, ::-1] if np.linalg.det(linear) < 0 else faces,
     }
     if normals is not None:
-        # normals go with the inverse transpose; the cofactor matrix is that without dividing by the
-        # determinant
-        cofactor = np.stack(
-            [np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])]
-        )
+        # normals go with the inverse transpose; the cofactor matrix is that without dividing by the determinant
+        cofactor = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
         part["vertex_normals"] = normals @ (cofactor * np.sign(np.linalg.det(linear))).T
     return part
 

@@ -32,8 +32,7 @@ _FILE_BYTES_PER_TRIANGLE = 1000
 # Corner numbers are int32.
 _MOST_TRIANGLES = 700_000_000
 
-# A height below this part of the longest edge is rounding of the coordinates, not a surface: it has no
-# direction.
+# A height below this part of the longest edge is rounding of the coordinates, not a surface: it has no direction.
 _FLAT = 1e-12
 
 # Farther from the origin rounding eats the part, and no part is that large.
@@ -61,10 +60,9 @@ def load_mesh(
     """Mesh of a part from an STL, PLY, OBJ, GLB or STEP file, repaired and with normals.
 
     Coinciding vertices are one vertex, triangles without area are left out, triangles that wind against their
-    neighbours and closed surfaces that are inside out are turned; each with a warning that says how many.
-    Open and non-manifold meshes are fine. STEP keeps the normals of the CAD surface, PLY, OBJ and GLB the
-    vertex normals that they carry; anything else is smoothed within the crease angle. GLB is turned from Y up
-    to Z up.
+    neighbours and closed surfaces that are inside out are turned; each with a warning that says how many. Open and
+    non-manifold meshes are fine. STEP keeps the normals of the CAD surface, PLY, OBJ and GLB the vertex normals that
+    they carry; anything else is smoothed within the crease angle. GLB is turned from Y up to Z up.
 
     path: File; its ending gives the format (`MESH_SUFFIXES`)
     unit_mm: Length of one unit of the file [mm]. Required for formats that carry none (`UNITLESS_SUFFIXES`). STEP

@@ -11,14 +11,10 @@ from lightopt.geometry._triangle_mesh import TriangleMesh
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurfacePlace:
-    """A place on a mesh.
+    """A place on a mesh."""
 
-    point: [mm], shape (3,), frame of the mesh
-    normal: Unit normal there as shading has it: interpolated, or the facet's, shape (3,)
-    """
-
-    point: Float64
-    normal: Float64
+    point: Float64  # [mm], shape (3,), frame of the mesh
+    normal: Float64  # unit normal there as shading has it: interpolated, or the facet's, shape (3,)
     face: int
 
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,13 @@ from lightopt.core.errors import InputError
 from lightopt.core.units import step_units_mm, unit_name
 from lightopt.geometry import _step_worker
 from lightopt.geometry._glb import glb_triangle_count, parse_glb, split_glb
-from lightopt.geometry._mesh_formats import RawMesh, check_budget
+from lightopt.geometry._mesh_formats import RawMesh, check_budget, joined
 
 _LARGEST_MM, _SMALLEST_MM = 1000.0, 0.1
 _MM_PER_GLB_UNIT = 1000.0
 
-# The first pass only has to learn the size, in a time that does not depend on the unit: relative to the
-# edges.
+# The first pass only has to learn the size, in a time that does not depend on the unit: relative to the edges.
 _COARSE_LINEAR, _COARSE_ANGULAR = 0.2, 0.5
-
 
 TIMEOUT_S = 300.0  # time for both passes together [s]
 MEMORY_GB = 4.0  # address space of each of the two workers [10⁹ bytes]; not limited on Windows
@@ -58,16 +57,9 @@ def read_step(
         _check_size(name, parse_glb(name, size), declared_unit_mm(data))
         fine, output = fine_one.result(deadline)
     check_budget(name, glb_triangle_count(name, split_glb(name, fine)[0]), max_triangles)
-    parts = parse_glb(name, fine)
-    starts = np.cumsum([0] + [len(part["vertices"]) for part in parts])
-    return RawMesh(
-        np.concatenate([part["vertices"] for part in parts]) * _MM_PER_GLB_UNIT,
-        np.concatenate([part["faces"] + start for part, start in zip(parts, starts, strict=False)]),
-        np.concatenate([part["vertex_normals"] for part in parts]),
-        "STEP",
-        repeats_vertices=True,
-        warnings=(f"the CAD kernel reported while reading the STEP file: {output}",) if output else (),
-    )
+    raw = joined(name, parse_glb(name, fine), "STEP", repeats_vertices=True)
+    warnings = (f"the CAD kernel reported while reading the STEP file: {output}",) if output else ()
+    return replace(raw, vertices=raw.vertices * _MM_PER_GLB_UNIT, warnings=warnings)
 
 
 def declared_unit_mm(data: bytes) -> float | None:

@@ -12,31 +12,20 @@ from lightopt.core.kernels import bits_of_float, kernel
 
 @dataclass(frozen=True, eq=False)
 class EdgePairs:
-    """Edges that exactly two faces use.
+    """Edges that exactly two faces use."""
 
-    corners: The two corners that begin the edge, one in each face, as 3·face + corner, lower face first, shape (e, 2),
-        int32
-    same_direction: True where both faces run along the edge in the same direction (their windings disagree), shape (e,)
-    rim: True for faces that touch an edge used once or more than twice, shape (m,)
-    """
-
-    corners: Int32
-    same_direction: Bool
-    rim: Bool
+    corners: Int32  # the corners that begin the edge, one in each face, 3·face + corner, lower face first; (e, 2)
+    same_direction: Bool  # whether both faces run along the edge the same way (their windings disagree), shape (e,)
+    rim: Bool  # whether a face touches an edge used once or more than twice, shape (m,)
 
 
 @dataclass(frozen=True, eq=False)
 class MeshEdges:
-    """Every edge once.
+    """Every edge once."""
 
-    ends: Vertex indices, the lower one first, shape (e, 2)
-    uses: Number of faces at the edge, shape (e,)
-    corners: The corners that begin the edge in the first and in the last of them, as 3·face + corner, shape (e, 2)
-    """
-
-    ends: Int64
-    uses: Int64
-    corners: Int64
+    ends: Int64  # vertex indices, the lower one first, shape (e, 2)
+    uses: Int64  # number of faces at the edge, shape (e,)
+    corners: Int64  # that begin the edge in the first and in the last of them, as 3·face + corner, shape (e, 2)
 
     @property
     def faces(self) -> Int64:

@@ -14,20 +14,16 @@ from lightopt.core.kernels import kernel
 class TriangleMesh:
     """A triangle mesh with one normal per vertex, or none for facet shading.
 
-    Faces are counterclockwise seen from outside. Vertices are split where the normal jumps (at a crease), so
-    two faces that share a vertex also share its normal. Arrays of the right type are not copied; they are
-    read-only here.
+    Faces are counterclockwise seen from outside. Vertices are split where the normal jumps (at a crease), so two faces
+    that share a vertex also share its normal. Arrays of the right type are not copied; they are read-only here.
 
-    vertices: Positions in the part file's frame [mm], shape (n, 3)
-    faces: Vertex indices, shape (m, 3), int32
-    normals: Unit outward normals of the surface at the vertices, same frame, shape (n, 3); None shades flat facets
     Raises InputError: A shape is wrong, a coordinate is not finite, an index is out of range, or a normal is not of
         unit length
     """
 
-    vertices: Float64
-    faces: Int32
-    normals: Float64 | None = None
+    vertices: Float64  # positions in the part file's frame [mm], shape (n, 3)
+    faces: Int32  # vertex indices, shape (m, 3), int32
+    normals: Float64 | None = None  # unit outward normals at the vertices, shape (n, 3); None shades flat facets
 
     def __post_init__(self) -> None:
         vertices = _rows_of_three("vertices", self.vertices)
@@ -59,21 +55,19 @@ class TriangleMesh:
         return bounding_box(self.vertices)
 
 
-@kernel
 def bounding_box(vertices: Float64) -> Float64:
     """Lowest and highest corner of the bounding box of some points, shape (2, 3)."""
-    box = np.empty((2, 3))
-    box[0], box[1] = vertices[0], vertices[0]
-    for i in range(len(vertices)):
-        for axis in range(3):
-            box[0, axis] = min(box[0, axis], vertices[i, axis])
-            box[1, axis] = max(box[1, axis], vertices[i, axis])
-    return box
+    return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
 
 
 def face_normals(mesh: TriangleMesh) -> Float64:
     """Outward unit normals of the facets, part file's frame, shape (m, 3); zero for faces without area."""
-    cross = face_crosses(mesh.vertices, mesh.faces)
+    return unit_crosses(mesh.vertices, mesh.faces)
+
+
+def unit_crosses(vertices: Float64, faces: Int32) -> Float64:
+    """Unit normals of the facets, shape (m, 3); zero for faces without area."""
+    cross = face_crosses(vertices, faces)
     length = np.sqrt(np.einsum("ij,ij->i", cross, cross))
     return cross / np.where(length > 0.0, length, 1.0)[:, None]
 
