@@ -19,7 +19,7 @@ from lightopt.defects import (
 
 _Extent = Annotated[float, Field(ge=1e-3, le=1e3)]
 _Size = Annotated[
-    _Extent | Annotated[tuple[_Extent, _Extent], Field(strict=False)],
+    _Extent | Annotated[tuple[_Extent, _Extent], fields.LIST],
     fields.expecting("a diameter, or [length, width], in mm from 0.001 to 1000"),
 ]
 _Slope = Annotated[float, Field(gt=0, le=60), fields.expecting("a number above 0, up to 60 (degrees)")]
@@ -29,7 +29,7 @@ _WidthFactor = Annotated[float, Field(ge=0.01, le=100), fields.expecting("a numb
 _Factor10 = Annotated[float, Field(ge=0.1, le=10)]
 _Range = Annotated[
     tuple[_Factor10, _Factor10],
-    Field(strict=False),
+    fields.LIST,
     fields.expecting("[least, greatest], two numbers from 0.1 to 10, such as [0.5, 2]"),
 ]
 _Turn = Annotated[float, Field(ge=-360, le=360), fields.expecting("a number from -360 to 360 (degrees)")]
@@ -52,7 +52,7 @@ class PixelPlaceConfig(fields.Frozen):
     """Posture in which the pixel sees the part."""
     pixel: Annotated[
         tuple[_PixelIndex, _PixelIndex],
-        Field(strict=False),
+        fields.LIST,
         fields.expecting("[column, row], two whole numbers from 0 to 65535; the top left pixel is [0, 0]"),
     ]
     """Column and row of the pixel, counted from 0 at the top left; the defect is at its centre."""

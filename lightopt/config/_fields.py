@@ -166,8 +166,7 @@ def _square(points: int | str) -> int | str:
     return points
 
 
-# Lists of fixed length become tuples, which strict validation would refuse.
-_LIST = Field(strict=False)
+LIST = Field(strict=False)  # of fixed length; it becomes a tuple, which strict validation would refuse
 
 Number = Annotated[float, Field(ge=-1e6, le=1e6), expecting("a number")]
 Positive = Annotated[float, Field(gt=0, le=1e9), expecting("a number above 0, up to 1e9")]
@@ -179,23 +178,23 @@ Elevation = Annotated[
 Azimuth = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 to 360 (degrees about Z)")]
 ElevationRange = Annotated[
     tuple[Elevation, Elevation],
-    _LIST,
+    LIST,
     AfterValidator(_ordered),
     expecting("[low, high], two numbers between 0 and 180 (degrees)"),
 ]
 AzimuthRange = Annotated[
     tuple[Azimuth, Azimuth],
-    _LIST,
+    LIST,
     AfterValidator(_ordered),
     expecting("[low, high], two numbers from -360 to 360 (degrees)"),
 ]
 Tilt = Annotated[float, Field(ge=-180, le=180), expecting("a number from -180 to 180 (degrees of tilt)")]
 TiltRange = Annotated[
-    tuple[Tilt, Tilt], _LIST, AfterValidator(_ordered), expecting("[low, high], two numbers from -180 to 180 (degrees)")
+    tuple[Tilt, Tilt], LIST, AfterValidator(_ordered), expecting("[low, high], two numbers from -180 to 180 (degrees)")
 ]
-Coordinates = Annotated[tuple[Number, Number, Number], _LIST, expecting("[x, y, z], three numbers up to 1000000")]
+Coordinates = Annotated[tuple[Number, Number, Number], LIST, expecting("[x, y, z], three numbers up to 1000000")]
 Size = Annotated[
-    tuple[Length, Length], _LIST, expecting("[along azimuth, along elevation], two lengths between 0.001 and 1000000")
+    tuple[Length, Length], LIST, expecting("[along azimuth, along elevation], two lengths between 0.001 and 1000000")
 ]
 Points = Annotated[
     Annotated[int, Field(ge=1, le=MOST_POINTS)] | Literal["auto"],

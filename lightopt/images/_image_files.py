@@ -1,4 +1,4 @@
-"""Image files: EXR of float32 channels, PNG of camera levels and of illustrations; on top of OpenImageIO."""
+"""Image files: EXR of float32 channels, PNG of camera levels and of illustrations, photographs; by OpenImageIO."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -91,7 +92,7 @@ def _write_image(
 
 
 @contextmanager
-def opened(path: Path, *formats: str) -> Generator[OpenImageIO.ImageInput, None, None]:
+def _opened(path: Path, *formats: str) -> Generator[OpenImageIO.ImageInput, None, None]:
     """Open an image of one of some formats; InputError when it is missing, unreadable or of another one."""
     OpenImageIO = _openimageio()
     try:
@@ -115,7 +116,7 @@ def opened(path: Path, *formats: str) -> Generator[OpenImageIO.ImageInput, None,
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
     """Metadata that lightopt put into a PNG or EXR, empty for those of others; InputError for a damaged file."""
-    with opened(Path(path), "openexr", "png") as source:
+    with _opened(Path(path), "openexr", "png") as source:
         text = source.spec().getattribute(_METADATA_KEY)
     if text is None:
         return {}
@@ -168,11 +169,8 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], 
 
 def _is_whole_png(path: Path) -> bool:
     """Whether the file ends as every PNG ends."""
-    size = path.stat().st_size
-    if size < len(_END_CHUNK):
-        return False
     with path.open("rb") as file:
-        file.seek(size - len(_END_CHUNK))
+        file.seek(max(0, path.stat().st_size - len(_END_CHUNK)))
         return file.read() == _END_CHUNK
 
 
@@ -185,7 +183,7 @@ def read_png(path: str | Path, *, colour: bool = False) -> Levels:
     colour without `colour`.
     """
     path = Path(path)
-    with opened(path, "png") as source:
+    with _opened(path, "png") as source:
         with path.open("rb") as file:
             header = file.read(26)
         bits, kind = header[24], header[25]
@@ -254,9 +252,9 @@ def _is_whole_exr(path: Path) -> bool:
         return False
     height = source.spec().height
     row = source.read_scanlines(0, 0, height - 1, height, 0, 0, 1, "float")
-    failed = bool(source.geterror()) or row is None
+    whole = row is not None and not source.geterror()
     source.close()
-    return not failed
+    return whole
 
 
 def read_exr(path: str | Path) -> dict[str, Float32]:
@@ -266,7 +264,7 @@ def read_exr(path: str | Path) -> dict[str, Float32]:
     integer channels, several parts, deep pixels, or a data window other than its display window.
     """
     path = Path(path)
-    with opened(path, "openexr") as source:
+    with _opened(path, "openexr") as source:
         spec = source.spec()
         if spec.deep:
             raise InputError(f"{path}: a deep EXR; expected a flat image")
@@ -286,3 +284,50 @@ def read_exr(path: str | Path) -> dict[str, Float32]:
             raise InputError(f"{path}: damaged: {source.geterror().strip()}; write the file anew")
     values = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, -1)
     return {name: np.ascontiguousarray(values[..., index[name]]) for name in sorted(index)}
+
+
+_PHOTOGRAPHS = ("png", "jpeg", "tiff")  # of other programs, grey or colour
+_BITS = {"uint8": 8, "uint16": 16}
+
+
+@dataclass(frozen=True)
+class PhotographFormat:
+    """What a photograph's header says; bits per sample."""
+
+    width: int
+    height: int
+    bits: int
+
+    def __str__(self) -> str:
+        return f"{self.width} × {self.height} px, {self.bits} bits"
+
+
+def photograph_format(path: Path) -> PhotographFormat:
+    """Read the header of a photograph.
+
+    Raises InputError: The file is missing, of another format or kind of samples, or stored rotated
+    """
+    with _opened(path, *_PHOTOGRAPHS) as source:
+        spec = source.spec()
+    if str(spec.format) not in _BITS:
+        raise InputError(f"{path}: expected samples of 8 or 16 bits, found {spec.format}; convert the image")
+    if (turn := spec.get_int_attribute("Orientation", 1)) != 1:
+        raise InputError(
+            f"{path}: stored rotated or mirrored (EXIF orientation {turn}); save it as it was calibrated, with "
+            "orientation 1"
+        )
+    return PhotographFormat(spec.width, spec.height, _BITS[str(spec.format)])
+
+
+def read_photograph(path: Path) -> NDArray[Any]:
+    """Samples of a photograph as stored, uint8 or uint16 of shape (H, W, 1 or 3), row 0 at the top, no transparency.
+
+    Raises InputError: As :func:`photograph_format`, or the file is damaged
+    """
+    shape = photograph_format(path)
+    with _opened(path, *_PHOTOGRAPHS) as source:
+        pixels = source.read_image(f"uint{shape.bits}")
+        if pixels is None or source.has_error:
+            raise InputError(f"{path}: damaged: {source.geterror().strip().splitlines()[0]}; copy the file anew")
+    samples = np.asarray(pixels).reshape(shape.height, shape.width, -1)
+    return samples[..., : 3 if samples.shape[2] >= 3 else 1]

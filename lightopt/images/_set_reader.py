@@ -106,8 +106,7 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
 
     With `verify` all files must be there, with the hashes listed where there are any.
 
-    Raises InputError: the manifest is missing or wrong, or files are missing or changed; with one message per
-    problem.
+    Raises InputError: the manifest is missing or wrong, or files are missing or changed; with one message per problem.
     """
     path = Path(path)
     manifest_path = path / MANIFEST_NAME if path.is_dir() else path

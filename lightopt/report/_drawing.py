@@ -112,16 +112,12 @@ def _rgb(canvas: FigureCanvasAgg) -> Image.Image:
 
 @dataclass(frozen=True, kw_only=True)
 class Label:
-    """What to write, and where it belongs.
-
-    anchor: The place named [px]
-    away: Preferred direction from the anchor to the label, of any length; None for any
-    """
+    """What to write, and where it belongs."""
 
     text: str
-    anchor: tuple[float, float]
+    anchor: tuple[float, float]  # the place named [px]
     colour: str
-    away: tuple[float, float] | None = None
+    away: tuple[float, float] | None = None  # preferred direction from the anchor to the label, of any length
 
 
 class Drawing:

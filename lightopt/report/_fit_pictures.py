@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
-from lightopt.core.arrays import Float32, UInt8
+from lightopt.core.arrays import Float32
+from lightopt.images.comparison import diverging
 from lightopt.report._charts import LINE, MARK, SHADE, chart, label_whole_numbers
 from lightopt.report._drawing import SOFT, Drawing, figure_image, fixed_style
 from lightopt.report._images import write_picture
@@ -26,7 +26,6 @@ RESIDUAL_SCALE = 0.08  # difference of the full colours, as a share of the senso
 RUNAWAY = 1e11
 
 LEGEND_HEIGHT = 24
-_BELOW, _EQUAL, _ABOVE = (33, 102, 172), (247, 247, 247), (178, 24, 43)
 
 
 @fixed_style()
@@ -130,12 +129,3 @@ def residual_picture(
     legend.text(width - 4.0, 17.0, f"+{scale:.3g} levels", size=13, colour="#ffffff", align="right")
     picture = np.concatenate([diverging(difference / scale), np.asarray(legend.image())])
     return write_picture(Path(path), Image.fromarray(picture))
-
-
-def diverging(shares: NDArray[np.floating[Any]]) -> UInt8:
-    """Colours of shares from −1, blue, over 0, white, to 1, red; shape of the shares and 3."""
-    channels = [
-        np.interp(shares, [-1.0, 0.0, 1.0], [low, middle, high])
-        for low, middle, high in zip(_BELOW, _EQUAL, _ABOVE, strict=True)
-    ]
-    return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)

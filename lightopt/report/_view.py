@@ -29,16 +29,12 @@ _CREASE_COS = 0.94  # neighbouring pixels whose normals differ by more than 20°
 
 @dataclass(frozen=True)
 class ParallelView:
-    """Orthographic view from (elevation, azimuth) [rad]; vectors are in the world frame, shape (3,).
-
-    scale: [px/mm]
-    offset: Where the world's origin lies on the picture [px], shape (2,)
-    """
+    """Orthographic view from (elevation, azimuth) [rad]; vectors are in the world frame, shape (3,)."""
 
     elevation: float
     azimuth: float
-    scale: float
-    offset: Float64
+    scale: float  # [px/mm]
+    offset: Float64  # where the world's origin lies on the picture [px], shape (2,)
 
     @property
     def right(self) -> Float64:
@@ -89,18 +85,13 @@ def arc(centre: Float64, start: Float64, towards: Float64, angle: float, radius:
 
 @dataclass(frozen=True)
 class PartPicture:
-    """The part seen from one side, :data:`FINE` times as fine as the drawing.
-
-    left, top: Upper left corner of the arrays [fine px]
-    picture: RGBA, shape (rows, columns, 4)
-    nearness: Of the surface to the viewer [mm], shape (rows, columns); −∞ where there is no surface
-    """
+    """The part seen from one side, :data:`FINE` times as fine as the drawing."""
 
     view: ParallelView
-    left: int
+    left: int  # of the arrays' upper left corner [fine px]
     top: int
-    picture: UInt8
-    nearness: Float64
+    picture: UInt8  # RGBA, shape (rows, columns, 4)
+    nearness: Float64  # of the surface to the viewer [mm], shape (rows, columns); −∞ where there is no surface
 
     def draw(self, drawing: Drawing) -> None:
         """Lay the picture over a drawing."""
@@ -111,8 +102,7 @@ class PartPicture:
     def hides(self, points: Float64) -> Bool:
         """Whether the part stands before world points [mm], shape (n, 3); shape (n,)."""
         flat = self.view.place(points) * FINE
-        columns = np.floor(flat[:, 0]).astype(int) - self.left
-        rows = np.floor(flat[:, 1]).astype(int) - self.top
+        columns, rows = np.floor(flat).astype(int).T - [[self.left], [self.top]]
         height, width = self.nearness.shape
         inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
         hidden = np.zeros(len(points), dtype=bool)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, UInt8
+from lightopt.core.arrays import Bool, UInt8
 from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_metadata, read_png, write_png
 from lightopt.images.comparison._channels import ChannelDifference, ComparisonThresholds, Verdict, compare_arrays
@@ -262,7 +262,7 @@ def difference_picture(
     scale = _LEAST_SCALE
     if signed.any():
         scale = max(float(np.percentile(np.abs(signed[signed != 0]), _SCALE_PERCENTILE)), _LEAST_SCALE)
-    pixels = _diverging(signed / scale)
+    pixels = diverging(signed / scale)
     only_golden = only_new = np.zeros(old.shape, np.bool_)
     if name in ("Y", LEVELS):
         full_a = old >= (golden.saturation if saturation is None else saturation)
@@ -289,10 +289,10 @@ def difference_picture(
     return scale
 
 
-def _diverging(relative: Float64) -> UInt8:
-    """Colours (H, W, 3) of differences relative to the scale, −1 to 1; beyond looks like the end."""
+def diverging(shares: NDArray[np.floating[Any]]) -> UInt8:
+    """Colours of shares from −1, blue, over 0, white, to 1, red, and beyond as there; shape of the shares and 3."""
     channels = [
-        np.interp(relative, [-1.0, 0.0, 1.0], [low, middle, high])
+        np.interp(shares, [-1.0, 0.0, 1.0], [low, middle, high])
         for low, middle, high in zip(_LOWER, _EQUAL, _HIGHER, strict=True)
     ]
     return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)
