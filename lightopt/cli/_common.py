@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
 import typer
 import typer.core
+from typer import Argument
 
 from lightopt.cli._terminal import echo, set_up_log
 from lightopt.core.errors import InputError
@@ -27,11 +28,9 @@ output_option = partial(typer.Option, rich_help_panel="Output")
 hardware_option = partial(typer.Option, rich_help_panel="Hardware")
 run_option = partial(typer.Option, rich_help_panel="Run")  # headings of options in `--help`
 
-RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
-PartFile = Annotated[Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")]
-Images = Annotated[
-    Path, typer.Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")
-]
+RigFile = Annotated[Path, Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
+PartFile = Annotated[Path, Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")]
+Images = Annotated[Path, Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")]
 Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; created if missing.")]
 Force = Annotated[bool, output_option("--force", help="Overwrite existing results.")]
 Report = Annotated[bool, output_option("--report/--no-report", help="Write report.html.")]
@@ -99,9 +98,8 @@ def parse_postures(texts: Sequence[str] | None) -> tuple[Posture, ...] | None:
 def _parse_posture(text: str) -> Posture:
     from lightopt.core.transforms import Posture
 
-    parts = text.split(",")
     try:
-        elevation, rotation = (float(part) for part in parts)
+        elevation, rotation = map(float, text.split(","))
     except ValueError:
         elevation = rotation = math.nan
     if not (math.isfinite(elevation) and math.isfinite(rotation)):

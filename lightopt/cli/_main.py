@@ -167,15 +167,11 @@ def _debugging(arguments: list[str]) -> Generator[list[str]]:
     # --debug may stand anywhere, so that it can be added to a command that failed
     end = arguments.index("--") if "--" in arguments else len(arguments)
     rest = [text for text in arguments[:end] if text != "--debug"] + arguments[end:]
-    if len(rest) == len(arguments):
-        yield rest
-        return
     before = os.environ.get(DEBUG)
-    os.environ[DEBUG] = "1"
+    if len(rest) < len(arguments):
+        os.environ[DEBUG] = "1"
     try:
         yield rest
     finally:
-        if before is None:
-            del os.environ[DEBUG]
-        else:
-            os.environ[DEBUG] = before
+        os.environ.pop(DEBUG, None)
+        os.environ.update({} if before is None else {DEBUG: before})

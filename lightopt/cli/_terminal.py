@@ -106,17 +106,11 @@ def show_progress(*, quiet: bool) -> Generator[StageShare | None]:
     if not compiled_before():
         typer.echo("first use on this machine: the compiler takes up to half a minute, once", err=True)
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        TextColumn("left at most"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    columns = "{task.description}", BarColumn(), "{task.percentage:>3.0f} %", TimeElapsedColumn()
+    left = "left at most", TimeRemainingColumn()
+    with Progress(*columns, *left, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0)
         last = 0.0
 

@@ -108,15 +108,9 @@ def write_overlaps(overlaps: Sequence[Overlap], images: ImageSet, folder: Path, 
     Raises InputError: the folder holds overlaps of other images, and `force` is False; or a file cannot be written.
     """
     maps = {overlap_map_name(one.posture, one.exposure): one for one in overlaps}
-    result = ResultFolder(
-        folder,
-        provenance({"image_sets": [images.fingerprint]}, {}),
-        name="overlap.json",
-        format="lightopt-overlap/1",
-        what="overlaps",
-        also=tuple(maps),
-        force=force,
-    )
+    made_from = provenance({"image_sets": [images.fingerprint]}, {})
+    kind = {"name": "overlap.json", "format": "lightopt-overlap/1", "what": "overlaps"}
+    result = ResultFolder(folder, made_from, **kind, also=tuple(maps), force=force)
     for name, one in maps.items():
         write_overlap_map(one, result.place(name), overwrite=True)
     figures = result.finish({"overlaps": [one.as_dict() for one in overlaps]})

@@ -14,19 +14,17 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.lights import panel_corners
 from lightopt.rendering import cast_rays_at
+from lightopt.report import _rig_elements as elements
 from lightopt.report._drawing import CAP_HEIGHT, FAINT, LINE_HEIGHT, SOFT, Box, Drawing, fit_text, fixed_style, sub
 from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._rig_elements import (
-    CAMERA,
     STAGE,
     CameraShape,
     Pen,
-    camera_shape,
     degrees,
     number,
     part_box,
     rig_size,
-    round_up,
     square,
     table_grid,
 )
@@ -58,8 +56,7 @@ def rig_drawing(scene: Scene, path: str | Path, *, overwrite: bool = True) -> Pa
     overwrite: Whether a file of other content may be replaced.
     Raises InputError: The file cannot be written, or one of other content is there and `overwrite` is False.
     """
-    path = check_png_path(path)
-    return write_picture(path, rig_image(scene), overwrite=overwrite)
+    return write_picture(check_png_path(path), rig_image(scene), overwrite=overwrite)
 
 
 @fixed_style()
@@ -67,7 +64,7 @@ def rig_image(scene: Scene) -> Image.Image:
     """The picture that :func:`rig_drawing` writes."""
     posture = scene.postures[0] if scene.postures else Posture(0.0, 0.0)
     caster = cast_rays_at(scene)
-    shape = camera_shape(scene.camera, 0.13 * rig_size(scene))
+    shape = elements.camera_shape(scene.camera, 0.13 * rig_size(scene))
     height = max(LEAST_HEIGHT, _stage_top(scene) + STAGE_HEIGHT + EDGE)
     drawing = Drawing(MAIN_WIDTH + SIDE_WIDTH, height)
     pen = Pen(drawing, _view(scene, shape, posture, height), [])
@@ -86,9 +83,9 @@ def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> Pa
     axes = np.diag(_axis_lengths(scene, half))
     panels = [panel_corners(light) for light in scene.lights]
     points = np.concatenate([table, shape.body, arrows, axes, part_box(scene, posture), shape.footprint, *panels])
-    elevation, azimuth = _best_side(scene, posture)
     # labels stand outside of what they name
     box = (MARGIN + 50.0, MARGIN + 20.0, MAIN_WIDTH - MARGIN - 50.0, height - MARGIN - 20.0)
+    elevation, azimuth = _best_side(scene, posture)
     return fit_view(points, elevation=elevation, azimuth=azimuth, box=box)
 
 
@@ -117,7 +114,9 @@ def _axis_lengths(scene: Scene, half: float) -> tuple[float, float, float]:
 def _draw_rig(scene: Scene, caster: RayCaster, shape: CameraShape, posture: Posture, pen: Pen) -> None:
     half, step = table_grid(scene, posture)
     pen.grid(half, step)
-    pen.polygon(shape.footprint, fill="#45535f20", outline=CAMERA, width=1.2)  # what the camera sees of the table
+    pen.polygon(
+        shape.footprint, fill="#45535f20", outline=elements.CAMERA, width=1.2
+    )  # what the camera sees of the table
     part = cast_part(scene, caster, posture, pen.view)
     # what lies on the table is drawn around the part, what stands up may pass in front of it
     pen = replace(pen, part=part)
@@ -227,9 +226,9 @@ def draw_stage(scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawi
     ends = np.concatenate([ends, pivot + reach * np.stack([rotary, -0.35 * rotary])])
     inner = (box[0] + 45, box[1] + 20, box[2] - 45, box[3] - 40)
     middle = corners.mean(axis=0)
-    half, step = round_up(1.05 * radius)
-    elevation, azimuth = _STAGE_VIEW
+    half, step = elements.round_up(1.05 * radius)
     shown = np.concatenate([corners, ends, square(half, middle)])
+    elevation, azimuth = _STAGE_VIEW
     view = fit_view(shown, elevation=elevation, azimuth=azimuth, box=inner)
     pen = Pen(drawing, view, [])
     pen.grid(half, step, centre=middle)

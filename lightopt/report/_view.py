@@ -12,7 +12,7 @@ from lightopt.core.arrays import Bool, Float64, UInt8, read_only
 from lightopt.core.transforms import Posture, azimuth_tangent, direction, elevation_tangent
 from lightopt.geometry import RayCaster
 from lightopt.rendering import trace_samples
-from lightopt.report._drawing import Drawing
+from lightopt.report._drawing import Box, Drawing
 from lightopt.scene import PinholeCamera, Scene
 
 # the world frame's origin and axes
@@ -61,9 +61,7 @@ class ParallelView:
         return np.asarray(points, dtype=np.float64) @ self.toward
 
 
-def fit_view(
-    points: Float64, *, elevation: float, azimuth: float, box: tuple[float, float, float, float]
-) -> ParallelView:
+def fit_view(points: Float64, *, elevation: float, azimuth: float, box: Box) -> ParallelView:
     """The largest view that shows all points [mm], shape (n, 3), centred in a box (left, top, right, bottom) [px]."""
     unit = ParallelView(elevation=elevation, azimuth=azimuth, scale=1.0, offset=np.zeros(2))
     flat = unit.place(points)

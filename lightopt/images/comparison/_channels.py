@@ -123,11 +123,9 @@ def compare_arrays(
     statistics: dict[str, Any] = {"max": None, "rms": None, "percentiles": None}
     if distance.size:
         values = np.percentile(distance, list(PERCENTILES.values()))
-        statistics = {
-            "max": float(distance.max()),
-            "rms": float(np.sqrt(np.mean(distance**2))),
-            "percentiles": dict(zip(PERCENTILES, values.tolist(), strict=True)),
-        }
+        percentiles = dict(zip(PERCENTILES, values.tolist(), strict=True))
+        rms = float(np.sqrt(np.mean(distance**2)))
+        statistics = {"max": float(distance.max()), "rms": rms, "percentiles": percentiles}
     return ChannelDifference(
         name=name,
         pixels=int(a.size),

@@ -136,13 +136,8 @@ def _load_image(
     except InputError as error:
         problems.extend(error.messages)
         return None
-    if not image.kind.startswith("PNG"):
-        return image
-    return replace(
-        image,
-        saturation=image.saturation if saturation is None else saturation,
-        black=image.black if black is None else black,
-    )
+    known = {name: value for name, value in (("saturation", saturation), ("black", black)) if value is not None}
+    return replace(image, **known) if image.kind.startswith("PNG") else image
 
 
 def _structure_problems(golden: LoadedFile, new: LoadedFile) -> Iterator[str]:
@@ -162,16 +157,12 @@ def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: ComparisonThr
     both_hit, hit_a, hit_b = None, golden.hit, new.hit
     if hit_a is not None and hit_b is not None:
         both_hit, either, share = hit_a & hit_b, hit_a | hit_b, limits.max_share
-        mask = compare_arrays(
-            "hit", hit_a, hit_b, absolute=0, relative=0, max_share=share, where=either, saturation=(1, 1)
-        )
+        exact: dict[str, Any] = {"absolute": 0, "relative": 0, "saturation": (1, 1)}
+        mask = compare_arrays("hit", hit_a, hit_b, **exact, max_share=share, where=either)
         yield replace(mask, saturated_a=None, saturated_b=None)
     for name in sorted(golden.channels.keys() & new.channels.keys()):
         geometry = both_hit is not None
         patch = geometry and name == "patch"
-        saturation = (golden.saturation, new.saturation)
-        if limits.saturation is not None:
-            saturation = (limits.saturation, limits.saturation)
         difference = compare_arrays(
             name,
             golden.channels[name],
@@ -180,11 +171,16 @@ def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: ComparisonThr
             relative=0 if geometry else limits.relative,
             max_share=limits.max_share,
             where=golden.lit(name) | new.lit(name) if both_hit is None else both_hit,
-            saturation=saturation if name in _SATURATING else None,
+            saturation=_saturation(golden, new, limits.saturation) if name in _SATURATING else None,
             min_iou=limits.min_iou,
         )
         # Patch numbers are names: they are equal or not, and how far apart they are says nothing.
         yield replace(difference, max=None, rms=None, percentiles=None) if patch else difference
+
+
+def _saturation(golden: LoadedFile, new: LoadedFile, level: float | None) -> tuple[float, float]:
+    # levels from which both are saturated: one that was given goes before those of the files
+    return (golden.saturation, new.saturation) if level is None else (level, level)
 
 
 def compare_tables(a: Path, b: Path, thresholds: ComparisonThresholds) -> FileComparison:
@@ -248,9 +244,8 @@ def difference_picture(
     """
     golden, new = load_file(Path(a)), load_file(Path(b))
     if golden.kind != new.kind or golden.shape != new.shape:
-        raise InputError(
-            f"{a} and {b}: no difference to show between {golden.kind} of {golden.shape} and {new.kind} of {new.shape}"
-        )
+        kinds = f"{golden.kind} of {golden.shape} and {new.kind} of {new.shape}"
+        raise InputError(f"{a} and {b}: no difference to show between {kinds}")
     common = sorted(golden.channels.keys() & new.channels.keys())
     if not common:
         raise InputError(f"{a} and {b}: no channel is in both images")
@@ -263,29 +258,17 @@ def difference_picture(
     if signed.any():
         scale = max(float(np.percentile(np.abs(signed[signed != 0]), _SCALE_PERCENTILE)), _LEAST_SCALE)
     pixels = diverging(signed / scale)
-    only_golden = only_new = np.zeros(old.shape, np.bool_)
-    if name in ("Y", LEVELS):
-        full_a = old >= (golden.saturation if saturation is None else saturation)
-        full_b = now >= (new.saturation if saturation is None else saturation)
-        only_golden, only_new = full_a & ~full_b, full_b & ~full_a
+    limits = _saturation(golden, new, saturation)
+    saturating = name in _SATURATING
+    full_a, full_b = saturating & (old >= limits[0]), saturating & (now >= limits[1])
+    only_golden, only_new = full_a & ~full_b, full_b & ~full_a
     pixels[only_golden], pixels[only_new], pixels[~finite] = _ONLY_GOLDEN, _ONLY_NEW, _NOT_FINITE
-    metadata: dict[str, Any] = {
-        "picture": "difference",
-        "channel": name,
-        "scale": scale,
-        "beyond_scale": int((np.abs(signed) > scale).sum()),
-        "only_golden": int(only_golden.sum()),
-        "only_new": int(only_new.sum()),
-        "colours": {
-            f"{-scale:g} (new − golden) and below": _LOWER,
-            "0": _EQUAL,
-            f"{scale:g} and above": _HIGHER,
-            "saturated only in golden": _ONLY_GOLDEN,
-            "saturated only in new": _ONLY_NEW,
-            "not finite": _NOT_FINITE,
-        },
-    }
-    write_png(path, pixels, metadata=metadata, overwrite=overwrite)
+    counts = {"only_golden": int(only_golden.sum()), "only_new": int(only_new.sum())}
+    shades = {f"{-scale:g} (new − golden) and below": _LOWER, "0": _EQUAL, f"{scale:g} and above": _HIGHER}
+    marks = {"saturated only in golden": _ONLY_GOLDEN, "saturated only in new": _ONLY_NEW, "not finite": _NOT_FINITE}
+    scaled = {"scale": scale, "beyond_scale": int((np.abs(signed) > scale).sum())}
+    facts: dict[str, Any] = {"picture": "difference", "channel": name, **scaled, **counts, "colours": shades | marks}
+    write_png(path, pixels, metadata=facts, overwrite=overwrite)
     return scale
 
 
