@@ -132,14 +132,10 @@ class CatalogueEntryConfig(fields.Frozen):
     def shape(self) -> DefectShape:
         """The defect without its place, in mm and radians."""
         length, width = _extents(self.size_mm)
-        return DefectShape(
-            kind=self.kind,
-            length=length,
-            width=width,
-            slope=_slope(self.kind, self.size_mm, self.slope_deg, self.depth_mm),
-            R_d_factor=1.0 if self.R_d_factor is None else self.R_d_factor,
-            sigma_factor=1.0 if self.sigma_factor is None else self.sigma_factor,
-        )
+        slope = _slope(self.kind, self.size_mm, self.slope_deg, self.depth_mm)
+        factors = {"R_d_factor": self.R_d_factor, "sigma_factor": self.sigma_factor}
+        given = {name: factor for name, factor in factors.items() if factor is not None}
+        return DefectShape(kind=self.kind, length=length, width=width, slope=slope, **given)
 
 
 class PlannedDefectConfig(CatalogueEntryConfig):

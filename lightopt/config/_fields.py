@@ -30,13 +30,12 @@ def points_problem(points: int | str) -> str | None:
     """Message about a number of point lights; None for a square up to `MOST_POINTS`, and for auto."""
     if points == "auto":
         return None
+    near = f"; at most {MOST_POINTS}" if isinstance(points, int) and points > MOST_POINTS else ""
     if isinstance(points, int) and 1 <= points <= MOST_POINTS:
         k = math.isqrt(points)
         if k * k == points:
             return None
         near = f"; the nearest are {k * k} and {(k + 1) ** 2}"
-    else:
-        near = f"; at most {MOST_POINTS}" if isinstance(points, int) and points > MOST_POINTS else ""
     return f"expected a square (1, 4, 9, 16, …) or auto, found {points}{near}"
 
 
@@ -109,11 +108,8 @@ def repeated(keys: Iterable[Hashable | None]) -> Iterator[tuple[int, int]]:
     """Indices of keys that came before, each with the index of the first; None is passed over."""
     first: dict[Hashable, int] = {}
     for i, key in enumerate(keys):
-        if key is None:
-            continue
-        if key in first:
+        if key is not None and first.setdefault(key, i) != i:
             yield i, first[key]
-        first.setdefault(key, i)
 
 
 def value_of(entry: object, key: str) -> Any:

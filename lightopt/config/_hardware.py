@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo, f
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
-from lightopt.config._fields import Frozen, complaint, expecting
+from lightopt.config._fields import Complaint, Frozen, complaint, expecting
 
 _Baud = Annotated[int, Field(ge=300, le=4000000), expecting("a baud rate, from 300 to 4000000")]
 _Channel = Annotated[int, Field(ge=1, le=64), expecting("a channel number as on the device, from 1 to 64")]
@@ -144,8 +144,8 @@ class ControllerConfig(Frozen):
     @field_validator("channels", "top_level")
     @classmethod
     def _sayable(cls, number: int, info: ValidationInfo) -> int:
-        driver = info.data.get("driver")
-        most = _MOST.get(str(driver), {}).get(str(info.field_name))
+        driver = str(info.data.get("driver"))
+        most = _MOST.get(driver, {}).get(str(info.field_name))
         if most is not None and number > most:
             raise complaint(f"expected at most {most}, the most that {driver} can express, found {number}")
         return number
@@ -247,9 +247,8 @@ class StageDeviceConfig(Frozen):
             return axis
         tilt = info.data["elevation"]
         if axis is None and tilt is None:
-            raise fields.absent(
-                'missing key "elevation" or "rotation": an axis that the stage has', "elevation", "rotation"
-            )
+            missing = 'missing key "elevation" or "rotation": an axis that the stage has'
+            raise fields.absent(missing, "elevation", "rotation")
         if axis is not None and tilt is not None and axis.axis == tilt.axis:
             raise complaint(f'axis "{axis.axis}" is already that of elevation; two axes have two names')
         return axis
@@ -286,9 +285,7 @@ class HardwareConfig(Frozen):
 _REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {"virtual"}
 
 
-def misfits(
-    hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None
-) -> Iterator[fields.Complaint]:
+def misfits(hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None) -> Iterator[Complaint]:
     """What does not fit together, by the path under ``hardware``; None and parts that are wrong are passed over."""
     section = fields.mapping(hardware)
     controllers, channels = (fields.mapping(section.get(key)) for key in ("controllers", "lights"))
@@ -305,7 +302,7 @@ def misfits(
         yield ("camera",), device, complaint(reason)
 
 
-def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[fields.Complaint]:
+def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[Complaint]:
     for name in lights:
         if name not in channels:
             entry = f"{name}: {{controller: ..., channel: ..., level: ...}}"
@@ -318,7 +315,7 @@ def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[
             yield ("lights", name), channel, complaint(f'the rig has no light "{name}"{meant}')
 
 
-def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, object]) -> Iterator[fields.Complaint]:
+def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, object]) -> Iterator[Complaint]:
     """What is wrong with where one light is plugged in."""
     wanted, number = channel.get("controller"), _whole(channel.get("channel"))
     level, most = _whole(channel.get("level")), _whole(channel.get("max_level"))
@@ -344,7 +341,7 @@ def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, ob
             yield ("lights", name, key), value, complaint(reason)
 
 
-def _shared(channels: Mapping[str, object]) -> Iterator[fields.Complaint]:
+def _shared(channels: Mapping[str, object]) -> Iterator[Complaint]:
     """Lights on the channel of another light."""
     names, entries = list(channels), [fields.mapping(entry) for entry in channels.values()]
     places = [(entry.get("controller"), _whole(entry.get("channel"))) for entry in entries]
@@ -354,7 +351,7 @@ def _shared(channels: Mapping[str, object]) -> Iterator[fields.Complaint]:
         yield ("lights", names[i], "channel"), number, complaint(reason)
 
 
-def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -> Iterator[fields.Complaint]:
+def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -> Iterator[Complaint]:
     """Devices at the port of another device."""
     paths: list[tuple[str, ...]] = [*(("controllers", name) for name in controllers), ("stage",)]
     ports = [fields.mapping(entry).get("port") for entry in (*controllers.values(), stage)]

@@ -177,17 +177,12 @@ class PartConfig(fields.FileConfig):
         postures = fields.entries(value)
         angles = [tuple(fields.value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
         valid = [pair if all(type(angle) in (int, float) for angle in pair) else None for pair in angles]
-        complaints = (
-            ((i,), postures[i], complaint(f"the same posture as postures[{first}]"))
-            for i, first in fields.repeated(valid)
-        )
-        return fields.with_complaints(value, handler, complaints)
+        twice = ((i, complaint(f"the same posture as postures[{first}]")) for i, first in fields.repeated(valid))
+        return fields.with_complaints(value, handler, (((i,), postures[i], error) for i, error in twice))
 
     @field_validator("defects", "defect_catalogue", mode="wrap")
     @classmethod
-    def _have_names_of_their_own(
-        cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
-    ) -> Any:
+    def _differ_in_name(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
         return fields.with_complaints(value, handler, fields.same_names(fields.entries(value), str(info.field_name)))
 
 

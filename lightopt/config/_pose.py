@@ -89,11 +89,8 @@ def standing_at(point: object) -> dict[str, float]:
         return {}
     x, y, z = (float(v) for v in values if isinstance(v, (int, float)))
     elevation, azimuth = math.degrees(math.atan2(z, math.hypot(x, y))), math.degrees(math.atan2(y, x))
-    return {
-        "distance_mm": round(math.hypot(x, y, z), 6),
-        "elevation_deg": round(elevation, 6),
-        "azimuth_deg": round(azimuth, 6),
-    }
+    spherical = (math.hypot(x, y, z), elevation, azimuth)
+    return {key: round(value, 6) for key, value in zip(POSE_REPLACES, spherical, strict=True)}
 
 
 def with_pose(

@@ -104,8 +104,7 @@ class RayCaster:
         point_index, target_index: Shape (k,)
         """
         begins = _begins(points, normals, self.centre, self.radius)
-        origins, directions = _rays_of_pairs(begins, self._local(targets), point_index, target_index)
-        return self._run("OCCLUDED", origins, directions) >= 0
+        return self._run("OCCLUDED", *_rays_of_pairs(begins, self._local(targets), point_index, target_index)) >= 0
 
     def visible(
         self, points: Float64, normals: Float64, targets: Float64, *, candidates: Bool, outside: bool = False
@@ -154,11 +153,9 @@ class RayCaster:
         if self._packets is not None:
             query_function = self._packets.occluded if query == "OCCLUDED" else self._packets.first_hit
             return query_function(origins, directions)
-        if query == "OCCLUDED":
-            # directions end at the target, so that a ray reaches from 0 to 1 of its length
-            reach = np.ones(len(origins), np.float32)
-            return self._scene.run(origins, directions, reach, query=query)
-        return self._scene.run(origins, directions, query=query)
+        # directions end at the target, so that a shadow ray reaches from 0 to 1 of its length
+        reach = [np.ones(len(origins), np.float32)] if query == "OCCLUDED" else []
+        return self._scene.run(origins, directions, *reach, query=query)
 
 
 @kernel
@@ -190,18 +187,9 @@ def _begins(points: Float64, normals: Float64, centre: Float64, radius: float) -
     return begins
 
 
-@kernel
-def _rays_of_pairs(
-    begins: Float64, targets: Float64, point_index: Int32, target_index: Int32
-) -> tuple[Float32, Float32]:
-    origins32 = np.empty((len(point_index), 3), np.float32)
-    directions32 = np.empty((len(point_index), 3), np.float32)
-    for i in range(len(point_index)):
-        p, t = point_index[i], target_index[i]
-        for axis in range(3):
-            origins32[i, axis] = begins[axis, p]
-            directions32[i, axis] = targets[t, axis] - begins[axis, p]
-    return origins32, directions32
+def _rays_of_pairs(begins: Float64, targets: Float64, point: Int32, target: Int32) -> tuple[Float32, Float32]:
+    origins = begins[:, point].T
+    return np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(targets[target] - origins, np.float32)
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,8 @@ from lightopt.core.threads import side_by_side
 from lightopt.geometry._topology import EdgePairs, join, merge_rows, next_corner
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross, unit_crosses
 
-# Facet normals of coordinates in float64 are good to about this [rad].
-_ANGLE_ROUNDING = 1e-9
-
-# Components of one normal written twice in float32 or with six decimals differ by less.
-_SAME_NORMAL = 1e-5
+_ANGLE_ROUNDING = 1e-9  # facet normals of coordinates in float64 are good to about this [rad]
+_SAME_NORMAL = 1e-5  # components of one normal written twice in float32 or with six decimals differ by less
 
 
 def smooth_normals(

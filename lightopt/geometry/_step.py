@@ -78,15 +78,11 @@ def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float
     if _SMALLEST_MM <= largest <= _LARGEST_MM:
         return
     unit = "" if declared is None else f" (the file declares {unit_name(declared)})"
-    factors = (1000.0, 25.4) if largest > _LARGEST_MM else (1e-3, 1 / 25.4)
-    likely = " or ".join(
-        f"{largest / factor:.3g} mm with a unit mistake of {1000 if factor in (1000.0, 1e-3) else 25.4:g}"
-        for factor in factors
-    )
+    true = {mistake: largest / mistake if largest > _LARGEST_MM else largest * mistake for mistake in (1000.0, 25.4)}
+    likely = " or ".join(f"{mm:.3g} mm with a unit mistake of {mistake:g}" for mistake, mm in true.items())
     raise InputError(
-        f"{name}: the part is {size[0]:.4g} × {size[1]:.4g} × {size[2]:.4g} mm{unit}; expected its largest "
-        f"side between {_SMALLEST_MM} mm and {_LARGEST_MM:g} mm. It would be {likely}: export it in its true "
-        "unit"
+        f"{name}: the part is {size[0]:.4g} × {size[1]:.4g} × {size[2]:.4g} mm{unit}; expected its largest side "
+        f"between {_SMALLEST_MM} mm and {_LARGEST_MM:g} mm. It would be {likely}: export it in its true unit"
     )
 
 
@@ -131,20 +127,16 @@ class _Tessellation:
         if status == 0 and self._glb.is_file():
             return self._glb.read_bytes(), _last_line(written)
         output = f" ({_last_line(written)})" if written.strip() else ""
-        if status == _step_worker.EXIT_READ:
-            raise InputError(
-                f"{path}: the STEP file could not be read{output}. Export it again (AP203, AP214 or AP242)"
-            )
-        if status == _step_worker.EXIT_MEMORY:
-            raise InputError(
-                f"{path}: {what} needs more than {MEMORY_GB:g} GB of memory. Use a coarser "
-                "mesh.chord_tolerance_mm, or simplify the part"
-            )
-        raise InputError(
-            f"{path}: {what} ended with status {status}{output}: the CAD kernel crashed on this file or "
-            f"reached the memory limit of {MEMORY_GB:g} GB. Use a coarser mesh.chord_tolerance_mm, or export the "
-            "part as STL"
+        coarser = "Use a coarser mesh.chord_tolerance_mm"
+        problem = (
+            f"{what} ended with status {status}{output}: the CAD kernel crashed on this file or reached the memory "
+            f"limit of {MEMORY_GB:g} GB. {coarser}, or export the part as STL"
         )
+        if status == _step_worker.EXIT_READ:
+            problem = f"the STEP file could not be read{output}. Export it again (AP203, AP214 or AP242)"
+        elif status == _step_worker.EXIT_MEMORY:
+            problem = f"{what} needs more than {MEMORY_GB:g} GB of memory. {coarser}, or simplify the part"
+        raise InputError(f"{path}: {problem}")
 
 
 def _last_line(output: bytes) -> str:

@@ -59,7 +59,14 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
 
 def edge_pairs(faces: Int32) -> EdgePairs:
     """Match the edges of all faces."""
-    return EdgePairs(*_pairs(faces, *corners_by_edge(faces)))
+    order, begins = corners_by_edge(faces)
+    uses = np.diff(begins)
+    of_two = begins[:-1][uses == 2]
+    corners = np.stack([order[of_two], order[of_two + 1]], axis=1)
+    start = faces.reshape(-1)[corners]
+    rim = np.zeros(len(faces), np.bool_)
+    rim[order[np.repeat(uses != 2, uses)] // 3] = True
+    return EdgePairs(corners, start[:, 0] == start[:, 1], rim)
 
 
 @kernel
@@ -102,24 +109,6 @@ def corners_by_edge(faces: Int32) -> tuple[Int32, Int32]:
 def next_corner(corner: Any) -> Any:
     """The corner after a corner in its face; of one or of an array."""
     return corner - corner % 3 + (corner + 1) % 3
-
-
-@kernel
-def _pairs(faces: Int32, order: Int32, begins: Int32) -> tuple[Int32, Bool, Bool]:
-    flat = faces.reshape(-1)
-    pairs, same = np.empty((len(flat) // 2, 2), np.int32), np.empty(len(flat) // 2, np.bool_)
-    rim = np.zeros(len(faces), np.bool_)
-    count = 0
-    for edge in range(len(begins) - 1):
-        begin, end = begins[edge], begins[edge + 1]
-        if end - begin == 2:
-            pairs[count, 0], pairs[count, 1] = order[begin], order[begin + 1]
-            same[count] = flat[order[begin]] == flat[order[begin + 1]]
-            count += 1
-        else:
-            for k in range(begin, end):
-                rim[order[k] // 3] = True
-    return pairs[:count].copy(), same[:count].copy(), rim
 
 
 @kernel

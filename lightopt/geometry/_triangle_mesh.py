@@ -31,9 +31,8 @@ class TriangleMesh:
         if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
             raise InputError(f"mesh faces: expected integers of shape (m, 3), found {faces.dtype} {faces.shape}")
         if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-            raise InputError(
-                f"mesh faces: vertex indices from {faces.min()} to {faces.max()} for {len(vertices)} vertices"
-            )
+            numbers = f"from {faces.min()} to {faces.max()} for {len(vertices)} vertices"
+            raise InputError(f"mesh faces: vertex indices {numbers}")
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", read_only(np.ascontiguousarray(faces, dtype=np.int32)))
         if self.normals is None:
@@ -83,8 +82,7 @@ def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike)
 
     Raises InputError: R is not a rotation (a scaling or a mirror would falsify normals and winding), or t is not finite
     """
-    R = np.asarray(rotation, dtype=np.float64)
-    t = np.asarray(translation, dtype=np.float64)
+    R, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
     if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9) or np.linalg.det(R) < 0:
         raise InputError(f"mesh rotation: expected a rotation matrix of shape (3, 3), found {R.tolist()}")
     if t.shape != (3,) or not np.isfinite(t).all():
@@ -121,8 +119,6 @@ def _rows_of_three(name: str, values: Float64) -> Float64:
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"mesh {name}: expected shape (n, 3), found {array.shape}")
     if not np.isfinite(array).all():
-        finite = np.isfinite(array).all(axis=1)
-        raise InputError(
-            f"mesh {name}: {np.count_nonzero(~finite)} rows are not finite, the first is row {int(np.argmin(finite))}"
-        )
+        odd = np.flatnonzero(~np.isfinite(array).all(axis=1))
+        raise InputError(f"mesh {name}: {len(odd)} rows are not finite, the first is row {odd[0]}")
     return read_only(array)

@@ -10,8 +10,7 @@ from lightopt.core.kernels import kernel
 from lightopt.geometry._topology import EdgePairs, edge_pairs
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_crosses
 
-# Closed surfaces with less volume than this part of area^1.5 are folded sheets without an inside.
-_NO_VOLUME = 1e-9
+_NO_VOLUME = 1e-9  # closed surfaces with less volume than this part of area^1.5 are folded sheets without an inside
 
 
 @dataclass(frozen=True, eq=False)
