@@ -124,13 +124,10 @@ def fit_specular(
     """
     from lightopt.estimate.reflectance import FitOptions, PaperOptions
 
-    paper = PaperOptions(
-        lambda_s1=lambda_s1, lambda_s2=lambda_s2, sigma_step=sigma_step, sigma_start=start_sigma, R_s_start=start_rs
-    )
-    options = FitOptions(
-        method=method, joint=joint, register=register, pixels=pixels, validate=validate, write_noise=write_noise,
-        paper=paper,
-    )  # fmt: skip
+    start = {"sigma_start": start_sigma, "R_s_start": start_rs}
+    paper = PaperOptions(lambda_s1=lambda_s1, lambda_s2=lambda_s2, sigma_step=sigma_step, **start)
+    options = FitOptions(method=method, register=register, pixels=pixels, write_noise=write_noise, paper=paper)
+    options = replace(options, joint=joint, validate=validate)
     options = _complete("specular", options, free, points)
     converged = _run("specular", rig, part, images, out, options, force, threads, quiet=quiet, verbose=verbose)
     _require(converged or allow_unconverged)
@@ -286,9 +283,9 @@ def _show_points(result: FitResult) -> None:
 
 
 def _summarise_left_out(result: FitResult) -> None:
-    images = [(image, left) for left in result.left_out for image in left.images]
-    worst, _ = max(images, key=lambda pair: pair[0].rms_sensor)
-    overlaps = [image.iou for image, _ in images if image.iou is not None]
+    images = [image for left in result.left_out for image in left.images]
+    worst = max(images, key=lambda image: image.rms_sensor)
+    overlaps = [image.iou for image in images if image.iou is not None]
     own = f" ({', '.join(result.not_left_out)} from all images)" if result.not_left_out else ""
     least = f", saturated areas overlap by {min(overlaps):.3f} (IoU) or more" if overlaps else ""
     echo(

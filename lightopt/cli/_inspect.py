@@ -103,9 +103,8 @@ def inspect(
     problems = options.problems()
     if calibrate:
         given = {"--calibration": learned is not None, "--evaluate": evaluate, "--fail-on-defect": fail_on_defect}
-        problems += [
-            f"{name}: cannot be combined with --calibrate, which does not inspect" for name, is_ in given.items() if is_
-        ]
+        given_names = (name for name, is_given in given.items() if is_given)
+        problems += [f"{name}: cannot be combined with --calibrate, which does not inspect" for name in given_names]
     if problems:
         raise InputError(*problems)
     loaded_rig, loaded_part = common.load_inputs(rig, part)
@@ -247,9 +246,8 @@ def _write_set(
     if summary is not None:
         more.append(folder.write_text(inspection.TRUTH_NAME, inspection.truth_text(summary)))
     if output.report:
-        page = inspection_report(
-            result, verdict, part=output.part.name, rig=output.rig.name, provenance=folder.made_from, truth=summary
-        )
+        names = {"part": output.part.name, "rig": output.rig.name}
+        page = inspection_report(result, verdict, **names, provenance=folder.made_from, truth=summary)
         more.append(folder.write_text(inspection.REPORT_NAME, page))
     _show_written(output, summary, [*folder.write(result, verdict), *more])
     report = f"{inspected.name}/{inspection.REPORT_NAME}" if output.report else ""

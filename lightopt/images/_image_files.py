@@ -70,16 +70,12 @@ def _write_image(
         # raises OSError with the system's reason
         OpenImageIO = _openimageio()
         output = OpenImageIO.ImageOutput.create(file_format)
-        if output is None:
-            raise OSError(f"OpenImageIO has no {file_format} writer: {OpenImageIO.geterror()}")
         if not output.open(str(path), spec):  # writing after a failed open crashes the process
             raise OSError(output.geterror())
         top, done = 0, True
         for block in rows:
-            done = output.write_scanlines(top, top + block.shape[0], 0, np.ascontiguousarray(block))
-            if not done:
-                break
-            top += block.shape[0]
+            done = done and output.write_scanlines(top, top + len(block), 0, np.ascontiguousarray(block))
+            top += len(block)
         closed = output.close()
         # The PNG writer reports success on a full disk; only its error text shows it.
         message = output.geterror()

@@ -290,9 +290,8 @@ def _manifest(top: _Fields) -> Manifest:
     files = top.texts("files")
     for name in files:
         top.require_inside("files", name)
-    saturation = None
-    if top.data.get("saturation_level") is not None:
-        saturation = top.number("saturation_level", above=0, upto=max_level)
+    given = top.data.get("saturation_level") is not None
+    saturation = top.number("saturation_level", above=0, upto=max_level) if given else None
     return Manifest(
         kind=kind,
         bit_depth=int(bits),
@@ -326,28 +325,16 @@ def _posture(entry: _Fields) -> Posture:
 
 
 def _image(item: _Fields) -> ImageEntry:
-    entry = ImageEntry(
-        light=item.text("light"),
-        light_elevation_deg=item.number("light_elevation_deg"),
-        light_azimuth_deg=item.number("light_azimuth_deg"),
-        posture=_posture(item),
-        exposure=item.number("exposure", above=0),
-        png=item.file("png"),
-        exr=item.file("exr"),
-        sha256=item.texts("sha256"),
-        extra=item.unknown(ImageEntry),
-    )
-    if entry.png is None and entry.exr is None:
+    light, angles = item.text("light"), (item.number("light_elevation_deg"), item.number("light_azimuth_deg"))
+    posture, exposure = _posture(item), item.number("exposure", above=0)
+    png, exr, hashes = item.file("png"), item.file("exr"), item.texts("sha256")
+    if png is None and exr is None:
         item.problem("", "png or exr", None)
-    return entry
+    return ImageEntry(light, *angles, posture, exposure, png, exr, sha256=hashes, extra=item.unknown(ImageEntry))
 
 
 def _geometry(item: _Fields) -> GeometryEntry:
     if item.data.get("exr") is None:
         item.problem("exr", "a file", None)
-    return GeometryEntry(
-        posture=_posture(item),
-        exr=item.file("exr") or "",
-        sha256=item.texts("sha256"),
-        extra=item.unknown(GeometryEntry),
-    )
+    posture, exr, hashes = _posture(item), item.file("exr") or "", item.texts("sha256")
+    return GeometryEntry(posture, exr, sha256=hashes, extra=item.unknown(GeometryEntry))

@@ -40,13 +40,10 @@ class Overlap:
         return int((self.count >= 2).sum())
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "posture": self.posture.as_dict(),
-            "exposure": self.exposure,
-            "saturated_px": dict(self.saturated),
-            "overlap_px": [{"lights": list(pair), "px": pixels} for pair, pixels in self.pairs.items()],
-            "saturated_in_two_or_more_px": self.pixels,
-        }
+        pairs = [{"lights": list(pair), "px": pixels} for pair, pixels in self.pairs.items()]
+        figures = {"saturated_px": dict(self.saturated), "overlap_px": pairs}
+        image = {"posture": self.posture.as_dict(), "exposure": self.exposure}
+        return {**image, **figures, "saturated_in_two_or_more_px": self.pixels}
 
 
 def find_overlaps(images: ImageSet) -> tuple[Overlap, ...]:

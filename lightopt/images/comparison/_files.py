@@ -65,9 +65,8 @@ def load_file(path: Path) -> LoadedFile:
     pixels = read_png(path, colour=True)
     grey = pixels.ndim == 2
     channels = {LEVELS: pixels} if grey else {name: pixels[..., i] for i, name in enumerate("RGB")}
-    top = float(np.iinfo(pixels.dtype).max)
     metadata = read_metadata(path)
-    saturation = _number(metadata.get("saturation_level"), top)
+    saturation = _number(metadata.get("saturation_level"), float(np.iinfo(pixels.dtype).max))
     black = _number(metadata.get("black_level"), 0.0)
     return LoadedFile(dict(channels), f"PNG of {pixels.dtype}", saturation, black)
 
@@ -145,12 +144,10 @@ def _structure_problems(golden: LoadedFile, new: LoadedFile) -> Iterator[str]:
         yield f"different formats: golden {golden.kind}, new {new.kind}"
     if golden.shape != new.shape:
         yield f"different sizes (H, W): golden {golden.shape}, new {new.shape}"
-    for role, names in (
-        ("new file lacks", set(golden.channels) - set(new.channels)),
-        ("golden file lacks", set(new.channels) - set(golden.channels)),
-    ):
+    old, now = set(golden.channels), set(new.channels)
+    for role, names in (("new", old - now), ("golden", now - old)):
         if names and golden.kind == new.kind:
-            yield f"{role} channel {', '.join(sorted(names))}"
+            yield f"{role} file lacks channel {', '.join(sorted(names))}"
 
 
 def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: ComparisonThresholds) -> Iterator[ChannelDifference]:
@@ -197,8 +194,7 @@ def compare_tables(a: Path, b: Path, thresholds: ComparisonThresholds) -> FileCo
         if old.shape != now.shape or old.dtype.kind != now.dtype.kind:
             reasons.append(f"{name}: golden {old.dtype} {old.shape}, new {now.dtype} {now.shape}")
         elif old.dtype.kind in "biuf":
-            absolute = thresholds.geometry_absolute if old.dtype.kind == "f" else 0.0
-            share = thresholds.max_share
+            absolute, share = thresholds.geometry_absolute if old.dtype.kind == "f" else 0.0, thresholds.max_share
             channels.append(compare_arrays(name, old, now, absolute=absolute, relative=0, max_share=share))
         elif not np.array_equal(old, now):
             reasons.append(f"{name}: different texts")
@@ -218,12 +214,8 @@ def _load_arrays(role: str, path: Path, reasons: list[str]) -> dict[str, NDArray
     return {}
 
 
-_LOWER = (33, 102, 172)
-_EQUAL = (247, 247, 247)
-_HIGHER = (178, 24, 43)
-_ONLY_GOLDEN = (0, 150, 60)
-_ONLY_NEW = (255, 0, 255)
-_NOT_FINITE = (0, 0, 0)
+_LOWER, _EQUAL, _HIGHER = (33, 102, 172), (247, 247, 247), (178, 24, 43)
+_ONLY_GOLDEN, _ONLY_NEW, _NOT_FINITE = (0, 150, 60), (255, 0, 255), (0, 0, 0)
 _SCALE_PERCENTILE = 99.9
 _LEAST_SCALE = 0.05
 
