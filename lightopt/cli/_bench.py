@@ -211,12 +211,9 @@ def list_devices(
         problem = port_problem(port)
         return "present, not opened" if problem is None else f"NO: {problem.partition('; ')[0]}"
 
-    rows = [
-        (f"controller {name}", config.driver, config.port, port_state(config.port))
-        for name, config in hardware.controllers.items()
-    ]
-    if hardware.stage is not None:
-        rows.append(("stage", hardware.stage.driver, hardware.stage.port, port_state(hardware.stage.port)))
+    stage = {} if hardware.stage is None else {"stage": hardware.stage}
+    devices = {f"controller {name}": config for name, config in hardware.controllers.items()} | stage
+    rows = [(name, config.driver, config.port, port_state(config.port)) for name, config in devices.items()]
     camera = hardware.camera
     rows.append(("camera", camera.driver, camera.folder or camera.port or "", _camera_state(camera, cameras)))
     echo("")

@@ -138,8 +138,7 @@ def set_up_log(verbose: bool) -> bool:
     import logging
 
     log = logging.getLogger("lightopt")
-    for handler in tuple(log.handlers):
-        log.removeHandler(handler)
+    log.handlers.clear()
     if verbose:
         handler = logging.StreamHandler()
         handler.setFormatter(logging.Formatter("%(relativeCreated)8.0f ms  %(name)s: %(message)s"))

@@ -27,11 +27,8 @@ _Depth = Annotated[float, Field(gt=0, le=1e3), fields.expecting("a number above 
 _Factor = Annotated[float, Field(ge=0, le=100), fields.expecting("a number from 0 to 100")]
 _WidthFactor = Annotated[float, Field(ge=0.01, le=100), fields.expecting("a number from 0.01 to 100")]
 _Factor10 = Annotated[float, Field(ge=0.1, le=10)]
-_Range = Annotated[
-    tuple[_Factor10, _Factor10],
-    fields.LIST,
-    fields.expecting("[least, greatest], two numbers from 0.1 to 10, such as [0.5, 2]"),
-]
+_LEAST_GREATEST = "[least, greatest], two numbers from 0.1 to 10, such as [0.5, 2]"
+_Range = Annotated[tuple[_Factor10, _Factor10], fields.LIST, fields.expecting(_LEAST_GREATEST)]
 _Turn = Annotated[float, Field(ge=-360, le=360), fields.expecting("a number from -360 to 360 (degrees)")]
 _PixelIndex = Annotated[int, Field(ge=0, le=65535)]
 

@@ -162,6 +162,7 @@ def _square(points: int | str) -> int | str:
     return points
 
 
+_ASCENDING = AfterValidator(_ordered)
 LIST = Field(strict=False)  # of fixed length; it becomes a tuple, which strict validation would refuse
 
 Number = Annotated[float, Field(ge=-1e6, le=1e6), expecting("a number")]
@@ -173,20 +174,14 @@ Elevation = Annotated[
 ]
 Azimuth = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 to 360 (degrees about Z)")]
 ElevationRange = Annotated[
-    tuple[Elevation, Elevation],
-    LIST,
-    AfterValidator(_ordered),
-    expecting("[low, high], two numbers between 0 and 180 (degrees)"),
+    tuple[Elevation, Elevation], LIST, _ASCENDING, expecting("[low, high], two numbers between 0 and 180 (degrees)")
 ]
 AzimuthRange = Annotated[
-    tuple[Azimuth, Azimuth],
-    LIST,
-    AfterValidator(_ordered),
-    expecting("[low, high], two numbers from -360 to 360 (degrees)"),
+    tuple[Azimuth, Azimuth], LIST, _ASCENDING, expecting("[low, high], two numbers from -360 to 360 (degrees)")
 ]
 Tilt = Annotated[float, Field(ge=-180, le=180), expecting("a number from -180 to 180 (degrees of tilt)")]
 TiltRange = Annotated[
-    tuple[Tilt, Tilt], LIST, AfterValidator(_ordered), expecting("[low, high], two numbers from -180 to 180 (degrees)")
+    tuple[Tilt, Tilt], LIST, _ASCENDING, expecting("[low, high], two numbers from -180 to 180 (degrees)")
 ]
 Coordinates = Annotated[tuple[Number, Number, Number], LIST, expecting("[x, y, z], three numbers up to 1000000")]
 Size = Annotated[

@@ -172,23 +172,15 @@ def _made(vertices: Float32, faces: Int32, planes: Float32, either: Bool, target
     return view, depths
 
 
-@kernel
 def _view(target: Float64) -> Float32:
-    distance = math.sqrt(target[0] * target[0] + target[1] * target[1] + target[2] * target[2])
-    fx, fy, fz = -target[0] / distance, -target[1] / distance, -target[2] / distance
+    distance = float(np.linalg.norm(target))
+    forward = -target / distance
     # right is across the axis that is furthest from forward
-    if abs(fx) <= min(abs(fy), abs(fz)):
-        rx, ry, rz = 0.0, -fz, fy
-    elif abs(fy) <= abs(fz):
-        rx, ry, rz = fz, 0.0, -fx
-    else:
-        rx, ry, rz = -fy, fx, 0.0
-    length = math.sqrt(rx * rx + ry * ry + rz * rz)
-    rx, ry, rz = rx / length, ry / length, rz / length
-    ux, uy, uz = fy * rz - fz * ry, fz * rx - fx * rz, fx * ry - fy * rx
+    right = np.cross(np.eye(3)[np.argmin(np.abs(forward))], forward)
+    right /= np.linalg.norm(right)
     edge = 1.02 / math.sqrt(distance * distance - 1.0)
-    numbers = (rx, ry, rz, ux, uy, uz, fx, fy, fz, distance, -edge, TEXELS / (2.0 * edge))
-    return np.array(numbers).astype(np.float32)
+    numbers = (*right, *np.cross(forward, right), *forward, distance, -edge, TEXELS / (2.0 * edge))
+    return np.array(numbers, np.float32)
 
 
 @kernel

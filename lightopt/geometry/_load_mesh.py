@@ -140,17 +140,15 @@ def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:
         bad = (raw.faces < 0) | (raw.faces >= len(raw.vertices))
         count = counted(int(np.count_nonzero(bad.any(axis=1))), "triangle")
         raise InputError(
-            f"{name}: {count} with vertices that do not exist: indices "
-            f"{low} to {high} (counted from 0) for {len(raw.vertices)} vertices. The file is damaged; "
-            "export it again"
+            f"{name}: {count} with vertices that do not exist: indices {low} to {high} (counted from 0) for "
+            f"{len(raw.vertices)} vertices. The file is damaged; export it again"
         )
     farthest = max(-float(raw.vertices.min()), float(raw.vertices.max()))
     if not math.isfinite(farthest):
-        bad = ~np.isfinite(raw.vertices).all(axis=1)
-        where = int(np.argmax(bad))
+        bad = np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))
         raise InputError(
-            f"{name}: {np.count_nonzero(bad)} vertices have coordinates that are not finite, the first is "
-            f"vertex {where} (counted from 0): {raw.vertices[where].tolist()}. Export the file again"
+            f"{name}: {len(bad)} vertices have coordinates that are not finite, the first is vertex {bad[0]} (counted "
+            f"from 0): {raw.vertices[bad[0]].tolist()}. Export the file again"
         )
     if farthest > _FARTHEST_MM / unit_mm:
         raise InputError(

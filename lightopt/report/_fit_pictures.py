@@ -38,10 +38,8 @@ def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
 
     if isinstance(result.paper, PaperSpecular):
         figure = _paper_sweep(result.paper)
-    elif isinstance(result.paper, PaperDiffuse):
-        figure = _paper_rounds(result.paper)
     else:
-        figure = _ridge(result)
+        figure = _paper_rounds(result.paper) if isinstance(result.paper, PaperDiffuse) else _ridge(result)
     return None if figure is None else write_picture(place(), figure_image(figure))
 
 
@@ -77,8 +75,8 @@ def _ridge(result: FitResult) -> Figure | None:
 
 def _paper_rounds(record: PaperDiffuse) -> Figure:
     labels = "R_d [grey level]", "D, difference of the mean brightness [grey level]"
-    figure, panels = chart(title="R_d, round by round (section 4.2)", x_label="round", labels=labels)
-    coefficient, difference = panels
+    title = "R_d, round by round (section 4.2)"
+    figure, (coefficient, difference) = chart(title=title, x_label="round", labels=labels)
     rounds = np.arange(1, len(record.iterations) + 1)
     coefficient.plot(rounds, [i[0] for i in record.iterations], ".-", color=LINE)
     difference.plot(rounds, [i[2] for i in record.iterations], ".-", color=LINE)

@@ -202,13 +202,11 @@ def _vector(values: Float64) -> str:
 def _part_lines(scene: Scene) -> list[str]:
     low, high = scene.mesh.bounds
     size = " × ".join(number(float(f"{side:.3g}")) for side in high - low)
-    listed = [str(posture).replace("-", "−") for posture in scene.postures[:MOST_POSTURES]]
     lines = [f"{size} mm, pivot {_vector(scene.pivot)} mm"]
-    if scene.postures:
-        first = scene.postures[0]
+    for first in scene.postures[:1]:
         elevation, rotation = number(first.elevation_deg), number(first.rotation_deg)
         lines.append(f"drawn at {sub('θ', 'j')} {elevation}°, {sub('φ', 'j')} {rotation}°")
-    rest = listed[1:]
+    rest = [str(posture).replace("-", "−") for posture in scene.postures[1:MOST_POSTURES]]
     if len(scene.postures) > MOST_POSTURES:
         rest.append(f"{len(scene.postures) - MOST_POSTURES} more")
     return lines + [("other postures " if i == 0 else "") + ", ".join(rest[i : i + 3]) for i in range(0, len(rest), 3)]

@@ -65,8 +65,7 @@ def part_box(scene: Scene, posture: Posture) -> Float64:
 
 def rig_size(scene: Scene) -> float:
     """Distance of the farthest light or, without lights, of the camera [mm]: what signs are sized by."""
-    distances = [light.distance for light in scene.lights] or [float(np.linalg.norm(scene.camera.position))]
-    return max(distances)
+    return max([light.distance for light in scene.lights] or [float(np.linalg.norm(scene.camera.position))])
 
 
 def square(half: float, centre: Float64) -> Float64:

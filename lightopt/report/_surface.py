@@ -112,8 +112,7 @@ def simplified(surface: ColouredSurface, *, most: int = MOST_TRIANGLES) -> tuple
             break
         cell *= max(1.05, math.sqrt(len(left) / most))
     layers = tuple(replace(layer, of_face=layer.of_face[left]) for layer in surface.layers)
-    vertices = low + places[first] * cell
-    return replace(surface, vertices=vertices, triangles=moved[left], layers=layers), cell
+    return replace(surface, vertices=low + places[first] * cell, triangles=moved[left], layers=layers), cell
 
 
 def eye_distance(surface: ColouredSurface) -> float:
@@ -127,8 +126,7 @@ def first_view(camera: PinholeCamera) -> Float64:
 
     Not from straight above: that shows sides, too.
     """
-    toward = camera.position / np.linalg.norm(camera.position)
-    mixed = toward + np.array([0.35, -0.9, 0.0])
+    mixed = camera.position / np.linalg.norm(camera.position) + np.array([0.35, -0.9, 0.0])
     return mixed / np.linalg.norm(mixed)
 
 
@@ -165,8 +163,7 @@ def _middle(surface: ColouredSurface) -> Float64:
 
 
 def _step(surface: ColouredSurface) -> float:
-    half = 0.5 * float((surface.vertices.max(axis=0) - surface.vertices.min(axis=0)).max())
-    return max(half, 1e-9) / _STEPS
+    return max(0.5 * float(np.ptp(surface.vertices, axis=0).max()), 1e-9) / _STEPS
 
 
 def surface_still(surface: ColouredSurface) -> Image.Image:

@@ -127,8 +127,7 @@ def cast_part(scene: Scene, caster: RayCaster, posture: Posture, view: ParallelV
         image_distance=distance,
     ).moved(rotation.T, -rotation.T @ translation)
     # the middle of this image is the centre exactly; on the picture it is rounded to whole fine pixels
-    nearness = np.full(4 * half * half, -np.inf)
-    normals = np.zeros((4 * half * half, 3))
+    nearness, normals = np.full(4 * half * half, -np.inf), np.zeros((4 * half * half, 3))
     for start in range(0, len(nearness), _BLOCK):
         index = np.arange(start, min(start + _BLOCK, len(nearness)))
         rows, columns = (part.astype(np.float64) + 0.5 for part in np.divmod(index, 2 * half))
@@ -157,11 +156,9 @@ def _edges(hit: Bool, nearness: Float64, normals: Float64, *, step: float) -> Bo
     # outline, jumps in depth and creases, FINE pixels wide
     from scipy.ndimage import binary_dilation  # takes long to import
 
-    edge = np.zeros(hit.shape, dtype=bool)
-    depth = np.where(hit, nearness, 0.0)
+    edge, depth = np.zeros(hit.shape, dtype=bool), np.where(hit, nearness, 0.0)
     for axis in (0, 1):
-        edges, hits = edge.swapaxes(0, axis), hit.swapaxes(0, axis)
-        depths, facets = depth.swapaxes(0, axis), normals.swapaxes(0, axis)
+        edges, hits, depths, facets = (array.swapaxes(0, axis) for array in (edge, hit, depth, normals))
         both = hits[:-1] & hits[1:]
         facing = np.einsum("ijk,ijk->ij", facets[:-1], facets[1:])
         # what lies farther back than the slope of the surface explains is another surface
