@@ -167,7 +167,7 @@ def _is_whole_png(path: Path) -> bool:
     """Whether the file ends as every PNG ends."""
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - len(_END_CHUNK)))
-        return file.read() == _END_CHUNK
+        return file.read(len(_END_CHUNK)) == _END_CHUNK
 
 
 def read_png(path: str | Path, *, colour: bool = False) -> Levels:
