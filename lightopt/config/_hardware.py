@@ -28,15 +28,13 @@ _WIDTH = re.compile(r"(0?[1-9]\d?)?d?")
 
 
 def _bytes(text: str) -> str:
-    wide = next((c for c in text if ord(c) > 255), None)
-    if wide is not None:
+    for wide in (c for c in text if ord(c) > 255):
         raise complaint(f'"{wide}" is no single byte; expected characters up to \\xff')
     return text
 
 
 def _escaped(text: str) -> str:
-    found = re.search(r"\\(?:[rnt0]|x[0-9a-fA-F]{2})", text)
-    if found is not None:
+    if found := re.search(r"\\(?:[rnt0]|x[0-9a-fA-F]{2})", text):
         raise complaint(
             f"the characters {found[0]} would be sent as they stand; for the byte that they mean put the text in "
             "double quotes"

@@ -48,11 +48,7 @@ BlockerMap = tuple[Float32, Float32]
 
 
 class BlockerMaps:
-    """Maps of the targets of shadow rays. Safe to use from several threads at once.
-
-    vertices: In the unit sphere, as Embree has them, shape (n, 3), float32
-    faces: Shape (m, 3)
-    """
+    """Maps of targets of shadow rays, for threads; vertices (n, 3) are in the unit sphere, as Embree has them."""
 
     def __init__(self, vertices: Float32, faces: Int32) -> None:
         self._vertices, self._faces = vertices, faces

@@ -208,10 +208,7 @@ def read_obj(name: str, data: bytes, max_triangles: int) -> RawMesh:
 
 
 def read_glb(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of a binary glTF 2.0 file [m], all nodes of the scene in place, turned from Y up to Z up.
-
-    glTF is Y up by its specification: (x, y, z) becomes (x, −z, y).
-    """
+    """Triangles of a binary glTF 2.0 file [m], all nodes in place, from Y up, as glTF is, to Z up: (x, −z, y)."""
     import trimesh
 
     tree, _ = split_glb(name, data)

@@ -30,10 +30,7 @@ def surface_place(mesh: TriangleMesh, face: int, u: float, v: float) -> SurfaceP
 
 
 class SurfaceFinder:
-    """Finds the place of a mesh that is nearest to a point.
-
-    mesh: The mesh; centres and radii of its faces are computed once
-    """
+    """Finds the place of a mesh that is nearest to a point; centres and radii of its faces are computed once."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self._mesh = mesh

@@ -175,10 +175,7 @@ def _nearest_in_packets(
 
 
 class PacketScene:
-    """A hierarchy over triangles, queried through Embree's own functions.
-
-    few_rays: Whether building it takes longer than its queries: it is then built quicker, and queried slower
-    """
+    """A hierarchy over triangles, queried by Embree's own functions; with `few_rays` built quicker, queried slower."""
 
     def __init__(self, vertices: Float32, faces: Int32, *, few_rays: bool = False) -> None:
         library, device, width = _embree(os.getpid())
@@ -231,11 +228,7 @@ class PacketScene:
         return _blocked(self._shadow_packet, self._scene, self._scattered_address, self._width, origins, directions)
 
     def blocked(self, begins: Float64, targets: Float64, cast: Bool) -> Bool:
-        """Whether anything lies on the way from points to targets, False for rays that are not to be cast; (t, n).
-
-        begins, targets: Shapes (3, n) and (t, 3)
-        cast: Shape (t, n)
-        """
+        """Whether anything lies on the ways from points (3, n) to targets (t, 3) that are to `cast`; shape (t, n)."""
         found = np.zeros(cast.shape, np.bool_)
         for target, some, answer in zip(targets, cast, found, strict=True):
             _blocked_ways(

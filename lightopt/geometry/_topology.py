@@ -44,10 +44,7 @@ def merge_rows(rows: Float32 | Float64) -> tuple[Int32, Int32]:
 
 
 def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
-    """Every edge of some faces once.
-
-    faces: Vertex indices, shape (m, 3); edges meet where these are the same, whatever the positions are
-    """
+    """Every edge of some faces (m, 3) once; edges meet where vertex indices are the same, wherever the vertices are."""
     faces = np.ascontiguousarray(faces, np.int32)
     order, begins = corners_by_edge(faces)
     first, last = order[begins[:-1]], order[begins[1:] - 1]

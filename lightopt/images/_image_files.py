@@ -299,10 +299,7 @@ class PhotographFormat:
 
 
 def photograph_format(path: Path) -> PhotographFormat:
-    """Read the header of a photograph.
-
-    Raises InputError: The file is missing, of another format or kind of samples, or stored rotated
-    """
+    """Read the header of a photograph; InputError: missing, of another format or kind of samples, or stored rotated."""
     with _opened(path, *_PHOTOGRAPHS) as source:
         spec = source.spec()
     if str(spec.format) not in _BITS:

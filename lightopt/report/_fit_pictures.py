@@ -30,10 +30,7 @@ LEGEND_HEIGHT = 24
 
 @fixed_style()
 def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
-    """Draw how a fit came about: the ridge of R_s and σ, or the rounds of the paper's procedure.
-
-    place: Called for the path of the PNG where there is something to draw; None is returned where there is not.
-    """
+    """Draw a fit's ridge of R_s and σ, or the paper's rounds, into the PNG `place()`; None where nothing is to draw."""
     from lightopt.estimate.reflectance import PaperDiffuse, PaperSpecular
 
     if isinstance(result.paper, PaperSpecular):

@@ -117,10 +117,7 @@ class Page:
 
 
 def page_html(page: Page) -> str:
-    """The page as HTML; the same page gives the same text. Every text is escaped: names may contain anything.
-
-    Sections without blocks are left out.
-    """
+    """The page as HTML, the same for the same page, without empty sections; escaped, as names may contain anything."""
     sections = [section for section in page.sections if section.blocks]
     links = [f'<a href="#s{i}">{escape(section.heading)}</a>' for i, section in enumerate(sections, start=1)]
     parts = [*map(_block, page.lead), f'<nav aria-label="Contents">{" ".join(links)}</nav>']

@@ -122,10 +122,7 @@ def eye_distance(surface: ColouredSurface) -> float:
 
 
 def first_view(camera: PinholeCamera) -> Float64:
-    """Unit vector to the first viewpoint, shape (3,): towards the camera, but a third aside.
-
-    Not from straight above: that shows sides, too.
-    """
+    """Unit vector to the first viewpoint, shape (3,): towards the camera, but a third aside, which shows sides, too."""
     mixed = camera.position / np.linalg.norm(camera.position) + np.array([0.35, -0.9, 0.0])
     return mixed / np.linalg.norm(mixed)
 

@@ -91,10 +91,7 @@ def _picture(difference: Float32 | None, number: int, light: str) -> Picture | N
 
 @fixed_style()
 def history_chart(rows: Sequence[Mapping[str, str]], path: Path) -> Path:
-    """Draw verifications over time: faults as shares of their limits, offset and residual of each light.
-
-    rows: Of :func:`lightopt.estimate.verification.append_history`.
-    """
+    """Draw the rows of ``append_history``: faults as shares of their limits, offset and residual of each light."""
     labels = ("size of each fault over its limit", "offset of the highlights [px]", "residual over noise")
     figure, panels = chart(title="Verifications of the rig", x_label="run", labels=labels)
     kinds = (("/limit", 0.0), (" offset_px", math.nan), (" residual", math.nan))

@@ -73,10 +73,7 @@ def fit_view(points: Float64, *, elevation: float, azimuth: float, box: Box) -> 
 
 
 def arc(centre: Float64, start: Float64, towards: Float64, angle: float, radius: float) -> Float64:
-    """Points of a circular arc [mm], shape (n, 3): from `start` through `angle` [rad] towards `towards`.
-
-    `start` and `towards` are orthonormal vectors, shape (3,).
-    """
+    """Points of an arc [mm], shape (n, 3): from `start` through `angle` [rad] to `towards`, two orthonormal vectors."""
     angles = np.linspace(0.0, angle, max(2, int(abs(angle) * 24)))[:, None]
     return centre + radius * (np.cos(angles) * start + np.sin(angles) * towards)
 
