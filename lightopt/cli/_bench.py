@@ -19,13 +19,7 @@ if TYPE_CHECKING:
     from lightopt.rig.devices import CameraInfo
 
 
-bench = typer.Typer(
-    name="bench",
-    help="Test the devices of a rig one by one.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-)
+bench = typer.Typer(name="bench", help="Test the devices of a rig one by one.", no_args_is_help=True, **common.PLAIN)
 
 
 @bench.command(cls=HeadedCommand)

@@ -28,6 +28,8 @@ output_option = partial(typer.Option, rich_help_panel="Output")
 hardware_option = partial(typer.Option, rich_help_panel="Hardware")
 run_option = partial(typer.Option, rich_help_panel="Run")  # headings of options in `--help`
 
+PLAIN: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None}  # of each typer.Typer
+
 RigFile = Annotated[Path, Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
 PartFile = Annotated[Path, Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")]
 Images = Annotated[Path, Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")]
@@ -38,48 +40,24 @@ JsonFile = Annotated[Path | None, output_option("--json", metavar="FILE", help="
 Sheet = Annotated[
     bool, output_option("--sheet", help="Write a labelled contact sheet per exposure, contact-sheet*.png.")
 ]
-Lights = Annotated[
-    list[str] | None,
-    selection_option("--light", metavar="NAME", help="Use only this light; repeatable.", show_default="all lights"),
-]
-Postures = Annotated[
-    list[str] | None,
-    selection_option(
-        "--posture",
-        metavar="θ,φ",
-        help="Use this posture: tilt and rotation [deg]; repeatable.",
-        show_default="the postures of PART",
-    ),
-]
+_LIGHT = selection_option("--light", metavar="NAME", help="Use only this light; repeatable.", show_default="all lights")
+Lights = Annotated[list[str] | None, _LIGHT]
+_POSTURE_HELP = "Use this posture: tilt and rotation [deg]; repeatable."
+_POSTURE = selection_option("--posture", metavar="θ,φ", help=_POSTURE_HELP, show_default="the postures of PART")
+Postures = Annotated[list[str] | None, _POSTURE]
 Exposures = Annotated[str, selection_option(metavar="X,…", help="Relative exposure times, such as 1,1/16.")]
-Points = Annotated[
-    str | None,
-    model_option(
-        metavar="M",
-        help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel).",
-        show_default="as the rig file says",
-    ),
-]
+POINTS_HELP = "Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel)."
+Points = Annotated[str | None, model_option(metavar="M", help=POINTS_HELP, show_default="as the rig file says")]
 Shadows = Annotated[bool, model_option("--shadows/--no-shadows", help="Let the part cast shadows.")]
-Patches = Annotated[
-    int | None,
-    model_option(metavar="N", min=1, help="Target number of visible surface patches.", show_default="200000"),
-]
-Register = Annotated[
-    bool,
-    model_option(
-        "--register/--no-register", help="Find the part's placement on the stage; otherwise assume nominal placement."
-    ),
-]
+_PATCHES = model_option(metavar="N", min=1, help="Target number of visible surface patches.", show_default="200000")
+Patches = Annotated[int | None, _PATCHES]
+_REGISTER_HELP = "Find the part's placement on the stage; otherwise assume nominal placement."
+Register = Annotated[bool, model_option("--register/--no-register", help=_REGISTER_HELP)]
 MinImages = Annotated[
     int, model_option(metavar="K", min=1, help="Number of images of a posture that must show a defect.")
 ]
-Threads = Annotated[
-    int | None,
-    run_option(
-        metavar="N", min=1, help="Number of threads; results do not depend on it.", show_default="all processors"
-    ),
-]
+_THREADS_HELP = "Number of threads; results do not depend on it."
+Threads = Annotated[int | None, run_option(metavar="N", min=1, help=_THREADS_HELP, show_default="all processors")]
 Quiet = Annotated[bool, run_option("--quiet", "-q", help="Print errors and warnings only.")]
 Verbose = Annotated[bool, run_option("--verbose", "-v", callback=set_up_log, help="Print all details and the log.")]
 SerialLog = Annotated[

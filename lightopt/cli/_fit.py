@@ -20,18 +20,10 @@ if TYPE_CHECKING:
 
 paper_option = partial(typer.Option, rich_help_panel="The paper's procedure (--method paper)")
 
-Method = Annotated[
-    Literal["likelihood", "paper"],
-    typer.Option(
-        metavar="likelihood|paper", help="Maximum likelihood, or the procedure of the paper (docs/how-to/fitting.md)."
-    ),
-]
-Free = Annotated[
-    list[str] | None,
-    common.model_option(
-        "--free", metavar="gain|dark", help="Also fit the gain of each light, or the dark level; repeatable."
-    ),
-]
+_METHOD_HELP = "Maximum likelihood, or the procedure of the paper (docs/how-to/fitting.md)."
+Method = Annotated[Literal["likelihood", "paper"], typer.Option(metavar="likelihood|paper", help=_METHOD_HELP)]
+_FREE_HELP = "Also fit the gain of each light, or the dark level; repeatable."
+Free = Annotated[list[str] | None, common.model_option("--free", metavar="gain|dark", help=_FREE_HELP)]
 Pixels = Annotated[int, common.model_option(metavar="N", min=1000, help="Target number of pixels, over all images.")]
 WriteNoise = Annotated[
     bool, common.output_option("--write-noise", help="Write the noise measured in the images to rig.fitted.yaml.")
@@ -94,8 +86,7 @@ def fit_specular(
     points: str | None = common.model_option(
         None,
         metavar="M,…",
-        help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel). With a list such as 1,4,9, fit "
-        "each number and select the best.",
+        help=f"{common.POINTS_HELP} With a list such as 1,4,9, fit each number and select the best.",
         show_default="as the rig file says",
     ),
     pixels: Pixels = 1_500_000,

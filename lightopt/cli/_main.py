@@ -59,13 +59,13 @@ class _Commands(typer.core.TyperGroup):
 
 class _MadeOnDemand(UserDict[str, Any]):
     def __missing__(self, name: str) -> Any:
-        from lightopt.cli._common import HeadedCommand
+        from lightopt.cli._common import PLAIN, HeadedCommand
 
         module, text = _COMMANDS[name]
         function = f"{name}_" if keyword.iskeyword(name) else name.replace("-", "_")
         found = getattr(importlib.import_module(f"lightopt.cli.{module}"), function)
         if not isinstance(found, typer.Typer):
-            alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+            alone = typer.Typer(**PLAIN)
             alone.command(name, short_help=text, cls=HeadedCommand)(found)
             found = alone
         self[name] = typer.main.get_command(found)
