@@ -21,7 +21,6 @@ from lightopt.core.errors import error_text
 
 DEFECT = 70  # exit status of a defect of the program; EX_SOFTWARE of BSD's sysexits
 INTERRUPTED = 130
-
 DEBUG = "LIGHTOPT_DEBUG"
 _PACKAGE = Path(__file__).parents[1]
 _MOST_CHARACTERS = 300

@@ -154,11 +154,9 @@ class PlannedDefectConfig(CatalogueEntryConfig):
             raise fields.complaint(f"a {kind} has no slope; remove this key")
         if info.field_name == "slope_range" and kind in SHAPE_KINDS:
             size, slope, depth = (info.data.get(key) for key in ("size_mm", "slope_deg", "depth_mm"))
-            steepest = value[1] * math.degrees(_slope(kind, size, slope, depth))
-            if steepest > math.degrees(MAX_SLOPE) + 1e-9:
-                raise fields.complaint(
-                    f"the steepest walls would be {steepest:.0f} degrees; expected at most {math.degrees(MAX_SLOPE):g}"
-                )
+            steepest, most = value[1] * math.degrees(_slope(kind, size, slope, depth)), math.degrees(MAX_SLOPE)
+            if steepest > most + 1e-9:
+                raise fields.complaint(f"the steepest walls would be {steepest:.0f} degrees; expected at most {most:g}")
         return value
 
     @property

@@ -25,11 +25,8 @@ def describe(value: object) -> str:
     if isinstance(value, Mapping):
         return f"keys and values ({', '.join(map(str, value))})"[:_LONGEST] if value else "{}"
     text = json.dumps(value, ensure_ascii=False, default=repr)
-    if len(text) > _LONGEST:
-        text = f"{text[:_LONGEST]}..."
-    if isinstance(value, str) and is_number(value):
-        text += " in quotes"
-    return text
+    shown = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+    return f"{shown} in quotes" if isinstance(value, str) and is_number(value) else shown
 
 
 def model_problems(model: type[BaseModel], errors: Sequence[ErrorDetails], document: Document) -> list[Problem]:

@@ -28,12 +28,10 @@ _READERS = {".stl": read_stl, ".ply": read_ply, ".obj": read_obj, ".glb": read_g
 
 # Text takes at most about this much for a triangle; a file beyond it is over the budget whatever it holds.
 _FILE_BYTES_PER_TRIANGLE = 1000
-
 _MOST_TRIANGLES = 700_000_000  # corner numbers are int32
 
 # A height below this part of the longest edge is rounding of the coordinates, not a surface: it has no direction.
 _FLAT = 1e-12
-
 _FARTHEST_MM = 1e9  # farther from the origin rounding eats the part, and no part is that large
 
 

@@ -30,7 +30,6 @@ _PLY_NAMES = (
     *("int8 i1", "uint8 u1", "int16 i2", "uint16 u2", "int32 i4", "uint32 u4", "float32 f4", "float64 f8"),
 )
 _PLY_NUMBERS: dict[str, str] = dict(pair.split(maxsplit=1) for pair in _PLY_NAMES)
-
 _SUBDIVISIONS = 6  # of a sphere: 81,920 triangles, whose middles are 0.004 % of the radius inside it
 
 # Peak of loading and smoothing a binary STL of 1.3 million triangles: 700 bytes each, measured.

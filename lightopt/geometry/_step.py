@@ -23,7 +23,6 @@ _MM_PER_GLB_UNIT = 1000.0
 
 # The first pass only has to learn the size, in a time that does not depend on the unit: relative to the edges.
 _COARSE_LINEAR, _COARSE_ANGULAR = 0.2, 0.5
-
 TIMEOUT_S = 300.0  # time for both passes together [s]
 MEMORY_GB = 4.0  # address space of each of the two workers [10⁹ bytes]; not limited on Windows
 

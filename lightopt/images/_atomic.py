@@ -16,9 +16,7 @@ from lightopt.core.provenance import file_sha256
 from lightopt.core.threads import blocks, in_threads
 
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
-
 _PACKED_AT_ONCE = 2  # arrays of an archive that are compressed at the same time
-
 # an array of which so many elements are not compressed to less than this share of their size is stored as it is
 _SAMPLE, _WORTHWHILE = 50_000, 0.85
 

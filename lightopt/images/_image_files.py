@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 Levels = UInt8 | NDArray[np.uint16]
 
 _METADATA_KEY = "lightopt:json"  # the attribute that carries all metadata: the only kind that both EXR and PNG keep
-
 _PROBE_BYTES = 1 << 20
 _FORMAT_NAMES = {"openexr": "an OpenEXR image", "png": "a PNG image", "jpeg": "a JPEG image", "tiff": "a TIFF image"}
 
@@ -127,10 +126,8 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
 
 # of a noisy camera image of 1600 × 1200, on a busy machine: 21 ms and 0.71 MB; level 2 takes 43 ms for 0.69 MB
 _PNG_LEVEL = 1
-
 # libpng's number. Choosing a filter row by row takes 76 ms instead of 21, and noise is packed no better by any.
 _NO_FILTER = 8
-
 _END_CHUNK = b"\0\0\0\0IEND\xaeB`\x82"
 _COLOUR_TYPES = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
 
@@ -204,7 +201,6 @@ def read_png(path: str | Path, *, colour: bool = False) -> Levels:
 # ms, 7.7 MB; piz 53 ms, 2.6 MB; zips 49 ms, 3.2 MB), geometry of 8 channels 122 ms and 10.7 MB (uncompressed 60 ms, 61
 # MB; piz 251 ms, 12.7 MB; zips 215 ms, 15.7 MB). Levels above 4 only take longer.
 _EXR_COMPRESSION = "zip:4"
-
 _BLOCK_ROWS = 256  # a multiple of the compressed chunk of 16 rows; keeps the interleaved copy of a large image small
 
 

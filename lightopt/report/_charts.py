@@ -16,7 +16,6 @@ LINE, MARK, SHADE = "#1f5fbf", "#c2410c", "#c2410c33"
 
 # Okabe and Ito (2008)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-
 WIDTH, PANEL_HEIGHT, TITLE_HEIGHT = 900, 350, 90  # of a chart and of one panel with its ticks [px]
 TITLE_SIZE, TEXT_SIZE = 19, 14  # [px]
 

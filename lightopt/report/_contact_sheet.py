@@ -23,7 +23,6 @@ LINE = round(LINE_HEIGHT * TEXT)  # distance of lines of small text [px]
 
 # sides of a thumbnail [px]: many columns make them smaller, until they could not be told apart any more
 LARGEST, SMALLEST = 420, 240
-
 SHEET_WIDTH = 4000  # width that all thumbnails of a row may share before they become smaller [px]
 
 

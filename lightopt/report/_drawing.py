@@ -240,7 +240,6 @@ class Drawing:
 
 # distances from a label to its anchor that are tried [px], each in so many directions
 _RADII = (6, 12, 20, 30, 44, 62, 85, 115, 155, 210, 280, 370, 480, 620, 800)
-
 _DIRECTIONS = 24
 _SPACE = 4  # least distance of two labels [px]
 _LEADER = 34  # from this distance on a thin line leads from the anchor to the label [px]

@@ -24,7 +24,6 @@ RESIDUAL_SCALE = 0.08  # difference of the full colours, as a share of the senso
 
 # where R_s runs away, no highlight of that width fits [grey level]; such points of the ridge are not drawn
 RUNAWAY = 1e11
-
 LEGEND_HEIGHT = 24
 
 

@@ -20,7 +20,6 @@ from lightopt.report._surface import ColouredSurface, SurfaceLayer
 
 # the browser itself then refuses every request
 POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-
 KEYS = "Drag to turn, wheel to zoom, right button to move; keys on the picture: arrows, + and −, Home."
 WIDE = 8  # tables of more columns have narrow margins, and their cells may take several lines
 

@@ -34,7 +34,6 @@ from lightopt.scene import Scene, pixel_footprint
 MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
 # of more lights than that only a few get arcs, which would hide each other; all angles are in the table
 MOST_ARCS, FEW_ARCS = 6, 3
-
 _ARC = 0.4  # radius of elevation arcs, relative to the light's distance
 SIDE_WIDTH, EDGE = 500, 30
 HEAD, TEXT, LABEL = 20, 16, 17  # sizes of text [px]
