@@ -37,9 +37,8 @@ Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output fo
 Force = Annotated[bool, output_option("--force", help="Overwrite existing results.")]
 Report = Annotated[bool, output_option("--report/--no-report", help="Write report.html.")]
 JsonFile = Annotated[Path | None, output_option("--json", metavar="FILE", help="Write all results to this JSON file.")]
-Sheet = Annotated[
-    bool, output_option("--sheet", help="Write a labelled contact sheet per exposure, contact-sheet*.png.")
-]
+_SHEET_HELP = "Write a labelled contact sheet per exposure, contact-sheet*.png."
+Sheet = Annotated[bool, output_option("--sheet", help=_SHEET_HELP)]
 _LIGHT = selection_option("--light", metavar="NAME", help="Use only this light; repeatable.", show_default="all lights")
 Lights = Annotated[list[str] | None, _LIGHT]
 _POSTURE_HELP = "Use this posture: tilt and rotation [deg]; repeatable."
@@ -53,16 +52,14 @@ _PATCHES = model_option(metavar="N", min=1, help="Target number of visible surfa
 Patches = Annotated[int | None, _PATCHES]
 _REGISTER_HELP = "Find the part's placement on the stage; otherwise assume nominal placement."
 Register = Annotated[bool, model_option("--register/--no-register", help=_REGISTER_HELP)]
-MinImages = Annotated[
-    int, model_option(metavar="K", min=1, help="Number of images of a posture that must show a defect.")
-]
+_MIN_IMAGES_HELP = "Number of images of a posture that must show a defect."
+MinImages = Annotated[int, model_option(metavar="K", min=1, help=_MIN_IMAGES_HELP)]
 _THREADS_HELP = "Number of threads; results do not depend on it."
 Threads = Annotated[int | None, run_option(metavar="N", min=1, help=_THREADS_HELP, show_default="all processors")]
 Quiet = Annotated[bool, run_option("--quiet", "-q", help="Print errors and warnings only.")]
 Verbose = Annotated[bool, run_option("--verbose", "-v", callback=set_up_log, help="Print all details and the log.")]
-SerialLog = Annotated[
-    Path | None, output_option(metavar="FILE", help="Append all bytes sent and received, with times, to this file.")
-]
+_SERIAL_LOG_HELP = "Append all bytes sent and received, with times, to this file."
+SerialLog = Annotated[Path | None, output_option(metavar="FILE", help=_SERIAL_LOG_HELP)]
 
 
 LEAST_EXPOSURE, MOST_EXPOSURE = 1e-9, 1e9  # relative to exposure 1; it is a part of file names
@@ -93,10 +90,8 @@ def parse_exposure(text: str, *, option: str = "--exposure") -> float:
     """Read a number or a fraction such as 1/16, given with an option."""
     value = _number(text)
     if not LEAST_EXPOSURE <= value <= MOST_EXPOSURE:
-        raise InputError(
-            f"{option}: expected a number from {LEAST_EXPOSURE:g} to {MOST_EXPOSURE:g} or a fraction such as 1/16, "
-            f'found "{text}"'
-        )
+        limits = f"{LEAST_EXPOSURE:g} to {MOST_EXPOSURE:g}"
+        raise InputError(f'{option}: expected a number from {limits} or a fraction such as 1/16, found "{text}"')
     return value
 
 

@@ -25,12 +25,10 @@ Method = Annotated[Literal["likelihood", "paper"], typer.Option(metavar="likelih
 _FREE_HELP = "Also fit the gain of each light, or the dark level; repeatable."
 Free = Annotated[list[str] | None, common.model_option("--free", metavar="gain|dark", help=_FREE_HELP)]
 Pixels = Annotated[int, common.model_option(metavar="N", min=1000, help="Target number of pixels, over all images.")]
-WriteNoise = Annotated[
-    bool, common.output_option("--write-noise", help="Write the noise measured in the images to rig.fitted.yaml.")
-]
-AllowUnconverged = Annotated[
-    bool, common.output_option("--allow-unconverged", help="Exit with status 0 even if the fit did not converge.")
-]
+_NOISE_HELP = "Write the noise measured in the images to rig.fitted.yaml."
+WriteNoise = Annotated[bool, common.output_option("--write-noise", help=_NOISE_HELP)]
+_UNCONVERGED_HELP = "Exit with status 0 even if the fit did not converge."
+AllowUnconverged = Annotated[bool, common.output_option("--allow-unconverged", help=_UNCONVERGED_HELP)]
 FREE = ("gain", "dark")
 
 

@@ -52,10 +52,8 @@ def with_values(text: str, values: Mapping[Keys, str | None]) -> str:
             line = f"{keys[-1]}: {value}"
             places.append((at, at, f"{line}, " if flow else f"{line}\n{' ' * column}"))
         else:
-            raise InputError(
-                f"{dotted(keys)} cannot be written: the file has no mapping {dotted(keys[:-1])} of its own; "
-                "write it out"
-            )
+            missing = f"the file has no mapping {dotted(keys[:-1])} of its own; write it out"
+            raise InputError(f"{dotted(keys)} cannot be written: {missing}")
     for start, end, new in sorted(places, key=itemgetter(0), reverse=True):
         text = text[:start] + new + text[end:]
     try:

@@ -35,10 +35,8 @@ def _bytes(text: str) -> str:
 
 def _escaped(text: str) -> str:
     if found := re.search(r"\\(?:[rnt0]|x[0-9a-fA-F]{2})", text):
-        raise complaint(
-            f"the characters {found[0]} would be sent as they stand; for the byte that they mean put the text in "
-            "double quotes"
-        )
+        advice = "for the byte that they mean put the text in double quotes"
+        raise complaint(f"the characters {found[0]} would be sent as they stand; {advice}")
     return text
 
 
@@ -51,10 +49,8 @@ def _filled_in(text: str) -> str:
         if name is None:
             continue
         if name not in _FIELDS or conversion:
-            raise complaint(
-                f"no field {{{name}}}; there are {', '.join(f'{{{f}}}' for f in _FIELDS)}; a brace that is meant is "
-                "written twice"
-            )
+            there = ", ".join(f"{{{f}}}" for f in _FIELDS)
+            raise complaint(f"no field {{{name}}}; there are {there}; a brace that is meant is written twice")
         if _WIDTH.fullmatch(form or "") is None or (form and name == "letter"):
             raise complaint(f"{{{name}:{form}}}: expected a width such as {{level:03d}}, or none")
     return text

@@ -57,10 +57,9 @@ class TiltAxisConfig(Frozen):
     def _about_x(cls, direction: tuple[float, float, float]) -> tuple[float, float, float]:
         length = math.hypot(*direction)
         if length == 0.0 or direction[0] < length * math.cos(math.radians(LARGEST_TILT_FROM_X_DEG)):
-            raise complaint(
-                f"expected a direction within {LARGEST_TILT_FROM_X_DEG:g} degrees of X, such as [1, 0, 0.002], found "
-                f"[{', '.join(f'{c:g}' for c in direction)}]"
-            )
+            found = ", ".join(f"{c:g}" for c in direction)
+            expected = f"a direction within {LARGEST_TILT_FROM_X_DEG:g} degrees of X, such as [1, 0, 0.002]"
+            raise complaint(f"expected {expected}, found [{found}]")
         return direction
 
 

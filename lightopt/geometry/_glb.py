@@ -21,9 +21,8 @@ def split_glb(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
     if version != 2:
         raise InputError(f"{name}: glTF version {version}, expected 2")
     if total != len(data) or 20 + json_size > total:
-        raise InputError(
-            f"{name}: its header says {total:,} bytes, but the file has {len(data):,}: cut off. Export or copy it again"
-        )
+        cut = f"the file has {len(data):,}: cut off. Export or copy it again"
+        raise InputError(f"{name}: its header says {total:,} bytes, but {cut}")
     try:
         tree = json.loads(data[20 : 20 + json_size])
     except ValueError as error:

@@ -178,10 +178,8 @@ def _read(path: Path, max_triangles: int) -> bytes:
     try:
         size = path.stat().st_size
         if size > max_triangles * _FILE_BYTES_PER_TRIANGLE + 1_000_000:
-            raise InputError(
-                f"{path}: {size / 1e9:.1f} GB, too much for the {max_triangles:,} triangles that are "
-                "accepted. Export the part with a coarser tolerance"
-            )
+            much = f"{size / 1e9:.1f} GB, too much for the {max_triangles:,} triangles that are accepted"
+            raise InputError(f"{path}: {much}. Export the part with a coarser tolerance")
         data = path.read_bytes()
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such mesh file") from error

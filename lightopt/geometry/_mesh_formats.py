@@ -52,10 +52,8 @@ def check_budget(name: str, triangles: int, max_triangles: int) -> None:
     """Refuse a mesh of more than `max_triangles` before its data is loaded."""
     if triangles > max_triangles:
         gigabytes = triangles * _BYTES_PER_TRIANGLE / 1e9
-        raise InputError(
-            f"{name}: {triangles:,} triangles, at most {max_triangles:,} are accepted; loading them would "
-            f"take about {gigabytes:.1f} GB of memory. Export the part with a coarser tolerance"
-        )
+        cost = f"loading them would take about {gigabytes:.1f} GB of memory. Export the part with a coarser tolerance"
+        raise InputError(f"{name}: {triangles:,} triangles, at most {max_triangles:,} are accepted; {cost}")
 
 
 def read_stl(name: str, data: bytes, max_triangles: int) -> RawMesh:
@@ -122,10 +120,9 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
     if is_ascii:
         rows = len(data[end.end() :].splitlines())
         if rows < sum(counts.values()):
-            raise InputError(
-                f"{name}: the PLY header announces {sum(counts.values()):,} lines ({_listed(counts)}), the "
-                f"file has {rows:,}: cut off. Export or copy it again"
-            )
+            announced = f"{sum(counts.values()):,} lines ({_listed(counts)})"
+            found = f"the file has {rows:,}: cut off. Export or copy it again"
+            raise InputError(f"{name}: the PLY header announces {announced}, {found}")
     if (raw := _plain_ply(data, end.end(), header)) is not None:
         return raw
     from trimesh.exchange.ply import load_ply
@@ -138,10 +135,8 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
         raise InputError(f"{name}: the {kind} file has no triangles ({_listed(counts)})")
     raw = joined(name, [loaded], kind, repeats_vertices=False)
     if len(raw.vertices) != counts.get("vertex", 0) or len(raw.faces) < counts.get("face", 0):
-        raise InputError(
-            f"{name}: the PLY header announces {_listed(counts)}; found {len(raw.vertices)} vertices and "
-            f"{len(raw.faces)} triangles. The file is damaged; export it again"
-        )
+        found = f"{len(raw.vertices)} vertices and {len(raw.faces)} triangles. The file is damaged; export it again"
+        raise InputError(f"{name}: the PLY header announces {_listed(counts)}; found {found}")
     return raw
 
 
@@ -240,20 +235,16 @@ def _trimesh(name: str, kind: str, read: Callable[[], Any]) -> Any:
     except MemoryError:
         raise
     except Exception as error:  # a damaged file can make trimesh raise anything
-        raise InputError(
-            f"{name}: could not be read as {kind}: {error}. The file is cut off, damaged or of another "
-            "format; export or copy it again"
-        ) from error
+        advice = "The file is cut off, damaged or of another format; export or copy it again"
+        raise InputError(f"{name}: could not be read as {kind}: {error}. {advice}") from error
 
 
 def joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertices: bool) -> RawMesh:
     vertices = [np.asarray(part["vertices"], dtype=np.float64) for part in parts]
     for some in vertices:
         if some.ndim != 2 or some.shape[1] != 3:
-            raise InputError(
-                f"{name}: the {kind} file has vertices of {some.shape[-1]} coordinates, expected 3. "
-                "The file is damaged; export or copy it again"
-            )
+            found = f"vertices of {some.shape[-1]} coordinates, expected 3"
+            raise InputError(f"{name}: the {kind} file has {found}. The file is damaged; export or copy it again")
     starts = np.cumsum([0, *map(len, vertices)])
     faces = [_fans(np.asarray(part["faces"], np.int64)) + start for part, start in zip(parts, starts, strict=False)]
     normals = [np.asarray(n, np.float64) for part in parts if (n := part.get("vertex_normals")) is not None]

@@ -54,10 +54,8 @@ class Patches:
         faces = np.asarray(face)
         us, vs = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
         if faces.ndim != 1 or faces.shape != us.shape or faces.shape != vs.shape or faces.dtype.kind not in "iu":
-            raise InputError(
-                "patch_at: expected integer faces and coordinates u, v of one shape (k,), found "
-                f"{faces.dtype} {faces.shape}, {us.shape}, {vs.shape}"
-            )
+            found = f"{faces.dtype} {faces.shape}, {us.shape}, {vs.shape}"
+            raise InputError(f"patch_at: expected integer faces and coordinates u, v of one shape (k,), found {found}")
         if len(faces) and (int(faces.min()) < -1 or int(faces.max()) >= len(self.roots)):
             expected = f"expected −1 to {len(self.roots) - 1}"
             raise InputError(f"patch_at: faces from {faces.min()} to {faces.max()}, {expected}")
@@ -78,10 +76,8 @@ def refine(mesh: TriangleMesh, *, max_edge_mm: float, max_patches: int, select: 
     selected = _checked(mesh, max_edge_mm, select)
     count = estimate_patch_count(mesh, max_edge_mm, select=select, limit=max_patches + 1)
     if count > max_patches:
-        raise InputError(
-            f"patches: at an edge of {max_edge_mm:g} mm the {len(mesh.faces):,} faces give {count:,} patches "
-            f"or more, at most {max_patches:,} are accepted; take a longer edge"
-        )
+        many = f"the {len(mesh.faces):,} faces give {count:,} patches or more, at most {max_patches:,} are accepted"
+        raise InputError(f"patches: at an edge of {max_edge_mm:g} mm {many}; take a longer edge")
     smooth = np.zeros((0, 3)) if mesh.normals is None else mesh.normals
     of_faces = smooth, face_normals(mesh), face_areas(mesh)
     return Patches(*_build(mesh.vertices, mesh.faces, *of_faces, selected, max_edge_mm, count))
@@ -114,10 +110,8 @@ def _checked(mesh: TriangleMesh, max_edge_mm: float, select: Bool | None) -> Boo
     if select is None:
         return np.ones(len(mesh.faces), dtype=np.bool_)
     if select.shape != (len(mesh.faces),) or select.dtype != np.bool_:
-        raise InputError(
-            f"patches: expected the selection as booleans of shape ({len(mesh.faces)},), found "
-            f"{select.dtype} {select.shape}"
-        )
+        found = f"{select.dtype} {select.shape}"
+        raise InputError(f"patches: expected the selection as booleans of shape ({len(mesh.faces)},), found {found}")
     return select
 
 

@@ -42,10 +42,8 @@ def read_step(
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
         raise InputError(f"{name}: not a STEP file: expected it to begin with ISO-10303-21, found {data[:20]!r}")
     if b"END-ISO-10303-21" not in data[-2000:]:
-        raise InputError(
-            f"{name}: the STEP file is cut off: {len(data):,} bytes without END-ISO-10303-21 at the end. "
-            "Export or copy it again"
-        )
+        cut = f"{len(data):,} bytes without END-ISO-10303-21 at the end. Export or copy it again"
+        raise InputError(f"{name}: the STEP file is cut off: {cut}")
     deadline = time.monotonic() + TIMEOUT_S
     # both at the same time; the fine one is ended where the coarse one finds a mistake
     with (

@@ -44,19 +44,16 @@ def repair_winding(vertices: Float64, faces: Int32) -> Repaired:
         pairs = edge_pairs(faces)
     twisted = pairs.corners[pairs.same_direction, 0] // 3
     if len(twisted):
-        warnings.append(
-            f"{counted(len(twisted), 'edge')} between triangles whose winding cannot be made to agree (a one-sided "
-            "surface): kept"
-        )
+        kept = "between triangles whose winding cannot be made to agree (a one-sided surface): kept"
+        warnings.append(f"{counted(len(twisted), 'edge')} {kept}")
     is_open = np.bincount(label, weights=pairs.rim, minlength=components) > 0
     is_open[label[twisted]] = True
     inside_out = _inside_out(vertices, faces, label, ~is_open)
     if inside_out.any():
         turn = inside_out[label]
-        warnings.append(
-            f"{counted(int(np.count_nonzero(inside_out)), 'closed surface')} "
-            f"({counted(int(np.count_nonzero(turn)), 'triangle')}) inside out: turned"
-        )
+        triangles = counted(int(np.count_nonzero(turn)), "triangle")
+        surfaces = counted(int(np.count_nonzero(inside_out)), "closed surface")
+        warnings.append(f"{surfaces} ({triangles}) inside out: turned")
         faces = _turned(faces, turn)
         pairs = edge_pairs(faces)
     return Repaired(faces, pairs, tuple(warnings))

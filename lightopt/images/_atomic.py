@@ -121,9 +121,8 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made: {error.strerror or error}; choose an output folder that can be written"
-        ) from error
+        why = error.strerror or error
+        raise InputError(f"{folder}: cannot be made: {why}; choose an output folder that can be written") from error
 
 
 def remove_file(path: Path) -> bool:

@@ -146,9 +146,9 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], 
     grey = levels.ndim == 2 and str(levels.dtype) in ("uint8", "uint16")
     picture = levels.ndim == 3 and levels.shape[2] == 3 and levels.dtype == np.uint8
     if not (grey or picture) or not levels.size:
+        found = f"{levels.dtype} of shape {levels.shape}"
         raise InputError(
-            f"{path}: expected uint8 or uint16 of shape (H, W), or uint8 of shape (H, W, 3), "
-            f"found {levels.dtype} of shape {levels.shape}"
+            f"{path}: expected uint8 or uint16 of shape (H, W), or uint8 of shape (H, W, 3), found {found}"
         )
     pixels = levels if picture else levels[:, :, np.newaxis]
     height, width, channels = pixels.shape
@@ -215,10 +215,8 @@ def write_exr(path: str | Path, channels: Mapping[str, Float32], *, metadata: Ma
         raise InputError(f"{path}: an EXR image needs at least one channel")
     for name, channel in channels.items():
         if not name or channel.dtype != np.float32 or channel.ndim != 2 or not channel.size:
-            raise InputError(
-                f"{path}: channel {name!r}: expected a name and float32 of shape (H, W), "
-                f"found {channel.dtype} of shape {channel.shape}"
-            )
+            found = f"{channel.dtype} of shape {channel.shape}"
+            raise InputError(f"{path}: channel {name!r}: expected a name and float32 of shape (H, W), found {found}")
     shapes = {channel.shape for channel in channels.values()}
     if len(shapes) != 1:
         raise InputError(f"{path}: channels of different shapes: {sorted(shapes)}")
@@ -301,10 +299,8 @@ def photograph_format(path: Path) -> PhotographFormat:
     if str(spec.format) not in _BITS:
         raise InputError(f"{path}: expected samples of 8 or 16 bits, found {spec.format}; convert the image")
     if (turn := spec.get_int_attribute("Orientation", 1)) != 1:
-        raise InputError(
-            f"{path}: stored rotated or mirrored (EXIF orientation {turn}); save it as it was calibrated, with "
-            "orientation 1"
-        )
+        advice = "save it as it was calibrated, with orientation 1"
+        raise InputError(f"{path}: stored rotated or mirrored (EXIF orientation {turn}); {advice}")
     return PhotographFormat(spec.width, spec.height, _BITS[str(spec.format)])
 
 

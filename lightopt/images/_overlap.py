@@ -68,10 +68,9 @@ def _overlap(images: ImageSet, posture: Posture, exposure: float, entries: list[
         masks[entry.light] = image.saturated
         share = np.clip(image.levels / full, 0.0, 1.0).astype(np.float64)
         if total is not None and total.shape != share.shape:
-            raise InputError(
-                f"{where}: {entry.light} is {share.shape[1]} × {share.shape[0]} px, the images before it are "
-                f"{total.shape[1]} × {total.shape[0]}; expected images of one camera"
-            )
+            size, before = (f"{shape[1]} × {shape[0]}" for shape in (share.shape, total.shape))
+            sizes = f"{entry.light} is {size} px, the images before it are {before}"
+            raise InputError(f"{where}: {sizes}; expected images of one camera")
         total = share if total is None else total + share
     assert total is not None
     return Overlap(

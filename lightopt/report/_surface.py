@@ -61,10 +61,8 @@ class SurfaceLayer:
 
     def __post_init__(self) -> None:
         if self.of_face.dtype != np.uint8 or (self.of_face.size and int(self.of_face.max()) >= len(self.classes)):
-            raise InputError(
-                f"layer {self.name}: expected uint8 below {len(self.classes)}, found {self.of_face.dtype} "
-                f"up to {self.of_face.max() if self.of_face.size else 'nothing'}"
-            )
+            found = f"{self.of_face.dtype} up to {self.of_face.max() if self.of_face.size else 'nothing'}"
+            raise InputError(f"layer {self.name}: expected uint8 below {len(self.classes)}, found {found}")
         object.__setattr__(self, "of_face", read_only(self.of_face))
 
 
