@@ -189,10 +189,9 @@ def read_obj(name: str, data: bytes, max_triangles: int) -> RawMesh:
         found = re.search(pattern, data, re.MULTILINE)
         if found is not None:
             line = data.count(b"\n", 0, found.start()) + 1
-            raise InputError(
-                f"{name}, line {line}: {what}: {found.group().decode('ascii', 'replace').strip()!r}. "
-                "The file is cut off or damaged; export or copy it again"
-            )
+            text = found.group().decode("ascii", "replace").strip()
+            advice = "The file is cut off or damaged; export or copy it again"
+            raise InputError(f"{name}, line {line}: {what}: {text!r}. {advice}")
     loaded = _trimesh(name, "OBJ", lambda: load_obj(io.BytesIO(data), skip_materials=True))
     parts = list(loaded.get("geometry", {}).values())
     if not parts:

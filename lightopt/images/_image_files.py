@@ -146,10 +146,8 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], 
     grey = levels.ndim == 2 and str(levels.dtype) in ("uint8", "uint16")
     picture = levels.ndim == 3 and levels.shape[2] == 3 and levels.dtype == np.uint8
     if not (grey or picture) or not levels.size:
-        found = f"{levels.dtype} of shape {levels.shape}"
-        raise InputError(
-            f"{path}: expected uint8 or uint16 of shape (H, W), or uint8 of shape (H, W, 3), found {found}"
-        )
+        expected = "uint8 or uint16 of shape (H, W), or uint8 of shape (H, W, 3)"
+        raise InputError(f"{path}: expected {expected}, found {levels.dtype} of shape {levels.shape}")
     pixels = levels if picture else levels[:, :, np.newaxis]
     height, width, channels = pixels.shape
     spec = _openimageio().ImageSpec(width, height, channels, str(levels.dtype))
