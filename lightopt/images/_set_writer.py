@@ -246,10 +246,8 @@ class ImageSetWriter:
         # path of a file, refused where one that this run has not written may not be overwritten
         path = self.folder / name
         if not self._may_overwrite and name not in self._verified and path.exists():
-            raise InputError(
-                f"{path}: exists but belongs to no image set; "
-                "use option 'force' to overwrite it, or choose another output folder"
-            )
+            advice = "use option 'force' to overwrite it, or choose another output folder"
+            raise InputError(f"{path}: exists but belongs to no image set; {advice}")
         return path
 
     def _intact(self, name: str, digest: str | None) -> bool:

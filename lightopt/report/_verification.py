@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from lightopt.core.arrays import Float32
-from lightopt.estimate.verification import Verification
+from lightopt.estimate.verification import Finding, LightComparison, Verification
 from lightopt.images.comparison import diverging
 from lightopt.report._charts import COLOURS, MARK, chart, label_whole_numbers, name_lines
 from lightopt.report._drawing import figure_image, fixed_style
@@ -24,20 +24,24 @@ MOST_PX = 300  # no side of a picture is longer
 
 def findings_table(result: Verification) -> Table:
     """Causes with their sizes and limits, those that exceed them first."""
-    rows = [[one.cause, one.amount, one.limit_text, "beyond" if one.exceeds else "within"] for one in result.findings]
-    return Table(header=["cause", "size", "limit", ""], rows=rows, numbers_from=4)
+
+    def cells(one: Finding) -> list[str]:
+        return [one.cause, one.amount, one.limit_text, "beyond" if one.exceeds else "within"]
+
+    return Table(header=["cause", "size", "limit", ""], rows=[cells(one) for one in result.findings], numbers_from=4)
 
 
 def lights_table(result: Verification) -> Table:
     """Predicted against captured, a row for each light."""
-    rows: list[list[str]] = []
-    for one in result.lights:
+
+    def cells(one: LightComparison) -> list[str]:
         overlap = "-" if one.overlap is None else f"{one.overlap:.3f}"
         rest = (one.offset_px, one.offset_deg, one.residual, one.explained)
-        rows.append([one.light, overlap, *("-" if value is None else f"{value:.2f}" for value in rest)])
+        return [one.light, overlap, *("-" if value is None else f"{value:.2f}" for value in rest)]
+
     return Table(
         header=["light", "overlap (IoU)", "offset [px]", "offset [°]", "residual/noise", "explained"],
-        rows=rows,
+        rows=[cells(one) for one in result.lights],
         caption="Overlap of saturated areas; offset of the highlights, in the image and as a direction of light; "
         "residual over noise, and the same with the causes in the prediction.",
     )
