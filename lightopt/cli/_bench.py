@@ -5,8 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from lightopt.cli import _common as common
+from lightopt.cli._common import HeadedCommand
 from lightopt.cli._terminal import echo, echo_warning, show_table
 from lightopt.core.errors import HardwareError, InputError, LightoptError
 from lightopt.core.run_context import RunContext
@@ -17,16 +19,10 @@ if TYPE_CHECKING:
     from lightopt.rig.devices import CameraInfo
 
 
-bench = typer.Typer(
-    name="bench",
-    help="Test the devices of a rig one by one.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-)
+bench = typer.Typer(name="bench", help="Test the devices of a rig one by one.", no_args_is_help=True, **common.PLAIN)
 
 
-@bench.command(cls=common.HeadedCommand)
+@bench.command(cls=HeadedCommand)
 def status(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Print the state of every device; switch and move nothing."""
     from lightopt.config import load_rig
@@ -41,16 +37,14 @@ def status(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
         raise HardwareError(*(f"{row.name}: {row.text}" for row in failed))
 
 
-@bench.command(cls=common.HeadedCommand)
+@bench.command(cls=HeadedCommand)
 def light(
     rig: common.RigFile,
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the light in RIG.")],
     level: int | None = typer.Argument(
         None, metavar="LEVEL", help="Intensity level of the controller.", show_default="the level in RIG"
     ),
-    seconds: float | None = typer.Option(
-        None, metavar="S", min=0.0, help="Time [s].", show_default="until Enter is pressed"
-    ),
+    seconds: float | None = Option(None, metavar="S", min=0.0, help="Time [s].", show_default="until Enter is pressed"),
     serial_log: common.SerialLog = None,
 ) -> None:
     """Switch a light on, until Enter is pressed or for the time given by --seconds.
@@ -77,7 +71,7 @@ def light(
     echo(f"{name} is off; {held_text}")
 
 
-@bench.command(cls=common.HeadedCommand)
+@bench.command(cls=HeadedCommand)
 def off(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Switch every channel of every controller off.
 
@@ -100,7 +94,7 @@ def off(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
         echo(f"all lights of {lights.name} are off {which}")
 
 
-@bench.command(cls=common.HeadedCommand)
+@bench.command(cls=HeadedCommand)
 def home(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Home the stage."""
     from lightopt.config import load_rig
@@ -113,12 +107,12 @@ def home(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     echo(f"the stage is at {state.posture}")
 
 
-@bench.command(cls=common.HeadedCommand)
+@bench.command(cls=HeadedCommand)
 def move(
     rig: common.RigFile,
-    elevation: float | None = typer.Option(None, metavar="θ", help="Tilt [deg].", show_default="unchanged"),
-    rotation: float | None = typer.Option(None, metavar="φ", help="Rotation [deg].", show_default="unchanged"),
-    home: bool = typer.Option(False, "--home", help="Home the stage first."),
+    elevation: float | None = Option(None, metavar="θ", help="Tilt [deg].", show_default="unchanged"),
+    rotation: float | None = Option(None, metavar="φ", help="Rotation [deg].", show_default="unchanged"),
+    home: bool = Option(False, "--home", help="Home the stage first."),
     serial_log: common.SerialLog = None,
 ) -> None:
     """Move the stage and verify its position.
@@ -146,48 +140,38 @@ def move(
     echo(f"the stage is at {state.posture}")
 
 
-@bench.command(cls=common.HeadedCommand)
+@bench.command(cls=HeadedCommand)
 def snap(
     rig: common.RigFile,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PNG file to write.")],
-    light: str | None = typer.Option(
+    light: str | None = Option(
         None, metavar="NAME", help="Switch this light on for the frame.", show_default="no light"
     ),
-    exposure: str = typer.Option("1", metavar="X", help="Relative exposure time, such as 1 or 1/16."),
-    part: Path | None = typer.Option(
-        None, metavar="PART", help="Part file (YAML); required with the virtual camera only."
-    ),
+    exposure: str = Option("1", metavar="X", help="Relative exposure time, such as 1 or 1/16."),
+    part: Path | None = Option(None, metavar="PART", help="Part file (YAML); required with the virtual camera only."),
     serial_log: common.SerialLog = None,
     force: common.Force = False,
 ) -> None:
     """Take one frame at the current stage position."""
-    from lightopt.rig.capture import (
-        check_exposure,
-        check_level,
-        check_on_time,
-        connect_devices,
-        snap as take,
-        snap_on_s,
-        wiring_of,
-    )
+    from lightopt.rig import capture
 
     relative = common.parse_exposure(exposure)
     loaded, loaded_part = common.load_inputs(rig, part)
-    wiring = wiring_of(loaded)
+    wiring = capture.wiring_of(loaded)
     if wiring.camera_is_virtual and loaded_part is None:
         raise InputError("--part: required with the virtual camera, which renders the part")
-    check_exposure(wiring, loaded, relative)
+    capture.check_exposure(wiring, loaded, relative)
     if light is not None:
-        check_level(wiring, loaded, light, None)
-        check_on_time(wiring, loaded, light, snap_on_s(wiring, relative))
+        capture.check_level(wiring, loaded, light, None)
+        capture.check_on_time(wiring, loaded, light, capture.snap_on_s(wiring, relative))
     run = RunContext(warn=echo_warning)
-    with connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, run=run) as devices:
-        low, high, mean = take(devices, file, light=light, exposure=relative, overwrite=force)
+    with capture.connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, run=run) as devices:
+        low, high, mean = capture.snap(devices, file, light=light, exposure=relative, overwrite=force)
     echo(f"levels {low} to {high}, mean {mean:.1f}")
     echo(f"{file}")
 
 
-@bench.command("devices", cls=common.HeadedCommand)
+@bench.command("devices", cls=HeadedCommand)
 def list_devices(
     rig: Path | None = typer.Argument(
         None, metavar="RIG", help="Rig file (YAML); also print which of its devices are present."
@@ -221,12 +205,9 @@ def list_devices(
         problem = port_problem(port)
         return "present, not opened" if problem is None else f"NO: {problem.partition('; ')[0]}"
 
-    rows = [
-        (f"controller {name}", config.driver, config.port, port_state(config.port))
-        for name, config in hardware.controllers.items()
-    ]
-    if hardware.stage is not None:
-        rows.append(("stage", hardware.stage.driver, hardware.stage.port, port_state(hardware.stage.port)))
+    stage = {} if hardware.stage is None else {"stage": hardware.stage}
+    devices = {f"controller {name}": config for name, config in hardware.controllers.items()} | stage
+    rows = [(name, config.driver, config.port, port_state(config.port)) for name, config in devices.items()]
     camera = hardware.camera
     rows.append(("camera", camera.driver, camera.folder or camera.port or "", _camera_state(camera, cameras)))
     echo("")
@@ -255,8 +236,8 @@ def _camera_state(config: CameraDeviceConfig, cameras: list[CameraInfo]) -> str:
         return "simulated"
     if config.driver == "folder":
         return ""
-    named = [camera for camera in cameras if camera.driver == config.driver]
-    found = [camera for camera in named if config.port is None or config.port in camera.names]
+    named = [camera.names for camera in cameras if camera.driver == config.driver]
+    found = [names for names in named if config.port is None or config.port in names]
     return "yes" if len(found) == 1 else f"NO: {len(found)} answer"
 
 

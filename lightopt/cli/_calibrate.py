@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._terminal import echo, echo_warning, show_progress
-from lightopt.core.run_context import RunContext
+from lightopt.cli._terminal import echo, echo_paths, run_context
 
 if TYPE_CHECKING:
     from lightopt.config import RigConfig
@@ -19,12 +18,9 @@ def calibrate(
         Path,
         typer.Argument(metavar="FOLDER", help="Calibration folder: targets.yaml and image sets.", show_default=False),
     ],
-    plan: Annotated[
-        bool,
-        common.output_option(
-            "--plan", help="Write what to capture: targets.yaml, a board to print, parts with postures, commands."
-        ),
-    ] = False,
+    plan: bool = common.output_option(
+        False, "--plan", help="Write what to capture: targets.yaml, a board to print, parts with postures, commands."
+    ),
     report: common.Report = True,
     force: common.Force = False,
     threads: common.Threads = None,
@@ -49,10 +45,9 @@ def calibrate(
     from lightopt.images import write_text_atomic
     from lightopt.report import calibration_lines, calibration_report
 
-    with show_progress(quiet=quiet) as progress:
-        found = calibrate_rig(loaded, folder, run=RunContext(threads=threads, progress=progress, warn=echo_warning))
-    for text in found.warnings:
-        echo_warning(text)
+    with run_context(quiet=quiet, threads=threads) as run:
+        found = calibrate_rig(loaded, folder, run=run)
+    run.warn(*found.warnings)
     written = [*write_calibration(found, force=force)]
     if report:
         write_text_atomic(folder / REPORT_NAME, calibration_report(found, figures(found)), overwrite=force)
@@ -66,8 +61,7 @@ def calibrate(
     if found.board is not None and found.board.next_posture is not None:
         gain = found.board.next_posture
         echo(f"a view at {gain.posture} would help most: {found.board.predicted_rms:.2g} → {gain.predicted_rms:.2g} px")
-    for path in written:
-        echo(f"{path}")
+    echo_paths(written)
 
 
 def _plan(loaded: RigConfig, folder: Path, *, force: bool, quiet: bool) -> None:

@@ -2,14 +2,14 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._terminal import echo, echo_error, echo_warning, show_progress, show_table
+from lightopt.cli._common import hardware_option, output_option, selection_option
+from lightopt.cli._terminal import echo, echo_error, run_context, show_table
 from lightopt.core.errors import InputError, Interrupted, counted
-from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.rig.capture import CapturePlan, CaptureResult
@@ -24,26 +24,22 @@ def capture(
     light: common.Lights = None,
     posture: common.Postures = None,
     exposures: common.Exposures = "1",
-    average: int = common.selection_option(1, metavar="N", min=1, help="Average N frames per image."),
-    seed: int | None = common.selection_option(
+    average: int = selection_option(1, metavar="N", min=1, help="Average N frames per image."),
+    seed: int | None = selection_option(
         None, metavar="N", min=0, help="Seed of the virtual bench's noise.", show_default="as the rig file says, or 1"
     ),
-    dark: bool = common.selection_option(
-        False, "--dark", help="Also capture dark frames, and subtract them in the EXR."
-    ),
-    home: bool = common.hardware_option(False, "--home", help="Home the stage first."),
-    check_lights: bool = common.hardware_option(
+    dark: bool = selection_option(False, "--dark", help="Also capture dark frames, and subtract them in the EXR."),
+    home: bool = hardware_option(False, "--home", help="Home the stage first."),
+    check_lights: bool = hardware_option(
         True, "--check-lights/--no-check-lights", help="Verify that each image is lit by its own light."
     ),
-    check_repeatability: bool = common.hardware_option(
+    check_repeatability: bool = hardware_option(
         False,
         "--check-repeatability",
         help="Repeat the first image at the end and compare, to detect lost steps of the stage.",
     ),
-    dry_run: bool = common.hardware_option(False, "--dry-run", help="Print every step with its time; open no device."),
-    resume: bool = common.output_option(
-        False, "--resume", help="Capture only the images missing from an existing set."
-    ),
+    dry_run: bool = hardware_option(False, "--dry-run", help="Print every step with its time; open no device."),
+    resume: bool = output_option(False, "--resume", help="Capture only the images missing from an existing set."),
     sheet: common.Sheet = False,
     serial_log: common.SerialLog = None,
     force: common.Force = False,
@@ -61,7 +57,7 @@ def capture(
     if out is None and not dry_run:
         raise InputError("--out: expected a folder for the image set; it is optional with --dry-run only")
 
-    from lightopt.rig.capture import CaptureOptions, capture as run, check_devices, check_folder, make_plan
+    from lightopt.rig.capture import CaptureOptions, capture as take, check_devices, check_folder, make_plan
 
     options = CaptureOptions(
         lights=tuple(light) if light else None,
@@ -75,6 +71,7 @@ def capture(
         seed=seed,
     )
     loaded_rig, loaded_part = common.load_inputs(rig, part)
+    existing: dict[str, Any] = {"resume": resume, "force": force}
     if dry_run:
         plan = make_plan(loaded_rig, loaded_part, options)
         _show_plan(plan)  # before devices that are missing are reported
@@ -85,7 +82,7 @@ def capture(
             problems += error.messages
         try:
             if out is not None:
-                check_folder(out, loaded_rig, loaded_part, plan, resume=resume, force=force)
+                check_folder(out, loaded_rig, loaded_part, plan, **existing)
         except InputError as error:
             problems += error.messages
         if problems:
@@ -93,17 +90,8 @@ def capture(
         return
     assert out is not None
     try:
-        with show_progress(quiet=quiet) as progress:
-            done = run(
-                loaded_rig,
-                loaded_part,
-                out,
-                options=options,
-                resume=resume,
-                force=force,
-                serial_log=serial_log,
-                run=RunContext(progress=progress, warn=echo_warning),
-            )
+        with run_context(quiet=quiet) as run:
+            done = take(loaded_rig, loaded_part, out, options=options, **existing, serial_log=serial_log, run=run)
     except Interrupted as stopped:
         echo_error(*stopped.messages, label="")
         raise

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
 import typer
 import typer.core
+from typer import Argument
 
 from lightopt.cli._terminal import echo, set_up_log
 from lightopt.core.errors import InputError
@@ -27,65 +28,38 @@ output_option = partial(typer.Option, rich_help_panel="Output")
 hardware_option = partial(typer.Option, rich_help_panel="Hardware")
 run_option = partial(typer.Option, rich_help_panel="Run")  # headings of options in `--help`
 
-RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
-PartFile = Annotated[Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")]
-Images = Annotated[
-    Path, typer.Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")
-]
+PLAIN: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None}  # of each typer.Typer
+
+RigFile = Annotated[Path, Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
+PartFile = Annotated[Path, Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")]
+Images = Annotated[Path, Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")]
 Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; created if missing.")]
 Force = Annotated[bool, output_option("--force", help="Overwrite existing results.")]
 Report = Annotated[bool, output_option("--report/--no-report", help="Write report.html.")]
 JsonFile = Annotated[Path | None, output_option("--json", metavar="FILE", help="Write all results to this JSON file.")]
-Sheet = Annotated[
-    bool, output_option("--sheet", help="Write a labelled contact sheet per exposure, contact-sheet*.png.")
-]
-Lights = Annotated[
-    list[str] | None,
-    selection_option("--light", metavar="NAME", help="Use only this light; repeatable.", show_default="all lights"),
-]
-Postures = Annotated[
-    list[str] | None,
-    selection_option(
-        "--posture",
-        metavar="θ,φ",
-        help="Use this posture: tilt and rotation [deg]; repeatable.",
-        show_default="the postures of PART",
-    ),
-]
+_SHEET_HELP = "Write a labelled contact sheet per exposure, contact-sheet*.png."
+Sheet = Annotated[bool, output_option("--sheet", help=_SHEET_HELP)]
+_LIGHT = selection_option("--light", metavar="NAME", help="Use only this light; repeatable.", show_default="all lights")
+Lights = Annotated[list[str] | None, _LIGHT]
+_POSTURE_HELP = "Use this posture: tilt and rotation [deg]; repeatable."
+_POSTURE = selection_option("--posture", metavar="θ,φ", help=_POSTURE_HELP, show_default="the postures of PART")
+Postures = Annotated[list[str] | None, _POSTURE]
 Exposures = Annotated[str, selection_option(metavar="X,…", help="Relative exposure times, such as 1,1/16.")]
-Points = Annotated[
-    str | None,
-    model_option(
-        metavar="M",
-        help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel).",
-        show_default="as the rig file says",
-    ),
-]
+POINTS_HELP = "Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel)."
+Points = Annotated[str | None, model_option(metavar="M", help=POINTS_HELP, show_default="as the rig file says")]
 Shadows = Annotated[bool, model_option("--shadows/--no-shadows", help="Let the part cast shadows.")]
-Patches = Annotated[
-    int | None,
-    model_option(metavar="N", min=1, help="Target number of visible surface patches.", show_default="200000"),
-]
-Register = Annotated[
-    bool,
-    model_option(
-        "--register/--no-register", help="Find the part's placement on the stage; otherwise assume nominal placement."
-    ),
-]
-MinImages = Annotated[
-    int, model_option(metavar="K", min=1, help="Number of images of a posture that must show a defect.")
-]
-Threads = Annotated[
-    int | None,
-    run_option(
-        metavar="N", min=1, help="Number of threads; results do not depend on it.", show_default="all processors"
-    ),
-]
+_PATCHES = model_option(metavar="N", min=1, help="Target number of visible surface patches.", show_default="200000")
+Patches = Annotated[int | None, _PATCHES]
+_REGISTER_HELP = "Find the part's placement on the stage; otherwise assume nominal placement."
+Register = Annotated[bool, model_option("--register/--no-register", help=_REGISTER_HELP)]
+_MIN_IMAGES_HELP = "Number of images of a posture that must show a defect."
+MinImages = Annotated[int, model_option(metavar="K", min=1, help=_MIN_IMAGES_HELP)]
+_THREADS_HELP = "Number of threads; results do not depend on it."
+Threads = Annotated[int | None, run_option(metavar="N", min=1, help=_THREADS_HELP, show_default="all processors")]
 Quiet = Annotated[bool, run_option("--quiet", "-q", help="Print errors and warnings only.")]
 Verbose = Annotated[bool, run_option("--verbose", "-v", callback=set_up_log, help="Print all details and the log.")]
-SerialLog = Annotated[
-    Path | None, output_option(metavar="FILE", help="Append all bytes sent and received, with times, to this file.")
-]
+_SERIAL_LOG_HELP = "Append all bytes sent and received, with times, to this file."
+SerialLog = Annotated[Path | None, output_option(metavar="FILE", help=_SERIAL_LOG_HELP)]
 
 
 LEAST_EXPOSURE, MOST_EXPOSURE = 1e-9, 1e9  # relative to exposure 1; it is a part of file names
@@ -99,9 +73,8 @@ def parse_postures(texts: Sequence[str] | None) -> tuple[Posture, ...] | None:
 def _parse_posture(text: str) -> Posture:
     from lightopt.core.transforms import Posture
 
-    parts = text.split(",")
     try:
-        elevation, rotation = (float(part) for part in parts)
+        elevation, rotation = map(float, text.split(","))
     except ValueError:
         elevation = rotation = math.nan
     if not (math.isfinite(elevation) and math.isfinite(rotation)):
@@ -117,10 +90,8 @@ def parse_exposure(text: str, *, option: str = "--exposure") -> float:
     """Read a number or a fraction such as 1/16, given with an option."""
     value = _number(text)
     if not LEAST_EXPOSURE <= value <= MOST_EXPOSURE:
-        raise InputError(
-            f"{option}: expected a number from {LEAST_EXPOSURE:g} to {MOST_EXPOSURE:g} or a fraction such as 1/16, "
-            f'found "{text}"'
-        )
+        limits = f"{LEAST_EXPOSURE:g} to {MOST_EXPOSURE:g}"
+        raise InputError(f'{option}: expected a number from {limits} or a fraction such as 1/16, found "{text}"')
     return value
 
 
@@ -210,6 +181,5 @@ def _plain(parameter: Any, name: str, text: str) -> tuple[str, str]:
 
 def heading(parameter: Any) -> str:
     """Of the section that an argument or option belongs to."""
-    if parameter.param_type_name == "argument":
-        return "Arguments"
-    return getattr(parameter, "rich_help_panel", None) or "Options"
+    other = "Arguments" if parameter.param_type_name == "argument" else "Options"
+    return getattr(parameter, "rich_help_panel", None) or other

@@ -3,19 +3,19 @@
 import json
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import typer
+from typer import Argument, Option
 
 from lightopt.cli import _common as common
+from lightopt.cli._common import output_option
 from lightopt.cli._terminal import echo
 from lightopt.core.errors import CheckFailed, InputError, counted
 from lightopt.core.run_context import RunContext
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder; created if missing.")],
-    force: common.Force = False,
+    folder: Path = Argument(..., metavar="DIR", help="Output folder; created if missing."), force: common.Force = False
 ) -> None:
     """Write a sample set-up to DIR: commented rig.yaml and part.yaml, the part's mesh, and JSON schemas for editors.
 
@@ -49,9 +49,7 @@ def init(
     echo(f"next: lightopt check {folder / 'rig.yaml'} {folder / 'part.yaml'}")
 
 
-def schema(
-    kind: Annotated[Literal["rig", "part"], typer.Argument(metavar="KIND", help="Kind of file: rig or part.")],
-) -> None:
+def schema(kind: Literal["rig", "part"] = Argument(..., metavar="KIND", help="Kind of file: rig or part.")) -> None:
     """Print the JSON schema of a rig or part file, for editors and other programs.
 
     Example: lightopt schema rig > rig.json
@@ -71,11 +69,9 @@ def _schema_text(kind: Literal["rig", "part"]) -> str:
 
 def check(
     rig: common.RigFile,
-    part: Path | None = typer.Argument(
-        None, metavar="PART", help="Part file (YAML); without it only the rig is checked."
-    ),
+    part: Path | None = Argument(None, metavar="PART", help="Part file (YAML); without it only the rig is checked."),
     json_file: common.JsonFile = None,
-    drawing: Path | None = common.output_option(
+    drawing: Path | None = output_option(
         None, metavar="FILE", help="Draw rig and PART with coordinate frames and angles (PNG)."
     ),
     force: common.Force = False,
@@ -120,8 +116,7 @@ def check(
         from lightopt.images import write_text_atomic
 
         found = {**report.as_dict(), "provenance": provenance(input_hashes(loaded_rig, loaded_part), {})}
-        text = json.dumps(found, indent=2, ensure_ascii=False) + "\n"
-        write_text_atomic(json_file, text, overwrite=force)
+        write_text_atomic(json_file, json.dumps(found, indent=2, ensure_ascii=False) + "\n", overwrite=force)
     if errors := levels["error"]:
         raise CheckFailed(f"{errors} of {counted(len(report.findings), 'finding')} must be corrected before rendering")
 
@@ -129,11 +124,11 @@ def check(
 def defects(
     rig: common.RigFile,
     part: common.PartFile,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FILE", help="Part file to write; its folder is created if missing.")
-    ],
-    seed: Annotated[int, typer.Option(metavar="N", help="Random seed; the same seed gives the same defects.")],
-    count: Annotated[int, typer.Option(metavar="K", help="Number of defects, 1 to 500.")],
+    out: Path = Option(
+        ..., "--out", "-o", metavar="FILE", help="Part file to write; its folder is created if missing."
+    ),
+    seed: int = Option(..., metavar="N", help="Random seed; the same seed gives the same defects."),
+    count: int = Option(..., metavar="K", help="Number of defects, 1 to 500."),
     force: common.Force = False,
     threads: common.Threads = None,
     quiet: common.Quiet = False,

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._terminal import echo, echo_warning, flag, show_progress, show_table
+from lightopt.cli._terminal import echo, echo_paths, flag, run_context, show_table
 from lightopt.core.errors import CheckFailed, InputError
-from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.config import RigConfig
@@ -21,25 +20,15 @@ if TYPE_CHECKING:
 
 paper_option = partial(typer.Option, rich_help_panel="The paper's procedure (--method paper)")
 
-Method = Annotated[
-    Literal["likelihood", "paper"],
-    typer.Option(
-        metavar="likelihood|paper", help="Maximum likelihood, or the procedure of the paper (docs/how-to/fitting.md)."
-    ),
-]
-Free = Annotated[
-    list[str] | None,
-    common.model_option(
-        "--free", metavar="gain|dark", help="Also fit the gain of each light, or the dark level; repeatable."
-    ),
-]
+_METHOD_HELP = "Maximum likelihood, or the procedure of the paper (docs/how-to/fitting.md)."
+Method = Annotated[Literal["likelihood", "paper"], typer.Option(metavar="likelihood|paper", help=_METHOD_HELP)]
+_FREE_HELP = "Also fit the gain of each light, or the dark level; repeatable."
+Free = Annotated[list[str] | None, common.model_option("--free", metavar="gain|dark", help=_FREE_HELP)]
 Pixels = Annotated[int, common.model_option(metavar="N", min=1000, help="Target number of pixels, over all images.")]
-WriteNoise = Annotated[
-    bool, common.output_option("--write-noise", help="Write the noise measured in the images to rig.fitted.yaml.")
-]
-AllowUnconverged = Annotated[
-    bool, common.output_option("--allow-unconverged", help="Exit with status 0 even if the fit did not converge.")
-]
+_NOISE_HELP = "Write the noise measured in the images to rig.fitted.yaml."
+WriteNoise = Annotated[bool, common.output_option("--write-noise", help=_NOISE_HELP)]
+_UNCONVERGED_HELP = "Exit with status 0 even if the fit did not converge."
+AllowUnconverged = Annotated[bool, common.output_option("--allow-unconverged", help=_UNCONVERGED_HELP)]
 FREE = ("gain", "dark")
 
 
@@ -79,10 +68,8 @@ def fit_diffuse(
     paper = PaperOptions(lambda_d=lambda_d, R_d_start=start_rd, away=math.radians(highlight_margin))
     options = FitOptions(method=method, register=register, pixels=pixels, write_noise=write_noise, paper=paper)
     options = _complete("diffuse", options, free, points)
-    _run(
-        "diffuse", rig, part, images, out, options, allow_unconverged=allow_unconverged, force=force, threads=threads,
-        quiet=quiet, verbose=verbose,
-    )  # fmt: skip
+    converged = _run("diffuse", rig, part, images, out, options, force, threads, quiet=quiet, verbose=verbose)
+    _require(converged or allow_unconverged)
 
 
 def fit_specular(
@@ -97,8 +84,7 @@ def fit_specular(
     points: str | None = common.model_option(
         None,
         metavar="M,…",
-        help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel). With a list such as 1,4,9, fit "
-        "each number and select the best.",
+        help=f"{common.POINTS_HELP} With a list such as 1,4,9, fit each number and select the best.",
         show_default="as the rig file says",
     ),
     pixels: Pixels = 1_500_000,
@@ -127,18 +113,13 @@ def fit_specular(
     """
     from lightopt.estimate.reflectance import FitOptions, PaperOptions
 
-    paper = PaperOptions(
-        lambda_s1=lambda_s1, lambda_s2=lambda_s2, sigma_step=sigma_step, sigma_start=start_sigma, R_s_start=start_rs
-    )
-    options = FitOptions(
-        method=method, joint=joint, register=register, pixels=pixels, validate=validate, write_noise=write_noise,
-        paper=paper,
-    )  # fmt: skip
+    start = {"sigma_start": start_sigma, "R_s_start": start_rs}
+    paper = PaperOptions(lambda_s1=lambda_s1, lambda_s2=lambda_s2, sigma_step=sigma_step, **start)
+    options = FitOptions(method=method, register=register, pixels=pixels, write_noise=write_noise, paper=paper)
+    options = replace(options, joint=joint, validate=validate)
     options = _complete("specular", options, free, points)
-    _run(
-        "specular", rig, part, images, out, options, allow_unconverged=allow_unconverged, force=force, threads=threads,
-        quiet=quiet, verbose=verbose,
-    )  # fmt: skip
+    converged = _run("specular", rig, part, images, out, options, force, threads, quiet=quiet, verbose=verbose)
+    _require(converged or allow_unconverged)
 
 
 def _run(
@@ -148,13 +129,13 @@ def _run(
     images: Path,
     out: Path,
     options: FitOptions,
-    *,
-    allow_unconverged: bool,
     force: bool,
     threads: int | None,
+    *,
     quiet: bool,
     verbose: bool,
-) -> None:
+) -> bool:
+    # whether the fit converged
     from lightopt.estimate.reflectance import FitFolder, fit_diffuse, fit_provenance, fit_specular
     from lightopt.images import make_folder, read_image_set
     from lightopt.report import fit_chart
@@ -165,8 +146,7 @@ def _run(
     made_from = fit_provenance(loaded_rig, loaded_part, image_set, arguments)
     folder = FitFolder(out, made_from, force=force)
     make_folder(out)
-    with show_progress(quiet=quiet) as progress:
-        run = RunContext(threads=threads, progress=progress, warn=echo_warning)
+    with run_context(quiet=quiet, threads=threads) as run:
         if kind == "diffuse":
             result = fit_diffuse(loaded_rig, loaded_part, image_set, options=options, run=run)
         else:
@@ -176,9 +156,12 @@ def _run(
     written = folder.write(result, loaded_rig, loaded_part)
     if not quiet:
         _show(result, verbose)
-        for path in (*written, *([chart] if chart else [])):
-            echo(f"{path}")
-    if not result.converged and not allow_unconverged:
+        echo_paths((*written, *([chart] if chart else [])))
+    return result.converged
+
+
+def _require(converged: bool) -> None:
+    if not converged:
         raise CheckFailed("the fit did not converge; its files were written. To accept it, use --allow-unconverged")
 
 
@@ -191,9 +174,7 @@ def _complete(kind: str, options: FitOptions, free: list[str] | None, points: st
     texts = [] if points is None else [text.strip() for text in points.split(",")]
     if kind == "diffuse" and len(texts) > 1:
         problems.append("--points: fit-diffuse takes one number of points; fit-specular compares several")
-    chosen: tuple[int | Literal["auto"], ...] = tuple(
-        m for text in texts if (m := common.parse_points(text)) is not None
-    )
+    chosen = tuple(m for text in texts if (m := common.parse_points(text)) is not None)
     problems += [f"--points: {problem}" for m in chosen if (problem := points_problem(m)) is not None]
     problems += options.paper.problems()
     if options.method == "likelihood":
@@ -216,16 +197,11 @@ def _save_residuals(folder: FitFolder, rig: RigConfig) -> Callable[[Any, Any], N
     from lightopt.scene import build_sensor
 
     sensor = build_sensor(rig.camera)
+    scale = {"saturated_from": float(sensor.saturated_from), "full": float(sensor.max_level)}
 
     def save(seen: Any, levels: Any) -> None:
         name = png_name(seen.light, seen.posture, seen.exposure).replace("/", "_")
-        residual_picture(
-            folder.place(f"left-out/{name}"),
-            measured=seen.levels,
-            predicted=levels,
-            saturated_from=sensor.saturated_from,
-            full=float(sensor.max_level),
-        )
+        residual_picture(folder.place(f"left-out/{name}"), measured=seen.levels, predicted=levels, **scale)
 
     return save
 
@@ -237,8 +213,8 @@ def _show(result: FitResult, verbose: bool) -> None:
     for value in result.values:
         held = "as in the file" if value.name not in (*result.fitted, "half_angle_rad") else ""
         error = f"{value.standard_error:.2g}" if value.standard_error else ""
-        interval = "" if value.interval is None else format_interval(value.interval)
-        rows.append([value.name, f"{value.value:.6g}", error, interval or held])
+        interval = held if value.interval is None else format_interval(value.interval) or held
+        rows.append([value.name, f"{value.value:.6g}", error, interval])
     show_table(["", "value", "std. error", "95 % interval"], rows)
     if result.highlights is not None:
         r_s, sigma = result.highlights
@@ -251,23 +227,20 @@ def _show(result: FitResult, verbose: bool) -> None:
         echo("gains: " + ", ".join(_with_error(gain) for gain in result.gains.values()))
     if result.dark is not None:
         echo(_with_error(result.dark).replace("black_level", "black level:"))
-    if result.write_noise and result.noise is not None:
-        noise = result.noise
+    if result.write_noise and (noise := result.noise) is not None:
         figures = (
             ("read noise {:.3g} ± {:.1g} levels", noise.read_noise, noise.read_noise_error),
             ("{:.4g} ± {:.2g} electrons per level", noise.electrons, noise.electrons_error),
         )
         if parts := [text.format(value, error) for text, value, error in figures if value is not None]:
             echo("noise written: " + ", ".join(parts))
-    if result.placement is not None:
-        p = result.placement
+    if (p := result.placement) is not None:
         turn, error = math.degrees(p.turn), math.degrees(p.errors[2])
         echo(
             f"placement: the part is displaced by {p.x:+.3f} mm in x, {p.y:+.3f} mm in y and rotated by {turn:+.3f}° "
             f"(standard errors {p.errors[0]:.1g} mm, {p.errors[1]:.1g} mm, {error:.1g}°)"
         )
-    if result.quality is not None:
-        q = result.quality
+    if (q := result.quality) is not None:
         echo(
             f"{result.observations:,} levels of {result.pixels:,} pixels; residual {q.rms:.3g} sensor levels rms ("
             f"noise {q.floor:.2g}), {100.0 * q.epsilon:.2f} % of the pixels are outliers"
@@ -289,28 +262,19 @@ def _with_error(value: FittedValue) -> str:
 def _show_points(result: FitResult) -> None:
     areas = ["area [px]", "measured", "perimeter [px]", "measured"]
     head = ["m", "R_d", "R_s", "σ [rad]", *areas, "likelihood", ""]
-    rows = [
-        [
-            str(row.points),
-            f"{row.R_d:.4g}",
-            f"{row.R_s:.6g}",
-            f"{row.sigma:.4g}",
-            f"{row.area:,}",
-            f"{row.measured_area:,}",
-            f"{row.perimeter:,.0f}",
-            f"{row.measured_perimeter:,.0f}",
-            "-" if row.likelihood is None else f"{row.likelihood:.5f}",
-            "selected" if row.points == result.points else "",
-        ]
-        for row in result.rows
-    ]
+    rows: list[list[str]] = []
+    for row in result.rows:
+        found = [str(row.points), f"{row.R_d:.4g}", f"{row.R_s:.6g}", f"{row.sigma:.4g}"]
+        found += [f"{row.area:,}", f"{row.measured_area:,}", f"{row.perimeter:,.0f}", f"{row.measured_perimeter:,.0f}"]
+        likelihood = "-" if row.likelihood is None else f"{row.likelihood:.5f}"
+        rows.append([*found, likelihood, "selected" if row.points == result.points else ""])
     show_table(head, rows, numbers_from=0)
 
 
 def _summarise_left_out(result: FitResult) -> None:
-    images = [(image, left) for left in result.left_out for image in left.images]
-    worst, _ = max(images, key=lambda pair: pair[0].rms_sensor)
-    overlaps = [image.iou for image, _ in images if image.iou is not None]
+    images = [image for left in result.left_out for image in left.images]
+    worst = max(images, key=lambda image: image.rms_sensor)
+    overlaps = [image.iou for image in images if image.iou is not None]
     own = f" ({', '.join(result.not_left_out)} from all images)" if result.not_left_out else ""
     least = f", saturated areas overlap by {min(overlaps):.3f} (IoU) or more" if overlaps else ""
     echo(
@@ -320,17 +284,11 @@ def _summarise_left_out(result: FitResult) -> None:
 
 
 def _show_left_out(result: FitResult) -> None:
-    rows = [
-        [
-            image.image,
-            f"{left.R_s:.5g}",
-            f"{left.sigma:.4g}",
-            f"{image.rms_sensor:.3g}",
-            f"{image.rms:.3g}",
-            "-" if image.iou is None else f"{image.iou:.4f}",
-            "-" if image.border is None else f"{image.border:.2g}",
-        ]
-        for left in result.left_out
-        for image in left.images
-    ]
+    rows: list[list[str]] = []
+    for left in result.left_out:
+        for image in left.images:
+            iou = "-" if image.iou is None else f"{image.iou:.4f}"
+            border = "-" if image.border is None else f"{image.border:.2g}"
+            levels = f"{image.rms_sensor:.3g}", f"{image.rms:.3g}"
+            rows.append([image.image, f"{left.R_s:.5g}", f"{left.sigma:.4g}", *levels, iou, border])
     show_table(["image", "R_s", "σ [rad]", "rms [sensor level]", "rms [grey level]", "IoU", "border [px]"], rows)

@@ -6,13 +6,13 @@ import json
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from lightopt.cli import _common as common
 from lightopt.cli._optimize_tables import show_overlaps
-from lightopt.cli._terminal import echo, show_table
+from lightopt.cli._terminal import echo, echo_paths, show_table
 from lightopt.core.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
@@ -47,16 +47,12 @@ def overlap(
         show_overlaps(found)
     if out is None:
         return
-    for path in write_overlaps(found, image_set, out, force=force):
-        if not quiet:
-            echo(f"{path}")
+    echo_paths(write_overlaps(found, image_set, out, force=force), quiet=quiet)
 
 
 def compare(
-    golden: Annotated[
-        Path, typer.Argument(metavar="A", help="Golden EXR, PNG or image set (folder or manifest.json).")
-    ],
-    new: Annotated[Path, typer.Argument(metavar="B", help="New EXR, PNG or image set.")],
+    golden: Path = typer.Argument(..., metavar="A", help="Golden EXR, PNG or image set (folder or manifest.json)."),
+    new: Path = typer.Argument(..., metavar="B", help="New EXR, PNG or image set."),
     absolute: float = threshold_option(
         0.05,
         metavar="LEVEL",
@@ -109,9 +105,8 @@ def compare(
         min_iou=min_iou,
         saturation=saturation,
     )
-    result = (
-        comparison.compare_sets(golden, new, thresholds) if sets else comparison.compare_files(golden, new, thresholds)
-    )
+    compare_them = comparison.compare_sets if sets else comparison.compare_files
+    result = compare_them(golden, new, thresholds)
     if json_file is not None:
         figures = {**result.as_dict(), "provenance": comparison.comparison_provenance(result, thresholds)}
         write_text_atomic(json_file, json.dumps(figures, indent=2) + "\n", overwrite=force)
@@ -140,25 +135,16 @@ def _show(files: Sequence[FileComparison], *, parts: int, verbose: bool) -> None
     differing = [pair for pair in channels if not pair[1].passed]
     if all(file.passed for file in files):
         echo(f"no difference beyond the thresholds in {counted(len(files), 'file')}")
-    shown = (
-        channels
-        if verbose
-        else (differing or sorted(channels, key=lambda pair: (pair[1].share, pair[1].max or 0.0))[-1:])[:MOST_ROWS]
-    )
+    greatest = sorted(channels, key=lambda pair: (pair[1].share, pair[1].max or 0.0))[-1:]
+    shown = channels if verbose else (differing or greatest)[:MOST_ROWS]
     rows: list[list[str]] = []
     for file, channel in shown:
         p99 = None if channel.percentiles is None else channel.percentiles.get("p99")
-        numbers = (channel.max, channel.rms, p99)
-        rows.append(
-            [
-                "/".join(Path(file.b).parts[-parts:]),
-                channel.name,
-                *("-" if value is None else f"{value:.4g}" for value in numbers),
-                f"{100.0 * channel.share:.3f} %",
-                "-" if channel.iou is None else f"{channel.iou:.4f}",
-                "ok" if channel.passed else "DIFFERS",
-            ]
-        )
+        numbers = ["-" if value is None else f"{value:.4g}" for value in (channel.max, channel.rms, p99)]
+        iou = "-" if channel.iou is None else f"{channel.iou:.4f}"
+        verdict = "ok" if channel.passed else "DIFFERS"
+        name = "/".join(Path(file.b).parts[-parts:])
+        rows.append([name, channel.name, *numbers, f"{100.0 * channel.share:.3f} %", iou, verdict])
     if rows:
         show_table(["file", "channel", "max", "rms", "p99", "differing", "IoU", ""], rows, numbers_from=2)
     if len(shown) < len(differing):

@@ -6,53 +6,39 @@ from typing import Annotated, Literal
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._terminal import echo, echo_warning, show_progress
+from lightopt.cli._common import model_option
+from lightopt.cli._terminal import echo, run_context
 from lightopt.core.errors import counted
-from lightopt.core.run_context import RunContext
 
 
 def import_(
     images: Annotated[Path, typer.Argument(metavar="IMAGES", help="Folder of the photographs: PNG, JPEG, TIFF.")],
     lights: Annotated[Path, typer.Argument(metavar="LIGHTS", help="Table of photographs and their lights (CSV).")],
     out: common.Out,
-    camera: Annotated[
-        Path,
-        common.model_option(
-            metavar="FILE", help="Calibration: K, distortion, [R|t]; OpenCV's YAML or JSON, or K as text."
-        ),
-    ],
-    pose: Annotated[
-        Path | None, common.model_option(metavar="FILE", help="File of [R|t], if the calibration file has none.")
-    ] = None,
-    pose_units: Annotated[
-        Literal["mm", "cm", "m"], common.model_option(metavar="UNIT", help="Unit of t: mm, cm or m.")
-    ] = "mm",
-    turn_world: Annotated[
-        Literal["x180", "x90", "x-90"] | None,
-        common.model_option(
-            metavar="TURN", help="Rotate the given world about X so that Z points up: x180, x90, x-90."
-        ),
-    ] = None,
-    mesh: Annotated[Path | None, common.model_option(metavar="FILE", help="The part: a mesh or STEP file.")] = None,
-    mesh_units: Annotated[
-        Literal["um", "mm", "cm", "m", "inch", "ft"] | None,
-        common.model_option(metavar="UNIT", help="Unit of the mesh file: um, mm, cm, m, inch or ft."),
-    ] = None,
-    sphere: Annotated[
-        float | None,
-        common.model_option(metavar="RADIUS", min=1e-3, help="The part is a sphere [mm], at the mask's disc."),
-    ] = None,
-    mask: Annotated[
-        Path | None,
-        common.model_option(metavar="FILE", help="Image of the part, white on black; the rest is blackened."),
-    ] = None,
-    gamma: Annotated[
-        Literal["linear", "srgb"] | None,
-        common.model_option(metavar="NAME", help="Encoding of the levels: linear or srgb.", show_default="linear"),
-    ] = None,
-    bits: Annotated[
-        int | None, common.model_option(metavar="N", help="Bits of the camera, if 16-bit files have fewer: 10, 12, 14.")
-    ] = None,
+    camera: Path = model_option(
+        ..., metavar="FILE", help="Calibration: K, distortion, [R|t]; OpenCV's YAML or JSON, or K as text."
+    ),
+    pose: Path | None = model_option(None, metavar="FILE", help="File of [R|t], if the calibration file has none."),
+    pose_units: Literal["mm", "cm", "m"] = model_option("mm", metavar="UNIT", help="Unit of t: mm, cm or m."),
+    turn_world: Literal["x180", "x90", "x-90"] | None = model_option(
+        None, metavar="TURN", help="Rotate the given world about X so that Z points up: x180, x90, x-90."
+    ),
+    mesh: Path | None = model_option(None, metavar="FILE", help="The part: a mesh or STEP file."),
+    mesh_units: Literal["um", "mm", "cm", "m", "inch", "ft"] | None = model_option(
+        None, metavar="UNIT", help="Unit of the mesh file: um, mm, cm, m, inch or ft."
+    ),
+    sphere: float | None = model_option(
+        None, metavar="RADIUS", min=1e-3, help="The part is a sphere [mm], at the mask's disc."
+    ),
+    mask: Path | None = model_option(
+        None, metavar="FILE", help="Image of the part, white on black; the rest is blackened."
+    ),
+    gamma: Literal["linear", "srgb"] | None = model_option(
+        None, metavar="NAME", help="Encoding of the levels: linear or srgb.", show_default="linear"
+    ),
+    bits: int | None = model_option(
+        None, metavar="N", help="Bits of the camera, if 16-bit files have fewer: 10, 12, 14."
+    ),
     force: common.Force = False,
     quiet: common.Quiet = False,
 ) -> None:
@@ -78,8 +64,7 @@ def import_(
         gamma=gamma,
         bits=bits,
     )
-    with show_progress(quiet=quiet) as progress:
-        run = RunContext(progress=progress, warn=echo_warning)
+    with run_context(quiet=quiet) as run:
         done = import_photographs(images, lights, out, options=options, force=force, run=run)
     if quiet:
         return

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from lightopt.cli import _common as common
-from lightopt.cli._terminal import echo, echo_error, echo_warning, show_page_table, show_progress, show_table
+from lightopt.cli import _common as common, _terminal as terminal
+from lightopt.cli._terminal import echo, show_page_table, show_progress
 from lightopt.core.errors import CheckFailed, InputError, counted, percent
 from lightopt.core.run_context import RunContext, StageShare
 
@@ -103,9 +103,8 @@ def inspect(
     problems = options.problems()
     if calibrate:
         given = {"--calibration": learned is not None, "--evaluate": evaluate, "--fail-on-defect": fail_on_defect}
-        problems += [
-            f"{name}: cannot be combined with --calibrate, which does not inspect" for name, is_ in given.items() if is_
-        ]
+        given_names = (name for name, is_given in given.items() if is_given)
+        problems += [f"{name}: cannot be combined with --calibrate, which does not inspect" for name in given_names]
     if problems:
         raise InputError(*problems)
     loaded_rig, loaded_part = common.load_inputs(rig, part)
@@ -158,10 +157,8 @@ def _inspect(
         made_from["options"]["evaluate"] = evaluate
         batch = inspection.BatchFolder(out, made_from, force=force)
     folders = [
-        inspection.InspectionFolder(
-            out / name if several else out, describe([image_set], before=sets[:number]), force=force
-        )
-        for number, (image_set, name) in enumerate(zip(sets, names, strict=True))
+        inspection.InspectionFolder(out / name if several else out, describe([sets[i]], before=sets[:i]), force=force)
+        for i, name in enumerate(names)
     ]
     shown: list[StageShare | None] = [None]
 
@@ -169,16 +166,9 @@ def _inspect(
         if shown[0] is not None:
             shown[0](stage, share)
 
-    results = inspection.inspect_batch(
-        rig,
-        part,
-        sets,
-        options=options,
-        calibration=calibration,
-        truth=sources,
-        folders=folders,
-        run=RunContext(threads=output.threads, progress=progress, warn=echo_warning),
-    )
+    run = RunContext(threads=output.threads, progress=progress, warn=terminal.echo_warning)
+    arguments: dict[str, Any] = {"options": options, "calibration": calibration, "truth": sources, "folders": folders}
+    results = inspection.inspect_batch(rig, part, sets, **arguments, run=run)
     rows: list[inspection.BatchRow] = []
     evaluations: list[inspection.SetEvaluation] = []
     begun = monotonic()
@@ -191,7 +181,7 @@ def _inspect(
             folder.clear()
             own = f"{image_set.folder}"
             bare = (message.removeprefix(own).lstrip(",: ") for message in inspected.error.messages)
-            echo_error(*(f"{name}: not inspected: {message}" for message in bare))
+            terminal.echo_error(*(f"{name}: not inspected: {message}" for message in bare))
             # results name folders, and not where on this machine they are
             reasons = (message.replace(own, name) for message in inspected.error.messages)
             rows.append(inspection.BatchRow(name=name, refused=tuple(reasons)))
@@ -220,8 +210,7 @@ def _calibrate(
     inspection.require_good_sets(len(sets), options)
     folder = inspection.CalibrationFolder(out, inspection.inspection_provenance(rig, part, sets, options), force=force)
     make_folder(out)
-    with show_progress(quiet=output.quiet) as progress:
-        run = RunContext(threads=output.threads, progress=progress, warn=echo_warning)
+    with terminal.run_context(quiet=output.quiet, threads=output.threads) as run:
         calibration = inspection.calibrate(rig, part, sets, options=options, run=run)
     path = folder.write(calibration)
     if not output.quiet:
@@ -257,9 +246,8 @@ def _write_set(
     if summary is not None:
         more.append(folder.write_text(inspection.TRUTH_NAME, inspection.truth_text(summary)))
     if output.report:
-        page = inspection_report(
-            result, verdict, part=output.part.name, rig=output.rig.name, provenance=folder.made_from, truth=summary
-        )
+        names = {"part": output.part.name, "rig": output.rig.name}
+        page = inspection_report(result, verdict, **names, provenance=folder.made_from, truth=summary)
         more.append(folder.write_text(inspection.REPORT_NAME, page))
     _show_written(output, summary, [*folder.write(result, verdict), *more])
     report = f"{inspected.name}/{inspection.REPORT_NAME}" if output.report else ""
@@ -288,24 +276,19 @@ def _write_batch(
 
 
 def _show_written(output: _Output, summary: Mapping[str, Any] | None, written: Sequence[Path]) -> None:
-    if output.quiet:
-        return
-    if summary is not None:
+    if summary is not None and not output.quiet:
         _show_evaluation(summary, verbose=output.verbose)
-    for path in written:
-        echo(f"{path}")
+    terminal.echo_paths(written, quiet=output.quiet)
 
 
 def _show_calibration(calibration: inspection.Calibration, rate: float) -> None:
     """The greatest score of each good set, the threshold, and the rates that these sets can hold."""
     from lightopt.inspection import least_rate
 
-    rows = [
-        [name, *(f"{posture.peaks[i]:.1f}" for posture in calibration.postures)]
-        for i, name in enumerate(calibration.sets)
-    ]
-    rows.append(["threshold", *(f"{posture.threshold(rate):.1f}" for posture in calibration.postures)])
-    show_table(["greatest score", *(str(posture.posture) for posture in calibration.postures)], rows)
+    postures = calibration.postures
+    rows = [[name, *(f"{one.peaks[i]:.1f}" for one in postures)] for i, name in enumerate(calibration.sets)]
+    rows.append(["threshold", *(f"{one.threshold(rate):.1f}" for one in postures)])
+    terminal.show_table(["greatest score", *(str(one.posture) for one in postures)], rows)
     count = len(calibration.sets)
     echo(
         f"{count} good sets support a rate of {rate:g} (share of good parts with a false alarm in a posture); the "

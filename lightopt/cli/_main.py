@@ -59,13 +59,13 @@ class _Commands(typer.core.TyperGroup):
 
 class _MadeOnDemand(UserDict[str, Any]):
     def __missing__(self, name: str) -> Any:
-        from lightopt.cli._common import HeadedCommand
+        from lightopt.cli._common import PLAIN, HeadedCommand
 
         module, text = _COMMANDS[name]
         function = f"{name}_" if keyword.iskeyword(name) else name.replace("-", "_")
         found = getattr(importlib.import_module(f"lightopt.cli.{module}"), function)
         if not isinstance(found, typer.Typer):
-            alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+            alone = typer.Typer(**PLAIN)
             alone.command(name, short_help=text, cls=HeadedCommand)(found)
             found = alone
         self[name] = typer.main.get_command(found)
@@ -167,15 +167,11 @@ def _debugging(arguments: list[str]) -> Generator[list[str]]:
     # --debug may stand anywhere, so that it can be added to a command that failed
     end = arguments.index("--") if "--" in arguments else len(arguments)
     rest = [text for text in arguments[:end] if text != "--debug"] + arguments[end:]
-    if len(rest) == len(arguments):
-        yield rest
-        return
     before = os.environ.get(DEBUG)
-    os.environ[DEBUG] = "1"
+    if len(rest) < len(arguments):
+        os.environ[DEBUG] = "1"
     try:
         yield rest
     finally:
-        if before is None:
-            del os.environ[DEBUG]
-        else:
-            os.environ[DEBUG] = before
+        os.environ.pop(DEBUG, None)
+        os.environ.update({} if before is None else {DEBUG: before})

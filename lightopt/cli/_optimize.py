@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lightopt.cli import _common as common
+from lightopt.cli._common import output_option
 from lightopt.cli._optimize_tables import show_commands, show_design, show_plan
 from lightopt.cli._terminal import echo, echo_warning, show_progress, show_table
 from lightopt.core.errors import CheckFailed, InputError
@@ -113,14 +114,12 @@ def optimize(
     points: common.Points = None,
     shadows: common.Shadows = True,
     patches: common.Patches = None,
-    keep_matrix: bool = common.output_option(
+    keep_matrix: bool = output_option(
         False, "--keep-matrix", help="Write the luminance matrices (matrix.npz), and reuse existing ones."
     ),
-    images: bool = common.output_option(
-        True, "--images/--no-images", help="Render images with the best light positions."
-    ),
+    images: bool = output_option(True, "--images/--no-images", help="Render images with the best light positions."),
     report: common.Report = True,
-    ranking_rows: int = common.output_option(100, metavar="N", help="Rows of ranking.csv per posture and objective."),
+    ranking_rows: int = output_option(100, metavar="N", help="Rows of ranking.csv per posture and objective."),
     force: common.Force = False,
     threads: common.Threads = None,
     quiet: common.Quiet = False,
@@ -176,23 +175,14 @@ def optimize(
         )
     )
 
-    from lightopt.design import (
-        OptimizeOptions,
-        PlanOptions,
-        TargetNotReached,
-        Tolerances,
-        finish_design,
-        optimize as design,
-        write_design,
-    )
+    from lightopt import design
     from lightopt.report.design import blind_pictures, design_report
 
     tolerances = None
     if tolerance:
-        tolerances = Tolerances(
-            light_deg=light_tolerance or 0.0, pose_deg=pose_tolerance or 0.0, **_given(tolerance_target=kept_share)
-        )
-    plan = PlanOptions(
+        off = {"light_deg": light_tolerance or 0.0, "pose_deg": pose_tolerance or 0.0}
+        tolerances = design.Tolerances(**off, **_given(tolerance_target=kept_share))
+    plan = design.PlanOptions(
         choose_postures=choose_postures,
         target=shown_share,
         exposures=chosen_exposures,
@@ -203,7 +193,7 @@ def optimize(
     threshold = None
     if calibration is not None:
         threshold, false_alarms = _calibrated(calibration, loaded_rig, loaded_part, min_images, false_alarms)
-    options = OptimizeOptions(
+    options = design.OptimizeOptions(
         objectives=tuple(objective or ()),
         step_deg=step,
         common_elevation=common_elevation,
@@ -222,10 +212,10 @@ def optimize(
     try:
         with show_progress(quiet=quiet) as progress:
             run = RunContext(threads=threads, progress=progress, inform=echo if verbose else None, warn=echo_warning)
-            result = design(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
-            output = write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
-            finish_design(output, design_report(output) if options.report else None)
-    except TargetNotReached as error:
+            result = design.optimize(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
+            output = design.write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
+            design.finish_design(output, design_report(output) if options.report else None)
+    except design.TargetNotReached as error:
         if not quiet:
             _show_reachable(error)
         raise
@@ -252,12 +242,9 @@ def _show_reachable(error: TargetNotReached) -> None:
     # what each number of postures shows
     from lightopt.design import share_text
 
+    text = partial(share_text, grain=error.grain, short_of=error.target)
     rows = [
-        (
-            f"{number}",
-            str(step.posture),
-            *(share_text(share, error.grain, short_of=error.target) for share in (step.share, step.bound)),
-        )
+        (f"{number}", str(step.posture), text(step.share), text(step.bound))
         for number, step in enumerate(error.steps, start=1)
     ]
     show_table(("postures", "posture added", "share shown at least", "at most with these lights"), rows)

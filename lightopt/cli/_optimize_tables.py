@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightopt.cli._terminal import echo, show_page_table, show_table
+from lightopt.cli._terminal import echo, echo_paths, show_page_table, show_table
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
@@ -47,11 +47,10 @@ def show_design(output: design.DesignOutput, *, verbose: bool) -> None:
             show_overlaps(output.overlaps)
     elif result.blind is not None:
         _, chosen, _ = result.blind.parts[0]
-        reasons = "; ".join(
-            f"{design.blind_text(code, result.blind.lights)} {design.share_text(share, chosen.grain)}"
-            for code, share in sorted(chosen.by_reason().items())
-        )
-        echo(f"seen {design.share_text(chosen.seen, chosen.grain)} of {design.BLIND_SHARES_OF}; {reasons}")
+        text = partial(design.share_text, grain=chosen.grain)
+        shares = sorted(chosen.by_reason().items())
+        reasons = "; ".join(f"{design.blind_text(code, result.blind.lights)} {text(share)}" for code, share in shares)
+        echo(f"seen {text(chosen.seen)} of {design.BLIND_SHARES_OF}; {reasons}")
     _show_paths(output, verbose=verbose)
 
 
@@ -61,8 +60,7 @@ def _show_paths(output: design.DesignOutput, *, verbose: bool) -> None:
     rest = len(output.paths) - len(shown)
     if verbose or rest < SUMMED_UP_FILES:
         shown, rest = [*output.paths], 0
-    for path in shown:
-        echo(f"{path}")
+    echo_paths(shown)
     if rest:
         echo(f"and {rest} more files in {output.result.folder}; --verbose lists them")
 
@@ -109,16 +107,9 @@ def show_overlaps(overlaps: Sequence[Overlap]) -> None:
     """Saturated pixels of each light and pair of lights, a line per posture and exposure."""
     rows: list[list[str]] = []
     for overlap in overlaps:
-        pairs = [f"{a} & {b}: {pixels:,}" for (a, b), pixels in overlap.pairs.items() if pixels]
-        rows.append(
-            [
-                str(overlap.posture),
-                f"{overlap.exposure:g}",
-                ", ".join(f"{light} {pixels:,}" for light, pixels in overlap.saturated.items()),
-                f"{overlap.pixels:,}",
-                ", ".join(pairs) or "none",
-            ]
-        )
+        saturated = ", ".join(f"{light} {pixels:,}" for light, pixels in overlap.saturated.items())
+        pairs = ", ".join(f"{a} & {b}: {pixels:,}" for (a, b), pixels in overlap.pairs.items() if pixels) or "none"
+        rows.append([str(overlap.posture), f"{overlap.exposure:g}", saturated, f"{overlap.pixels:,}", pairs])
     show_table(["posture", "exposure", "saturated px", "in two or more", "overlaps"], rows, numbers_from=9)
 
 

@@ -21,7 +21,6 @@ from lightopt.core.errors import error_text
 
 DEFECT = 70  # exit status of a defect of the program; EX_SOFTWARE of BSD's sysexits
 INTERRUPTED = 130
-
 DEBUG = "LIGHTOPT_DEBUG"
 _PACKAGE = Path(__file__).parents[1]
 _MOST_CHARACTERS = 300
@@ -102,13 +101,10 @@ def _protected(stream: TextIO | None, number: int, *, may_fail: bool) -> io.Text
     if isinstance(stream, io.TextIOWrapper) and stream.isatty():
         return stream  # Windows' console is no file
     output = io.BufferedWriter(_Output(number, may_fail=may_fail))
-    like = stream if isinstance(stream, io.TextIOWrapper) else None
-    return io.TextIOWrapper(
-        output,
-        encoding="utf-8" if like is None else like.encoding,
-        errors="replace" if like is None else like.errors,
-        line_buffering=like is None or like.line_buffering,
-    )
+    encoding, errors, line_buffering = "utf-8", "replace", True
+    if isinstance(stream, io.TextIOWrapper):
+        encoding, errors, line_buffering = stream.encoding, stream.errors or errors, stream.line_buffering
+    return io.TextIOWrapper(output, encoding=encoding, errors=errors, line_buffering=line_buffering)
 
 
 def debugging() -> bool:
@@ -134,15 +130,12 @@ def report_unexpected(error: BaseException) -> None:
     except Exception:  # noqa: BLE001  (no memory, for instance)
         text = f"{type(error).__name__}\n"
     what = " ".join(error_text(error).split())[:_MOST_CHARACTERS]
-    where = f"--debug or {DEBUG}=1 shows it on the terminal"
-    shown = debugging()
-    if shown:
-        where = "its traceback is above"
-    else:
+    where, shown = "its traceback is above", debugging()
+    if not shown:
         try:
-            where = f"its traceback is in {_written(text)}; {where}"
+            where = f"its traceback is in {_written(text)}; --debug or {DEBUG}=1 shows it on the terminal"
         except Exception as problem:  # noqa: BLE001  (the first error is reported, whatever this one is)
-            where, shown = (f"its traceback is above, because no file can be written: {error_text(problem)}", True)
+            where, shown = f"{where}, because no file can be written: {error_text(problem)}", True
     with contextlib.suppress(Exception):
         sys.stderr.write(f"{text if shown else ''}error: unexpected {what} (a bug in lightopt); {where}\n")
         sys.stderr.flush()

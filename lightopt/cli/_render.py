@@ -1,7 +1,7 @@
 from lightopt.cli import _common as common
-from lightopt.cli._terminal import echo, echo_warning, show_progress
+from lightopt.cli._common import output_option
+from lightopt.cli._terminal import echo, run_context
 from lightopt.core.errors import counted
-from lightopt.core.run_context import RunContext
 
 
 def render(
@@ -19,9 +19,7 @@ def render(
     defects: bool = common.model_option(True, "--defects/--no-defects", help="Render the defects listed in PART."),
     supersample: int = common.model_option(1, metavar="N", min=1, help="Cast N × N rays per pixel."),
     patches: common.Patches = None,
-    layers: bool = common.output_option(
-        False, "--layers", help="Also write the EXR channels diffuse.Y and specular.Y."
-    ),
+    layers: bool = output_option(False, "--layers", help="Also write the EXR channels diffuse.Y and specular.Y."),
     sheet: common.Sheet = False,
     force: common.Force = False,
     threads: common.Threads = None,
@@ -51,8 +49,7 @@ def render(
         patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
     )
     loaded_rig, loaded_part = common.load_inputs(rig, part)
-    with show_progress(quiet=quiet) as progress:
-        run = RunContext(threads=threads, progress=progress, warn=echo_warning)
+    with run_context(quiet=quiet, threads=threads) as run:
         done = render_image_set(loaded_rig, loaded_part, out, options=options, force=force, run=run)
     if not quiet:
         resumed = f" ({done.resumed} of them existed already)" if done.resumed else ""

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 if TYPE_CHECKING:
-    from lightopt.core.run_context import StageShare
+    from lightopt.core.run_context import RunContext, StageShare
     from lightopt.report import Table
 
 # flags that are not the parameter's name with dashes
@@ -63,6 +64,13 @@ def echo_warning(message: str) -> None:
     typer.echo(f"warning: {with_flags(message)}", err=True)
 
 
+def echo_paths(paths: Iterable[Path], *, quiet: bool = False) -> None:
+    """Print where files were written, unless it is to be `quiet`."""
+    if not quiet:
+        for path in paths:
+            echo(f"{path}")
+
+
 def version_wanted(wanted: bool) -> None:
     """Print the version and leave."""
     if wanted:
@@ -98,17 +106,11 @@ def show_progress(*, quiet: bool) -> Generator[StageShare | None]:
     if not compiled_before():
         typer.echo("first use on this machine: the compiler takes up to half a minute, once", err=True)
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        TextColumn("left at most"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    columns = "{task.description}", BarColumn(), "{task.percentage:>3.0f} %", TimeElapsedColumn()
+    left = "left at most", TimeRemainingColumn()
+    with Progress(*columns, *left, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0)
         last = 0.0
 
@@ -122,13 +124,21 @@ def show_progress(*, quiet: bool) -> Generator[StageShare | None]:
         yield report
 
 
+@contextmanager
+def run_context(*, quiet: bool, threads: int | None = None) -> Generator[RunContext]:
+    """How a command runs: with a progress bar unless it is `quiet`, and warnings on standard error."""
+    from lightopt.core.run_context import RunContext
+
+    with show_progress(quiet=quiet) as progress:
+        yield RunContext(threads=threads, progress=progress, warn=echo_warning)
+
+
 def set_up_log(verbose: bool) -> bool:
     """Show the package's log on standard error where the option ``--verbose`` was given."""
     import logging
 
     log = logging.getLogger("lightopt")
-    for handler in tuple(log.handlers):
-        log.removeHandler(handler)
+    log.handlers.clear()
     if verbose:
         handler = logging.StreamHandler()
         handler.setFormatter(logging.Formatter("%(relativeCreated)8.0f ms  %(name)s: %(message)s"))

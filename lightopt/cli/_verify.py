@@ -2,12 +2,12 @@ from __future__ import annotations
 
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from lightopt.cli import _common as common
-from lightopt.cli._terminal import echo, echo_warning, show_page_table, show_progress
+from lightopt.cli._common import model_option
+from lightopt.cli._terminal import echo, echo_paths, run_context, show_page_table
 from lightopt.core.errors import CheckFailed, InputError
-from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.estimate.verification import Verification
@@ -20,34 +20,26 @@ def verify(
     part: common.PartFile,
     images: common.Images,
     out: common.Out,
-    baseline: Annotated[
-        Path | None,
-        common.model_option(
-            metavar="SET", help="Known good image set of the same part: report what has changed since."
-        ),
-    ] = None,
-    plan: Annotated[
-        Path | None,
-        common.model_option(
-            metavar="FILE",
-            help="result.json of optimize --light-tolerance or --pose-tolerance: its tolerances are limits.",
-        ),
-    ] = None,
-    limit: Annotated[
-        list[str] | None,
-        common.model_option(
-            "--limit",
-            metavar="NAME=VALUE",
-            help="Change a limit; repeatable. Names: gain, exposure (such as 3%), black (levels), part_mm, part_deg, "
-            "camera_mm, camera_deg, panel_mm, panel_deg, blur_px.",
-            show_default="see docs/how-to/verify.md",
-        ),
-    ] = None,
+    baseline: Path | None = model_option(
+        None, metavar="SET", help="Known good image set of the same part: report what has changed since."
+    ),
+    plan: Path | None = model_option(
+        None,
+        metavar="FILE",
+        help="result.json of optimize --light-tolerance or --pose-tolerance: its tolerances are limits.",
+    ),
+    limit: list[str] | None = model_option(
+        None,
+        "--limit",
+        metavar="NAME=VALUE",
+        help="Change a limit; repeatable. Names: gain, exposure (such as 3%), black (levels), part_mm, part_deg, "
+        "camera_mm, camera_deg, panel_mm, panel_deg, blur_px.",
+        show_default="see docs/how-to/verify.md",
+    ),
     register: common.Register = True,
-    history: Annotated[
-        Path | None,
-        common.output_option(metavar="DIR", help="Add a row for this run to history.csv in DIR, and draw history.png."),
-    ] = None,
+    history: Path | None = common.output_option(
+        None, metavar="DIR", help="Add a row for this run to history.csv in DIR, and draw history.png."
+    ),
     report: common.Report = True,
     force: common.Force = False,
     threads: common.Threads = None,
@@ -74,8 +66,7 @@ def verify(
     folder = verification.verify_folder(
         out, loaded_rig, loaded_part, image_set, baseline=good, limits=limits, register=register, force=force
     )
-    with show_progress(quiet=quiet) as progress:
-        run = RunContext(threads=threads, progress=progress, warn=echo_warning)
+    with run_context(quiet=quiet, threads=threads) as run:
         result = verification.verify_set(
             loaded_rig, loaded_part, image_set, baseline=good, limits=limits, register=register, run=run
         )
@@ -91,9 +82,7 @@ def verify(
         name = image_set.folder.resolve().name
         rows = verification.append_history(history, result, name=name, when=datetime.now(timezone.utc))
         written += [history / verification.HISTORY_NAME, history_chart(rows, history / "history.png")]
-    if not quiet:
-        for path in written:
-            echo(f"{path}")
+    echo_paths(written, quiet=quiet)
     if not result.within_tolerances:
         raise CheckFailed(result.answer)
 

@@ -12,16 +12,15 @@ from pydantic import (
 )
 
 from lightopt.config import _fields as fields
+from lightopt.config._fields import LIST, Frozen, complaint, expecting
 from lightopt.config._pose import CameraPoseConfig, with_pose
 
-_Distortion = Annotated[float, Field(ge=-1e3, le=1e3), fields.expecting("a number")]
+_Distortion = Annotated[float, Field(ge=-1e3, le=1e3), expecting("a number")]
 _Pixels = Annotated[int, Field(ge=1, le=65535)]
-_Nanoseconds = Annotated[int, Field(ge=0, le=1000000000), fields.expecting("nanoseconds, from 0 to 1000000000")]
-_Pixel = Annotated[int, Field(ge=0, le=65535), fields.expecting("pixels, from 0 to 65535")]
-_Offset = Annotated[
-    tuple[_Pixel, _Pixel], Field(strict=False), fields.expecting("two whole numbers of pixels, [left, top]")
-]
-_PacketSize = Annotated[int, Field(ge=576, le=65535), fields.expecting("bytes, from 576 to 65535")]
+_Nanoseconds = Annotated[int, Field(ge=0, le=1000000000), expecting("nanoseconds, from 0 to 1000000000")]
+_Pixel = Annotated[int, Field(ge=0, le=65535), expecting("pixels, from 0 to 65535")]
+_Offset = Annotated[tuple[_Pixel, _Pixel], LIST, expecting("two whole numbers of pixels, [left, top]")]
+_PacketSize = Annotated[int, Field(ge=576, le=65535), expecting("bytes, from 576 to 65535")]
 
 
 def _whole(value: object) -> object:
@@ -30,17 +29,13 @@ def _whole(value: object) -> object:
     return value
 
 
-_Point = Annotated[
-    tuple[fields.Number, fields.Number], Field(strict=False), fields.expecting("[column, row], two numbers of pixels")
-]
+_Point = Annotated[tuple[fields.Number, fields.Number], LIST, expecting("[column, row], two numbers of pixels")]
 _Focal = Annotated[
-    tuple[fields.Positive, fields.Positive],
-    Field(strict=False),
-    fields.expecting("[in columns, in rows], two numbers of pixels above 0"),
+    tuple[fields.Positive, fields.Positive], LIST, expecting("[in columns, in rows], two numbers of pixels above 0")
 ]
 
 
-class DistortionConfig(fields.Frozen):
+class DistortionConfig(Frozen):
     """Lens distortion in OpenCV's model: x to the right, y down, in units of the image distance."""
 
     k1: _Distortion = 0.0
@@ -55,10 +50,10 @@ class DistortionConfig(fields.Frozen):
     """Radial coefficient of r⁶."""
 
 
-_Dimming = Annotated[float, Field(ge=-0.9, le=1.0), fields.expecting("a number from -0.9 to 1")]
+_Dimming = Annotated[float, Field(ge=-0.9, le=1.0), expecting("a number from -0.9 to 1")]
 
 
-class VignettingConfig(fields.Frozen):
+class VignettingConfig(Frozen):
     """How the lens dims the image away from the optical axis: by the factor 1 + v2·ρ² + v4·ρ⁴."""
 
     v2: _Dimming = 0.0
@@ -67,17 +62,17 @@ class VignettingConfig(fields.Frozen):
     """Coefficient of ρ⁴."""
 
 
-class SensorConfig(fields.Frozen):
+class SensorConfig(Frozen):
     """How the sensor turns light into levels."""
 
-    bit_depth: Annotated[Literal[8, 10, 12, 14, 16], BeforeValidator(_whole), fields.expecting("8, 10, 12, 14 or 16")]
+    bit_depth: Annotated[Literal[8, 10, 12, 14, 16], BeforeValidator(_whole), expecting("8, 10, 12, 14 or 16")]
     """Bits per pixel: 8, 10, 12, 14 or 16. The full scale is 2^bits - 1 levels."""
-    saturation_level: Annotated[int, Field(ge=1), fields.expecting("a whole level above 0")] | None = None
+    saturation_level: Annotated[int, Field(ge=1), expecting("a whole level above 0")] | None = None
     """Level [levels] from which a pixel counts as saturated; the full scale unless given. Some 12-bit cameras stop at
     4080."""
-    black_level: Annotated[float, Field(ge=0), fields.expecting("a level from 0 up")] = 0.0
+    black_level: Annotated[float, Field(ge=0), expecting("a level from 0 up")] = 0.0
     """Level of an unlit pixel [levels of the sensor]."""
-    read_noise_levels: Annotated[float, Field(ge=0, le=1e5), fields.expecting("a number from 0 up")] = 0.0
+    read_noise_levels: Annotated[float, Field(ge=0, le=1e5), expecting("a number from 0 up")] = 0.0
     """Standard deviation of the noise without light [levels of the sensor]."""
     electrons_per_level: fields.Positive | None = None
     """Conversion gain [electrons per level], for shot noise; none unless given."""
@@ -87,7 +82,7 @@ class SensorConfig(fields.Frozen):
     def _within_full_scale(cls, level: int | None, info: ValidationInfo) -> int | None:
         bits = info.data.get("bit_depth")
         if level is not None and bits is not None and level > 2**bits - 1:
-            raise fields.complaint(f"expected at most {2**bits - 1}, the full scale of {bits} bits, found {level}")
+            raise complaint(f"expected at most {2**bits - 1}, the full scale of {bits} bits, found {level}")
         return level
 
     @field_validator("black_level")
@@ -97,11 +92,11 @@ class SensorConfig(fields.Frozen):
             return black
         top = info.data["saturation_level"] or 2 ** info.data["bit_depth"] - 1
         if black >= top:
-            raise fields.complaint(f"expected less than the saturation level, {top}, found {black:g}")
+            raise complaint(f"expected less than the saturation level, {top}, found {black:g}")
         return black
 
 
-class CameraConfig(fields.Frozen):
+class CameraConfig(Frozen):
     """A pinhole camera that looks at the origin, the centre of the table top, or has a measured pose."""
 
     distance_mm: fields.Length
@@ -115,12 +110,10 @@ class CameraConfig(fields.Frozen):
     pose: CameraPoseConfig | None = None
     """Measured pose, in place of distance_mm, elevation_deg, azimuth_deg and roll_deg."""
     resolution_px: Annotated[
-        tuple[_Pixels, _Pixels],
-        Field(strict=False),
-        fields.expecting("[width, height], two whole numbers from 1 to 65535"),
+        tuple[_Pixels, _Pixels], LIST, expecting("[width, height], two whole numbers from 1 to 65535")
     ]
     """Width and height of the image [pixels]."""
-    pixel_size_um: Annotated[float, Field(ge=0.01, le=1000), fields.expecting("a number from 0.01 to 1000")]
+    pixel_size_um: Annotated[float, Field(ge=0.01, le=1000), expecting("a number from 0.01 to 1000")]
     """Edge of a square pixel on the sensor [µm]."""
     principal_point_px: _Point | None = None
     """Column and row where the optical axis meets the image [pixels]; the first pixel's centre is at 0.5, 0.5. The
@@ -152,15 +145,13 @@ class CameraConfig(fields.Frozen):
             return focal
         if info.data.get("focal_px") is not None:
             if focal is not None or info.data.get("image_distance_mm") is not None:
-                raise fields.complaint("focal_px is given, too; expected only one of the three lengths")
+                raise complaint("focal_px is given, too; expected only one of the three lengths")
             return focal
         missing = 'missing key "image_distance_mm" (pinhole to image plane) or "focal_length_mm" (of the lens)'
         fields.exactly_one(focal, info, other="image_distance_mm", missing=missing)
         distance = info.data.get("distance_mm")
         if focal is not None and distance is not None and focal >= distance:
-            raise fields.complaint(
-                f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there"
-            )
+            raise complaint(f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there")
         return focal
 
 
@@ -173,7 +164,7 @@ _OWNERS = {
 }
 
 
-class CameraDeviceConfig(fields.Frozen):
+class CameraDeviceConfig(Frozen):
     """The device that takes the images."""
 
     driver: Literal["virtual", "folder", "aravis", "genicam"] = "virtual"
@@ -191,7 +182,7 @@ class CameraDeviceConfig(fields.Frozen):
     offset_px: _Offset | None = None
     """aravis, genicam: where the image begins on the sensor, from the left and from the top [pixels]; centred if
     absent."""
-    gain: Annotated[float, Field(ge=-100, le=1000), fields.expecting("a gain")] | None = None
+    gain: Annotated[float, Field(ge=-100, le=1000), expecting("a gain")] | None = None
     """aravis, genicam: gain in the camera's own units, mostly dB; as the camera has it if absent."""
     trigger: Literal["auto", "software", "none"] = "auto"
     """aravis, genicam: software: each frame is triggered; none: the camera is free-running and timing.discard_frames
@@ -214,9 +205,9 @@ class CameraDeviceConfig(fields.Frozen):
     def _of_machine_cameras(cls, value: object, info: ValidationInfo) -> object:
         driver = info.data.get("driver")
         if driver in ("virtual", "folder") and value not in (None, "auto"):
-            raise fields.complaint(
+            raise complaint(
                 f"only driver: aravis and driver: genicam have this, and the driver is {driver}; leave this out"
             )
         if info.field_name == "port" and value == "virtual" and driver == "genicam":
-            raise fields.complaint("only driver: aravis has a simulated camera (or driver: virtual)")
+            raise complaint("only driver: aravis has a simulated camera (or driver: virtual)")
         return value

@@ -19,7 +19,7 @@ from lightopt.defects import (
 
 _Extent = Annotated[float, Field(ge=1e-3, le=1e3)]
 _Size = Annotated[
-    _Extent | Annotated[tuple[_Extent, _Extent], Field(strict=False)],
+    _Extent | Annotated[tuple[_Extent, _Extent], fields.LIST],
     fields.expecting("a diameter, or [length, width], in mm from 0.001 to 1000"),
 ]
 _Slope = Annotated[float, Field(gt=0, le=60), fields.expecting("a number above 0, up to 60 (degrees)")]
@@ -27,11 +27,8 @@ _Depth = Annotated[float, Field(gt=0, le=1e3), fields.expecting("a number above 
 _Factor = Annotated[float, Field(ge=0, le=100), fields.expecting("a number from 0 to 100")]
 _WidthFactor = Annotated[float, Field(ge=0.01, le=100), fields.expecting("a number from 0.01 to 100")]
 _Factor10 = Annotated[float, Field(ge=0.1, le=10)]
-_Range = Annotated[
-    tuple[_Factor10, _Factor10],
-    Field(strict=False),
-    fields.expecting("[least, greatest], two numbers from 0.1 to 10, such as [0.5, 2]"),
-]
+_LEAST_GREATEST = "[least, greatest], two numbers from 0.1 to 10, such as [0.5, 2]"
+_Range = Annotated[tuple[_Factor10, _Factor10], fields.LIST, fields.expecting(_LEAST_GREATEST)]
 _Turn = Annotated[float, Field(ge=-360, le=360), fields.expecting("a number from -360 to 360 (degrees)")]
 _PixelIndex = Annotated[int, Field(ge=0, le=65535)]
 
@@ -52,7 +49,7 @@ class PixelPlaceConfig(fields.Frozen):
     """Posture in which the pixel sees the part."""
     pixel: Annotated[
         tuple[_PixelIndex, _PixelIndex],
-        Field(strict=False),
+        fields.LIST,
         fields.expecting("[column, row], two whole numbers from 0 to 65535; the top left pixel is [0, 0]"),
     ]
     """Column and row of the pixel, counted from 0 at the top left; the defect is at its centre."""
@@ -132,14 +129,10 @@ class CatalogueEntryConfig(fields.Frozen):
     def shape(self) -> DefectShape:
         """The defect without its place, in mm and radians."""
         length, width = _extents(self.size_mm)
-        return DefectShape(
-            kind=self.kind,
-            length=length,
-            width=width,
-            slope=_slope(self.kind, self.size_mm, self.slope_deg, self.depth_mm),
-            R_d_factor=1.0 if self.R_d_factor is None else self.R_d_factor,
-            sigma_factor=1.0 if self.sigma_factor is None else self.sigma_factor,
-        )
+        slope = _slope(self.kind, self.size_mm, self.slope_deg, self.depth_mm)
+        factors = {"R_d_factor": self.R_d_factor, "sigma_factor": self.sigma_factor}
+        given = {name: factor for name, factor in factors.items() if factor is not None}
+        return DefectShape(kind=self.kind, length=length, width=width, slope=slope, **given)
 
 
 class PlannedDefectConfig(CatalogueEntryConfig):
@@ -161,11 +154,9 @@ class PlannedDefectConfig(CatalogueEntryConfig):
             raise fields.complaint(f"a {kind} has no slope; remove this key")
         if info.field_name == "slope_range" and kind in SHAPE_KINDS:
             size, slope, depth = (info.data.get(key) for key in ("size_mm", "slope_deg", "depth_mm"))
-            steepest = value[1] * math.degrees(_slope(kind, size, slope, depth))
-            if steepest > math.degrees(MAX_SLOPE) + 1e-9:
-                raise fields.complaint(
-                    f"the steepest walls would be {steepest:.0f} degrees; expected at most {math.degrees(MAX_SLOPE):g}"
-                )
+            steepest, most = value[1] * math.degrees(_slope(kind, size, slope, depth)), math.degrees(MAX_SLOPE)
+            if steepest > most + 1e-9:
+                raise fields.complaint(f"the steepest walls would be {steepest:.0f} degrees; expected at most {most:g}")
         return value
 
     @property

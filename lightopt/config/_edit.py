@@ -1,5 +1,6 @@
 """Change values in a YAML file and nothing else, or copy it elsewhere: comments, order and layout stay."""
 
+import itertools
 import json
 import os
 import re
@@ -51,10 +52,8 @@ def with_values(text: str, values: Mapping[Keys, str | None]) -> str:
             line = f"{keys[-1]}: {value}"
             places.append((at, at, f"{line}, " if flow else f"{line}\n{' ' * column}"))
         else:
-            raise InputError(
-                f"{dotted(keys)} cannot be written: the file has no mapping {dotted(keys[:-1])} of its own; "
-                "write it out"
-            )
+            missing = f"the file has no mapping {dotted(keys[:-1])} of its own; write it out"
+            raise InputError(f"{dotted(keys)} cannot be written: {missing}")
     for start, end, new in sorted(places, key=itemgetter(0), reverse=True):
         text = text[:start] + new + text[end:]
     try:
@@ -80,10 +79,8 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
     span = _list_span(text, key) if replace else None
     start, end, beside = span or (0, 0, "")
     lines = [*(f"# {line}" for line in comment.splitlines()), f"{key}:{beside}", *(f"  - {entry}" for entry in entries)]
-    if span is None:
-        longer = text.rstrip() + "\n\n" + "\n".join(lines) + "\n"
-    else:
-        longer = text[:start] + "\n".join(lines) + text[end:]
+    before, after = (text.rstrip() + "\n\n", "\n") if span is None else (text[:start], text[end:])
+    longer = before + "\n".join(lines) + after
     try:
         document = parse(longer)
     except YamlError as error:
@@ -140,10 +137,9 @@ def _index(
         if isinstance(event, (yaml.ScalarEvent, yaml.AliasEvent)):
             spans[keys] = event.start_mark.index, end
         elif isinstance(event, yaml.SequenceStartEvent):
-            number = 0
+            numbers = itertools.count()
             while not isinstance(item := next(events), yaml.SequenceEndEvent):
-                end = value(item, (*keys, number))
-                number += 1
+                end = value(item, (*keys, next(numbers)))
             end = item.end_mark.index if event.flow_style else end
         elif isinstance(event, yaml.MappingStartEvent):
             while not isinstance(key := next(events), yaml.MappingEndEvent):

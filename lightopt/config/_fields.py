@@ -30,13 +30,12 @@ def points_problem(points: int | str) -> str | None:
     """Message about a number of point lights; None for a square up to `MOST_POINTS`, and for auto."""
     if points == "auto":
         return None
+    near = f"; at most {MOST_POINTS}" if isinstance(points, int) and points > MOST_POINTS else ""
     if isinstance(points, int) and 1 <= points <= MOST_POINTS:
         k = math.isqrt(points)
         if k * k == points:
             return None
         near = f"; the nearest are {k * k} and {(k + 1) ** 2}"
-    else:
-        near = f"; at most {MOST_POINTS}" if isinstance(points, int) and points > MOST_POINTS else ""
     return f"expected a square (1, 4, 9, 16, …) or auto, found {points}{near}"
 
 
@@ -109,11 +108,8 @@ def repeated(keys: Iterable[Hashable | None]) -> Iterator[tuple[int, int]]:
     """Indices of keys that came before, each with the index of the first; None is passed over."""
     first: dict[Hashable, int] = {}
     for i, key in enumerate(keys):
-        if key is None:
-            continue
-        if key in first:
+        if key is not None and first.setdefault(key, i) != i:
             yield i, first[key]
-        first.setdefault(key, i)
 
 
 def value_of(entry: object, key: str) -> Any:
@@ -166,8 +162,8 @@ def _square(points: int | str) -> int | str:
     return points
 
 
-# Lists of fixed length become tuples, which strict validation would refuse.
-_LIST = Field(strict=False)
+_ASCENDING = AfterValidator(_ordered)
+LIST = Field(strict=False)  # of fixed length; it becomes a tuple, which strict validation would refuse
 
 Number = Annotated[float, Field(ge=-1e6, le=1e6), expecting("a number")]
 Positive = Annotated[float, Field(gt=0, le=1e9), expecting("a number above 0, up to 1e9")]
@@ -178,24 +174,18 @@ Elevation = Annotated[
 ]
 Azimuth = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 to 360 (degrees about Z)")]
 ElevationRange = Annotated[
-    tuple[Elevation, Elevation],
-    _LIST,
-    AfterValidator(_ordered),
-    expecting("[low, high], two numbers between 0 and 180 (degrees)"),
+    tuple[Elevation, Elevation], LIST, _ASCENDING, expecting("[low, high], two numbers between 0 and 180 (degrees)")
 ]
 AzimuthRange = Annotated[
-    tuple[Azimuth, Azimuth],
-    _LIST,
-    AfterValidator(_ordered),
-    expecting("[low, high], two numbers from -360 to 360 (degrees)"),
+    tuple[Azimuth, Azimuth], LIST, _ASCENDING, expecting("[low, high], two numbers from -360 to 360 (degrees)")
 ]
 Tilt = Annotated[float, Field(ge=-180, le=180), expecting("a number from -180 to 180 (degrees of tilt)")]
 TiltRange = Annotated[
-    tuple[Tilt, Tilt], _LIST, AfterValidator(_ordered), expecting("[low, high], two numbers from -180 to 180 (degrees)")
+    tuple[Tilt, Tilt], LIST, _ASCENDING, expecting("[low, high], two numbers from -180 to 180 (degrees)")
 ]
-Coordinates = Annotated[tuple[Number, Number, Number], _LIST, expecting("[x, y, z], three numbers up to 1000000")]
+Coordinates = Annotated[tuple[Number, Number, Number], LIST, expecting("[x, y, z], three numbers up to 1000000")]
 Size = Annotated[
-    tuple[Length, Length], _LIST, expecting("[along azimuth, along elevation], two lengths between 0.001 and 1000000")
+    tuple[Length, Length], LIST, expecting("[along azimuth, along elevation], two lengths between 0.001 and 1000000")
 ]
 Points = Annotated[
     Annotated[int, Field(ge=1, le=MOST_POINTS)] | Literal["auto"],

@@ -10,10 +10,11 @@ from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo, f
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
+from lightopt.config._fields import Complaint, Frozen, complaint, expecting
 
-_Baud = Annotated[int, Field(ge=300, le=4000000), fields.expecting("a baud rate, from 300 to 4000000")]
-_Channel = Annotated[int, Field(ge=1, le=64), fields.expecting("a channel number as on the device, from 1 to 64")]
-_Level = Annotated[int, Field(ge=1, le=65535), fields.expecting("a whole intensity of the controller, from 1")]
+_Baud = Annotated[int, Field(ge=300, le=4000000), expecting("a baud rate, from 300 to 4000000")]
+_Channel = Annotated[int, Field(ge=1, le=64), expecting("a channel number as on the device, from 1 to 64")]
+_Level = Annotated[int, Field(ge=1, le=65535), expecting("a whole intensity of the controller, from 1")]
 _MOST = {"ccs": {"top_level": 9999}, "sa": {"channels": 6, "top_level": 9999}}
 
 # description of the ports of controllers and stages
@@ -27,19 +28,15 @@ _WIDTH = re.compile(r"(0?[1-9]\d?)?d?")
 
 
 def _bytes(text: str) -> str:
-    wide = next((c for c in text if ord(c) > 255), None)
-    if wide is not None:
-        raise fields.complaint(f'"{wide}" is no single byte; expected characters up to \\xff')
+    for wide in (c for c in text if ord(c) > 255):
+        raise complaint(f'"{wide}" is no single byte; expected characters up to \\xff')
     return text
 
 
 def _escaped(text: str) -> str:
-    found = re.search(r"\\(?:[rnt0]|x[0-9a-fA-F]{2})", text)
-    if found is not None:
-        raise fields.complaint(
-            f"the characters {found[0]} would be sent as they stand; for the byte that they mean put the text in "
-            "double quotes"
-        )
+    if found := re.search(r"\\(?:[rnt0]|x[0-9a-fA-F]{2})", text):
+        advice = "for the byte that they mean put the text in double quotes"
+        raise complaint(f"the characters {found[0]} would be sent as they stand; {advice}")
     return text
 
 
@@ -47,23 +44,21 @@ def _filled_in(text: str) -> str:
     try:
         pieces = list(string.Formatter().parse(text))
     except ValueError as error:
-        raise fields.complaint(f"not a template: {error}; a brace that is meant is written twice") from None
+        raise complaint(f"not a template: {error}; a brace that is meant is written twice") from None
     for _, name, form, conversion in pieces:
         if name is None:
             continue
         if name not in _FIELDS or conversion:
-            raise fields.complaint(
-                f"no field {{{name}}}; there are {', '.join(f'{{{f}}}' for f in _FIELDS)}; a brace that is meant is "
-                "written twice"
-            )
+            there = ", ".join(f"{{{f}}}" for f in _FIELDS)
+            raise complaint(f"no field {{{name}}}; there are {there}; a brace that is meant is written twice")
         if _WIDTH.fullmatch(form or "") is None or (form and name == "letter"):
-            raise fields.complaint(f"{{{name}:{form}}}: expected a width such as {{level:03d}}, or none")
+            raise complaint(f"{{{name}:{form}}}: expected a width such as {{level:03d}}, or none")
     return text
 
 
 def _needs_level(text: str) -> str:
     if not any(name == "level" for _, name, _, _ in string.Formatter().parse(text)):
-        raise fields.complaint("the field {level} is missing: the command would set no intensity")
+        raise complaint("the field {level} is missing: the command would set no intensity")
     return text
 
 
@@ -71,20 +66,18 @@ def _compiled(text: str) -> str:
     try:
         re.compile(text.encode("latin-1"))
     except re.error as error:
-        raise fields.complaint(f"not a regular expression: {error}") from None
+        raise complaint(f"not a regular expression: {error}") from None
     return text
 
 
 _LINE = Annotated[str, StringConstraints(min_length=1, max_length=200), AfterValidator(_bytes)]
 
-Command = Annotated[
-    _LINE, AfterValidator(_escaped), AfterValidator(_filled_in), fields.expecting("the text of a command")
-]
-Pattern = Annotated[_LINE, AfterValidator(_compiled), fields.expecting("a regular expression")]
-End = Annotated[_LINE, AfterValidator(_escaped), fields.expecting("the bytes that end a reply")]
+Command = Annotated[_LINE, AfterValidator(_escaped), AfterValidator(_filled_in), expecting("the text of a command")]
+Pattern = Annotated[_LINE, AfterValidator(_compiled), expecting("a regular expression")]
+End = Annotated[_LINE, AfterValidator(_escaped), expecting("the bytes that end a reply")]
 
 
-class TemplateConfig(fields.Frozen):
+class TemplateConfig(Frozen):
     """Commands of a controller in its own words, for driver: template.
 
     Fields in braces are put in: {channel} counted from 1, {channel0} from 0, {letter} A, B, …; {level}, also with a
@@ -115,17 +108,17 @@ class TemplateConfig(fields.Frozen):
             return reply
         if info.data[command] is None:
             if reply is not None:
-                raise fields.complaint(f"there is no `{command}` that it could answer; add it, or leave this out")
+                raise complaint(f"there is no `{command}` that it could answer; add it, or leave this out")
         elif command == "read" and (reply is None or "level" not in re.compile(reply.encode("latin-1")).groupindex):
-            raise fields.complaint("expected a regular expression with a group (?P<level>...) for the intensity")
+            raise complaint("expected a regular expression with a group (?P<level>...) for the intensity")
         return reply
 
 
-class ControllerConfig(fields.Frozen):
+class ControllerConfig(Frozen):
     """A light controller."""
 
     driver: Annotated[
-        Literal["ccs", "sa", "template"], fields.expecting("ccs, sa or template, which suits devices of other makers")
+        Literal["ccs", "sa", "template"], expecting("ccs, sa or template, which suits devices of other makers")
     ]
     """Protocol: ccs (@ frames), sa (SA0255# family), or template."""
     port: fields.Text = Field(description=_PORT)
@@ -145,17 +138,17 @@ class ControllerConfig(fields.Frozen):
     @field_validator("channels", "top_level")
     @classmethod
     def _sayable(cls, number: int, info: ValidationInfo) -> int:
-        driver = info.data.get("driver")
-        most = _MOST.get(str(driver), {}).get(str(info.field_name))
+        driver = str(info.data.get("driver"))
+        most = _MOST.get(driver, {}).get(str(info.field_name))
         if most is not None and number > most:
-            raise fields.complaint(f"expected at most {most}, the most that {driver} can express, found {number}")
+            raise complaint(f"expected at most {most}, the most that {driver} can express, found {number}")
         return number
 
     @field_validator("dialect")
     @classmethod
     def _of_ccs(cls, dialect: str, info: ValidationInfo) -> str:
         if dialect != "lan" and info.data.get("driver") not in (None, "ccs"):
-            raise fields.complaint(f"only ccs has dialects, and the driver is {info.data['driver']}; leave this out")
+            raise complaint(f"only ccs has dialects, and the driver is {info.data['driver']}; leave this out")
         return dialect
 
     @field_validator("template")
@@ -165,7 +158,7 @@ class ControllerConfig(fields.Frozen):
         return fields.only_of_driver("template", template, info, missing=missing)
 
 
-class ChannelConfig(fields.Frozen):
+class ChannelConfig(Frozen):
     """Where a light of the rig is plugged in, and at which level it is lit."""
 
     controller: fields.FileName
@@ -180,8 +173,8 @@ class ChannelConfig(fields.Frozen):
     """Maximum time that the light may be on without a break [s]; no limit if absent."""
 
 
-_Seconds = Annotated[float, Field(ge=0, le=600), fields.expecting("seconds, from 0 to 600")]
-_Milliseconds = Annotated[float, Field(ge=0, le=60000), fields.expecting("milliseconds, from 0 to 60000")]
+_Seconds = Annotated[float, Field(ge=0, le=600), expecting("seconds, from 0 to 600")]
+_Milliseconds = Annotated[float, Field(ge=0, le=60000), expecting("milliseconds, from 0 to 60000")]
 _AXES = {
     "shot": ("[12]", "1 or 2"),
     "gsc": ("[12]", "1 or 2"),
@@ -192,31 +185,28 @@ _AXES = {
 
 def _not_zero(number: float) -> float:
     if number == 0:
-        raise fields.complaint("expected a number other than 0, found 0")
+        raise complaint("expected a number other than 0, found 0")
     return number
 
 
-class AxisConfig(fields.Frozen):
+class AxisConfig(Frozen):
     """One axis of the stage."""
 
-    axis: Annotated[fields.Text, fields.expecting('text in quotes, the axis as the device calls it: "1", "X"')]
+    axis: Annotated[fields.Text, expecting('text in quotes, the axis as the device calls it: "1", "X"')]
     """The axis as the device calls it: "1", "2", "X", "Y"."""
     steps_per_deg: Annotated[
-        float,
-        Field(ge=-1e7, le=1e7),
-        AfterValidator(_not_zero),
-        fields.expecting("a number other than 0, from -1e7 to 1e7"),
+        float, Field(ge=-1e7, le=1e7), AfterValidator(_not_zero), expecting("a number other than 0, from -1e7 to 1e7")
     ] = 1.0
     """Device units per degree; negative if the device counts against the rig's direction."""
-    zero: Annotated[float, Field(ge=-1e9, le=1e9), fields.expecting("a number")] = 0.0
+    zero: Annotated[float, Field(ge=-1e9, le=1e9), expecting("a number")] = 0.0
     """Device units at which the rig's angle is 0."""
-    home_sense: Annotated[int, Field(ge=-1, le=1), AfterValidator(_not_zero), fields.expecting("1 or -1")] = -1
+    home_sense: Annotated[int, Field(ge=-1, le=1), AfterValidator(_not_zero), expecting("1 or -1")] = -1
     """gsc: direction of the device's count in which it searches its origin, 1 or -1."""
     speed_deg_per_s: fields.Positive = 20.0
     """Speed that is set in the device [deg/s]."""
 
 
-class StageDeviceConfig(fields.Frozen):
+class StageDeviceConfig(Frozen):
     """The device that turns the part."""
 
     driver: Literal["shot", "gsc", "grbl", "zaber"]
@@ -241,7 +231,7 @@ class StageDeviceConfig(fields.Frozen):
         driver = str(info.data.get("driver"))
         pattern, words = _AXES.get(driver, ("", ""))
         if axis is not None and words and re.fullmatch(pattern, axis.axis) is None:
-            raise fields.complaint(f'expected an axis of {driver}, {words}, found axis "{axis.axis}"')
+            raise complaint(f'expected an axis of {driver}, {words}, found axis "{axis.axis}"')
         return axis
 
     @field_validator("rotation")
@@ -251,28 +241,27 @@ class StageDeviceConfig(fields.Frozen):
             return axis
         tilt = info.data["elevation"]
         if axis is None and tilt is None:
-            raise fields.absent(
-                'missing key "elevation" or "rotation": an axis that the stage has', "elevation", "rotation"
-            )
+            missing = 'missing key "elevation" or "rotation": an axis that the stage has'
+            raise fields.absent(missing, "elevation", "rotation")
         if axis is not None and tilt is not None and axis.axis == tilt.axis:
-            raise fields.complaint(f'axis "{axis.axis}" is already that of elevation; two axes have two names')
+            raise complaint(f'axis "{axis.axis}" is already that of elevation; two axes have two names')
         return axis
 
 
-class TimingConfig(fields.Frozen):
+class TimingConfig(Frozen):
     """Waiting times before an exposure."""
 
     light_ms: _Milliseconds = 100.0
     """From light on to the exposure [ms]."""
     stage_ms: _Milliseconds = 200.0
     """From the end of a move to the exposure [ms]."""
-    discard_frames: Annotated[int, Field(ge=0, le=20), fields.expecting("a whole number from 0 to 20")] = 1
+    discard_frames: Annotated[int, Field(ge=0, le=20), expecting("a whole number from 0 to 20")] = 1
     """Frames discarded after a change, if the camera has no software trigger."""
     frame_timeout_s: _Seconds = 5.0
     """Longest wait for a frame beyond its exposure [s]."""
 
 
-class HardwareConfig(fields.Frozen):
+class HardwareConfig(Frozen):
     """The devices of a rig."""
 
     controllers: dict[fields.FileName, ControllerConfig]
@@ -290,9 +279,7 @@ class HardwareConfig(fields.Frozen):
 _REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {"virtual"}
 
 
-def misfits(
-    hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None
-) -> Iterator[fields.Complaint]:
+def misfits(hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None) -> Iterator[Complaint]:
     """What does not fit together, by the path under ``hardware``; None and parts that are wrong are passed over."""
     section = fields.mapping(hardware)
     controllers, channels = (fields.mapping(section.get(key)) for key in ("controllers", "lights"))
@@ -306,65 +293,65 @@ def misfits(
     device = fields.mapping(section.get("camera"))
     if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
         reason = "the rig's camera has no exposure_us; add to it the exposure time [µs] that counts as exposure 1"
-        yield ("camera",), device, fields.complaint(reason)
+        yield ("camera",), device, complaint(reason)
 
 
-def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[fields.Complaint]:
+def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[Complaint]:
     for name in lights:
         if name not in channels:
             entry = f"{name}: {{controller: ..., channel: ..., level: ...}}"
             reason = f'the light "{name}" of the rig has no channel; add {entry}'
-            yield ("lights",), dict(channels), fields.complaint(reason)
+            yield ("lights",), dict(channels), complaint(reason)
     for name, channel in channels.items():
         if name not in lights:
             near = get_close_matches(name, lights, n=1)
             meant = f'; did you mean "{near[0]}"?' if near else f"; its lights are {', '.join(lights)}"
-            yield ("lights", name), channel, fields.complaint(f'the rig has no light "{name}"{meant}')
+            yield ("lights", name), channel, complaint(f'the rig has no light "{name}"{meant}')
 
 
-def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, object]) -> Iterator[fields.Complaint]:
+def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, object]) -> Iterator[Complaint]:
     """What is wrong with where one light is plugged in."""
     wanted, number = channel.get("controller"), _whole(channel.get("channel"))
     level, most = _whole(channel.get("level")), _whole(channel.get("max_level"))
     if level is not None and most is not None and level > most:
-        yield (("lights", name, "level"), level, fields.complaint(f"expected at most max_level, {most}, found {level}"))
+        yield (("lights", name, "level"), level, complaint(f"expected at most max_level, {most}, found {level}"))
     if not isinstance(wanted, str):
         return
     if wanted not in controllers:
         there = ", ".join(controllers) or "none"
         reason = f'no controller is called "{wanted}"; there is {there}'
-        yield ("lights", name, "controller"), wanted, fields.complaint(reason)
+        yield ("lights", name, "controller"), wanted, complaint(reason)
         return
     controller = fields.mapping(controllers[wanted])
     defaults = ControllerConfig.model_fields
     count = _whole(controller.get("channels", defaults["channels"].default))
     if count is not None and number is not None and number > count:
         reason = f"expected a channel from 1 to {count}, which {wanted} has, found {number}"
-        yield ("lights", name, "channel"), number, fields.complaint(reason)
+        yield ("lights", name, "channel"), number, complaint(reason)
     top = _whole(controller.get("top_level", defaults["top_level"].default))
     for key, value in (("level", level), ("max_level", most)):
         if top is not None and value is not None and value > top:
             reason = f"expected at most {top}, the top_level of {wanted}, found {value}"
-            yield ("lights", name, key), value, fields.complaint(reason)
+            yield ("lights", name, key), value, complaint(reason)
 
 
-def _shared(channels: Mapping[str, object]) -> Iterator[fields.Complaint]:
+def _shared(channels: Mapping[str, object]) -> Iterator[Complaint]:
     """Lights on the channel of another light."""
     names, entries = list(channels), [fields.mapping(entry) for entry in channels.values()]
     places = [(entry.get("controller"), _whole(entry.get("channel"))) for entry in entries]
     for i, first in fields.repeated(p if isinstance(p[0], str) and p[1] is not None else None for p in places):
         controller, number = places[i]
         reason = f'channel {number} of {controller} is already that of light "{names[first]}"'
-        yield ("lights", names[i], "channel"), number, fields.complaint(reason)
+        yield ("lights", names[i], "channel"), number, complaint(reason)
 
 
-def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -> Iterator[fields.Complaint]:
+def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -> Iterator[Complaint]:
     """Devices at the port of another device."""
     paths: list[tuple[str, ...]] = [*(("controllers", name) for name in controllers), ("stage",)]
     ports = [fields.mapping(entry).get("port") for entry in (*controllers.values(), stage)]
     for i, first in fields.repeated(map(_port_key, ports)):
         reason = f'port "{ports[i]}" is already that of {".".join(paths[first])}; each device has its own'
-        yield (*paths[i], "port"), ports[i], fields.complaint(reason)
+        yield (*paths[i], "port"), ports[i], complaint(reason)
 
 
 def _port_key(port: object) -> str | None:

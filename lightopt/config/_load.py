@@ -66,17 +66,15 @@ def _load(path: Path, model: type[Config], expected: str) -> Config:
         raise _error(path, [error.problem]) from None
     if document.data is None and not document.problems:
         raise InputError(f'{path}: the file is empty; expected {_kind(expected)} that begins "format: {expected}"')
-    problems = _wrong_kind(document, expected)
-    if problems:
+    if problems := _wrong_kind(document, expected):
         raise _error(path, problems)
-    config: Config | None = None
     try:
         config = model.model_validate(document.data, context={"folder": path.parent})
     except ValidationError as error:
         problems = model_problems(model, error.errors(include_url=False), document)
-    problems = [*document.problems, *problems]
-    if config is None or problems:
-        raise _error(path, problems)
+        raise _error(path, [*document.problems, *problems]) from None
+    if document.problems:
+        raise _error(path, document.problems)
     config._source = Source(path, hashlib.sha256(data).hexdigest(), document.lines, text)
     return config
 
@@ -226,14 +224,9 @@ def _read_what_is_valid(path: Path, wrong: InputError) -> LightsOnly:
         advice = "correct the file and repeat, or switch the controllers off by hand"
         raise InputError(*wrong.messages, f"nothing was switched off: {reason}; {advice}")
     name = mapping(rig).get("name")
-    return LightsOnly(
-        name if isinstance(name, str) else path.name,
-        None,
-        HardwareConfig(controllers=controllers, lights=lights, camera=CameraDeviceConfig()),
-        unreadable,
-        unknown,
-        wrong.messages,
-    )
+    known = name if isinstance(name, str) else path.name
+    hardware = HardwareConfig(controllers=controllers, lights=lights, camera=CameraDeviceConfig())
+    return LightsOnly(known, None, hardware, unreadable, unknown, wrong.messages)
 
 
 def _document(text: str) -> object:

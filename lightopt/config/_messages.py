@@ -15,16 +15,8 @@ _LONGEST = 60
 _EXPECTED = ("expected", "literal_error")  # kinds of errors that name what is expected
 
 # names of units, by the end of the keys that carry them
-_UNITS = {
-    "deg": "degrees",
-    "rad": "radians",
-    "um": "µm",
-    "mm": "mm",
-    "cm": "cm",
-    "m": "m",
-    "inch": "inches",
-    "px": "pixels",
-}
+_UNITS = {"deg": "degrees", "rad": "radians", "um": "µm", "inch": "inches", "px": "pixels"}
+_UNITS.update((unit, unit) for unit in ("mm", "cm", "m"))
 
 
 def describe(value: object) -> str:
@@ -33,11 +25,8 @@ def describe(value: object) -> str:
     if isinstance(value, Mapping):
         return f"keys and values ({', '.join(map(str, value))})"[:_LONGEST] if value else "{}"
     text = json.dumps(value, ensure_ascii=False, default=repr)
-    if len(text) > _LONGEST:
-        text = f"{text[:_LONGEST]}..."
-    if isinstance(value, str) and is_number(value):
-        text += " in quotes"
-    return text
+    shown = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+    return f"{shown} in quotes" if isinstance(value, str) and is_number(value) else shown
 
 
 def model_problems(model: type[BaseModel], errors: Sequence[ErrorDetails], document: Document) -> list[Problem]:
@@ -58,9 +47,8 @@ def model_problems(model: type[BaseModel], errors: Sequence[ErrorDetails], docum
         wanted = {keys[-1]} if kind == "missing" else set(error.get("ctx", {}).get("keys", ()))
         if kind in ("missing", "absent", "extra_forbidden"):
             keys = keys[:-1]
-        if kind in ("missing", "absent") and (
-            keys in document.incomplete or any((*keys, w) in covered for w in wanted)
-        ):
+        reported = keys in document.incomplete or any((*keys, w) in covered for w in wanted)
+        if kind in ("missing", "absent") and reported:
             continue  # the key that was dropped or misspelt is reported
         place = tuple(error["loc"]) if kind == "extra_forbidden" else keys
         while place and place not in document.lines:
@@ -131,9 +119,8 @@ def _unknown_key(model: type[BaseModel], loc: Keys, known: str | None) -> str:
 
 def _home(model: type[BaseModel], parent: type[BaseModel] | None, key: str) -> str | None:
     """Key of a list whose entries have this key, where they extend the same keys as the mapping at hand."""
-    kinds = (
-        () if parent is None else (parent, *(base for base in parent.__bases__ if getattr(base, "model_fields", None)))
-    )
+    bases = () if parent is None else (parent, *parent.__bases__)
+    kinds = [base for base in bases if getattr(base, "model_fields", None)]
     more = tuple(m for kind in kinds for m in kind.__subclasses__() if key in m.model_fields)
     return next((name for name, field in model.model_fields.items() if _inner_model(field.annotation) in more), None)
 
@@ -184,5 +171,4 @@ def _inner_model(annotation: Any) -> type[BaseModel] | None:
     arguments = get_args(annotation)
     if not arguments:  # on Python 3.10 tuple[...] passes for a class
         return annotation if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
-    inner = (_inner_model(a) for a in arguments if a is not Ellipsis)
-    return next((m for m in inner if m is not None), None)
+    return next((m for a in arguments if a is not Ellipsis and (m := _inner_model(a)) is not None), None)

@@ -10,19 +10,20 @@ from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_
 
 from lightopt.config import _fields as fields
 from lightopt.config._defects import DefectConfig, PlannedDefectConfig
+from lightopt.config._fields import LIST, Frozen, complaint, expecting
 from lightopt.core.units import step_units_mm, unit_name
 
-_ChordTolerance = Annotated[float, Field(ge=1e-4, le=10), fields.expecting("a number from 0.0001 to 10 (mm)")]
+_ChordTolerance = Annotated[float, Field(ge=1e-4, le=10), expecting("a number from 0.0001 to 10 (mm)")]
 _Catalogue = Annotated[tuple[PlannedDefectConfig, ...], Field(strict=False, min_length=1, max_length=100)]
-_Share = Annotated[float, Field(ge=0, le=1), fields.expecting("a number from 0 to 1")]
+_Share = Annotated[float, Field(ge=0, le=1), expecting("a number from 0 to 1")]
 
 
-class InspectionConfig(fields.Frozen):
+class InspectionConfig(Frozen):
     """Limits by which `lightopt inspect` judges OK or NG."""
 
-    most_defects: Annotated[int, Field(ge=0, le=10**6), fields.expecting("a whole number from 0 to 1000000")] = 0
+    most_defects: Annotated[int, Field(ge=0, le=10**6), expecting("a whole number from 0 to 1000000")] = 0
     """A part with more defects than this is NG."""
-    least_size_mm: Annotated[float, Field(ge=0, le=1e3), fields.expecting("a number from 0 to 1000 (mm)")] = 0.0
+    least_size_mm: Annotated[float, Field(ge=0, le=1e3), expecting("a number from 0 to 1000 (mm)")] = 0.0
     """Defects shorter than this do not count [mm]."""
     least_contrast: _Share = 0.0
     """Defects that change the light by less than this share, under the light that shows them best, do not count."""
@@ -36,7 +37,7 @@ _STEP = (".step", ".stp")
 _SUFFIXES = (*_UNITLESS, ".glb", *_STEP)
 
 
-class MeshConfig(fields.Frozen):
+class MeshConfig(Frozen):
     """The file with the part's shape, and how its surface is read."""
 
     file: fields.Text
@@ -47,15 +48,13 @@ class MeshConfig(fields.Frozen):
     normals: Literal["smooth", "facet"] = "smooth"
     """smooth: normals vary over the facets, except across edges sharper than the crease angle; facet: each facet is
     flat."""
-    crease_angle_deg: Annotated[
-        float, Field(gt=0, le=180), fields.expecting("a number above 0, up to 180 (degrees)")
-    ] = 30.0
+    crease_angle_deg: Annotated[float, Field(gt=0, le=180), expecting("a number above 0, up to 180 (degrees)")] = 30.0
     """Edges where the facets' normals differ by more than this stay sharp [deg]."""
     chord_tolerance_mm: _ChordTolerance | None = None
     """STEP: largest distance of the triangles from the CAD surface [mm]. More makes fewer triangles, with the CAD
     surface's normals at their corners; the angle between neighbours follows, from 0.1 rad at 0.01 mm with the square
     root up to 0.5 rad. If absent, the smaller of 0.01 and a fifth of a pixel's footprint."""
-    max_triangles: Annotated[int, Field(ge=1, le=2**31 - 1), fields.expecting("a whole number above 0")] = 20_000_000
+    max_triangles: Annotated[int, Field(ge=1, le=2**31 - 1), expecting("a whole number above 0")] = 20_000_000
     """Meshes of more triangles than this are refused."""
 
     @property
@@ -67,7 +66,7 @@ class MeshConfig(fields.Frozen):
     @classmethod
     def _exists(cls, file: str, info: ValidationInfo) -> str:
         if PurePath(file).suffix.lower() not in _SUFFIXES:
-            raise fields.complaint(f'expected a file ending in {", ".join(_SUFFIXES)}, found "{file}"')
+            raise complaint(f'expected a file ending in {", ".join(_SUFFIXES)}, found "{file}"')
         if info.context is not None:
             _require(info.context["folder"], file)
         return file
@@ -86,14 +85,14 @@ class MeshConfig(fields.Frozen):
                 "units",
             )
         if suffix == ".glb" and units not in (None, "m"):
-            raise fields.complaint(f"expected m or nothing (.glb is in metres by its specification), found {units}")
+            raise complaint(f"expected m or nothing (.glb is in metres by its specification), found {units}")
         if suffix in _STEP and units is not None and info.context is not None:
             declared: set[str] = set()
             with contextlib.suppress(OSError):
                 declared = set(map(unit_name, step_units_mm((info.context["folder"] / file).read_bytes())))
             if units not in declared:
                 unit = f"the file is in {' and '.join(sorted(declared))}" if declared else "no unit is found in it"
-                raise fields.complaint(f"found {units}, but {unit}; STEP carries its own unit, remove this key")
+                raise complaint(f"found {units}, but {unit}; STEP carries its own unit, remove this key")
         return units
 
     @field_validator("chord_tolerance_mm")
@@ -101,11 +100,11 @@ class MeshConfig(fields.Frozen):
     def _of_step(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
         suffix = PurePath(str(info.data.get("file", ""))).suffix.lower()
         if tolerance is not None and suffix and suffix not in _STEP:
-            raise fields.complaint(f"{suffix} files have their triangles already; it belongs to STEP; remove this key")
+            raise complaint(f"{suffix} files have their triangles already; it belongs to STEP; remove this key")
         return tolerance
 
 
-class PlacementConfig(fields.Frozen):
+class PlacementConfig(Frozen):
     """How the part lies in the world at posture (0, 0): turned, then anchored, then shifted."""
 
     anchor: Literal["as_modelled", "rest_on_table", "centred"] = "rest_on_table"
@@ -115,8 +114,8 @@ class PlacementConfig(fields.Frozen):
     """Shift along X, Y and Z after the anchor [mm]."""
     rotate_deg: Annotated[
         tuple[fields.Azimuth, fields.Azimuth, fields.Azimuth],
-        Field(strict=False),
-        fields.expecting("[x, y, z], three numbers from -360 to 360 (degrees)"),
+        LIST,
+        expecting("[x, y, z], three numbers from -360 to 360 (degrees)"),
     ] = (0.0, 0.0, 0.0)
     """Rotation about the fixed X, then Y, then Z axis, before the anchor [deg]."""
     registration: Literal["plane", "full"] = "plane"
@@ -124,25 +123,25 @@ class PlacementConfig(fields.Frozen):
     also its height and its tilt."""
 
 
-class ReflectanceConfig(fields.Frozen):
+class ReflectanceConfig(Frozen):
     """Reflection of the surface: Lambert's diffuse part and Torrance and Sparrow's specular lobe."""
 
     R_d: fields.Coefficient
     """Diffuse coefficient [levels of full_scale]."""
     R_s: fields.Coefficient
     """Specular coefficient [levels of full_scale]."""
-    sigma_rad: Annotated[float, Field(ge=1e-5, le=0.5), fields.expecting("a number from 0.00001 to 0.5 (radians)")]
+    sigma_rad: Annotated[float, Field(ge=1e-5, le=0.5), expecting("a number from 0.00001 to 0.5 (radians)")]
     """Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating."""
     full_scale: fields.Positive = 255.0
     """Full scale in which R_d and R_s are expressed [levels]."""
 
 
-class SurfaceConfig(fields.Frozen):
+class SurfaceConfig(Frozen):
     """Waviness of good parts (orange peel): by how much their surface departs from the mesh."""
 
-    waviness_deg: Annotated[float, Field(gt=0, le=5), fields.expecting("a number above 0, up to 5 (degrees)")]
+    waviness_deg: Annotated[float, Field(gt=0, le=5), expecting("a number above 0, up to 5 (degrees)")]
     """Root mean square slope of the surface against the mesh [deg]."""
-    waviness_mm: Annotated[float, Field(ge=0.01, le=100), fields.expecting("a number from 0.01 to 100 (mm)")]
+    waviness_mm: Annotated[float, Field(ge=0.01, le=100), expecting("a number from 0.01 to 100 (mm)")]
     """Correlation length of its height [mm]: about a sixth of the distance of its waves."""
 
 
@@ -178,17 +177,12 @@ class PartConfig(fields.FileConfig):
         postures = fields.entries(value)
         angles = [tuple(fields.value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
         valid = [pair if all(type(angle) in (int, float) for angle in pair) else None for pair in angles]
-        complaints = (
-            ((i,), postures[i], fields.complaint(f"the same posture as postures[{first}]"))
-            for i, first in fields.repeated(valid)
-        )
-        return fields.with_complaints(value, handler, complaints)
+        twice = ((i, complaint(f"the same posture as postures[{first}]")) for i, first in fields.repeated(valid))
+        return fields.with_complaints(value, handler, (((i,), postures[i], error) for i, error in twice))
 
     @field_validator("defects", "defect_catalogue", mode="wrap")
     @classmethod
-    def _have_names_of_their_own(
-        cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
-    ) -> Any:
+    def _differ_in_name(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
         return fields.with_complaints(value, handler, fields.same_names(fields.entries(value), str(info.field_name)))
 
 
@@ -203,8 +197,8 @@ def _require(folder: Path, file: str) -> None:
         near = get_close_matches(path.name, sorted(p.name for p in path.parent.iterdir()), n=1, cutoff=0.5)
     full_path = os.path.normpath(folder.resolve() / file)
     if is_folder:
-        raise fields.complaint(f"{full_path} is a folder; expected a file")
+        raise complaint(f"{full_path} is a folder; expected a file")
     hint = f'; did you mean "{(PurePath(file).parent / near[0]).as_posix()}"?' if near else ""
     if "\\" in file and os.sep == "/":
         hint = "; separate folders with / , which works everywhere"
-    raise fields.complaint(f"no such file: {full_path}{hint}")
+    raise complaint(f"no such file: {full_path}{hint}")

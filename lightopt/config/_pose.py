@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidatorFunctionWrapHandler, field_validator
 
 from lightopt.config import _fields as fields
+from lightopt.config._fields import LIST, Frozen, complaint, expecting
 
 LARGEST_TILT_FROM_X_DEG = 30.0
 
@@ -14,7 +15,7 @@ POSE_REPLACES = ("distance_mm", "elevation_deg", "azimuth_deg")
 """Keys that a pose takes the place of, for the camera also its roll."""
 
 
-class CameraPoseConfig(fields.Frozen):
+class CameraPoseConfig(Frozen):
     """Where the camera is, as it was measured."""
 
     frame: Literal["world"] = "world"
@@ -26,7 +27,7 @@ class CameraPoseConfig(fields.Frozen):
     long as its angle [deg]."""
 
 
-class PanelPoseConfig(fields.Frozen):
+class PanelPoseConfig(Frozen):
     """Where a panel is, as it was measured."""
 
     frame: Literal["world"] = "world"
@@ -42,7 +43,7 @@ _Scale = fields.Positive
 _SCALE = "Degrees that the axis turns per degree of its reading."
 
 
-class TiltAxisConfig(fields.Frozen):
+class TiltAxisConfig(Frozen):
     """The axis of the tilt cradle, as it was measured."""
 
     point_mm: fields.Coordinates | None = None
@@ -56,23 +57,22 @@ class TiltAxisConfig(fields.Frozen):
     def _about_x(cls, direction: tuple[float, float, float]) -> tuple[float, float, float]:
         length = math.hypot(*direction)
         if length == 0.0 or direction[0] < length * math.cos(math.radians(LARGEST_TILT_FROM_X_DEG)):
-            raise fields.complaint(
-                f"expected a direction within {LARGEST_TILT_FROM_X_DEG:g} degrees of X, such as [1, 0, 0.002], found "
-                f"[{', '.join(f'{c:g}' for c in direction)}]"
-            )
+            found = ", ".join(f"{c:g}" for c in direction)
+            expected = f"a direction within {LARGEST_TILT_FROM_X_DEG:g} degrees of X, such as [1, 0, 0.002]"
+            raise complaint(f"expected {expected}, found [{found}]")
         return direction
 
 
-class RotaryAxisConfig(fields.Frozen):
+class RotaryAxisConfig(Frozen):
     """The rotary axis, as it was measured; it defines the world's Z."""
 
     scale: _Scale = Field(default=1.0, description=_SCALE)
 
 
-_Interval = Annotated[tuple[fields.Number, fields.Number], Field(strict=False), fields.expecting("[low, high]")]
+_Interval = Annotated[tuple[fields.Number, fields.Number], LIST, expecting("[low, high]")]
 
 
-class CalibrationConfig(fields.Frozen):
+class CalibrationConfig(Frozen):
     """Where the measured values of this file come from."""
 
     covariance: fields.Text
@@ -88,11 +88,8 @@ def standing_at(point: object) -> dict[str, float]:
         return {}
     x, y, z = (float(v) for v in values if isinstance(v, (int, float)))
     elevation, azimuth = math.degrees(math.atan2(z, math.hypot(x, y))), math.degrees(math.atan2(y, x))
-    return {
-        "distance_mm": round(math.hypot(x, y, z), 6),
-        "elevation_deg": round(elevation, 6),
-        "azimuth_deg": round(azimuth, 6),
-    }
+    spherical = (math.hypot(x, y, z), elevation, azimuth)
+    return {key: round(value, 6) for key, value in zip(POSE_REPLACES, spherical, strict=True)}
 
 
 def with_pose(
@@ -103,16 +100,14 @@ def with_pose(
     if raw.get("pose") is None:
         return handler(value)
     complaints: list[fields.Complaint] = [
-        ((key,), raw[key], fields.complaint("given together with pose; expected only one of them"))
+        ((key,), raw[key], complaint("given together with pose; expected only one of them"))
         for key in (*POSE_REPLACES, *also)
         if key in raw
     ]
     found = fields.mapping(raw["pose"]).get(point)
     standing = standing_at(found)
     if standing and standing["elevation_deg"] <= 0.0:
-        complaints.append(
-            (("pose", point), found, fields.complaint(f"{what} is not above the table: expected a z above 0"))
-        )
+        complaints.append((("pose", point), found, complaint(f"{what} is not above the table: expected a z above 0")))
         standing = {}
     filled = {"distance_mm": 1.0, "elevation_deg": 90.0, "azimuth_deg": 0.0} | standing
     return fields.with_complaints({**raw, **{k: v for k, v in filled.items() if k not in raw}}, handler, complaints)

@@ -87,10 +87,8 @@ class LightConfig(fields.Frozen):
         angle = str(info.field_name).replace("_range", "")
         now = info.data.get(angle)
         if ends is not None and now is not None and not ends[0] <= now <= ends[1]:
-            raise fields.complaint(
-                f"the light is at {angle} {now:g}, outside [{ends[0]:g}, {ends[1]:g}]; "
-                "widen the range or move the light into it"
-            )
+            outside = f"outside [{ends[0]:g}, {ends[1]:g}]; widen the range or move the light into it"
+            raise fields.complaint(f"the light is at {angle} {now:g}, {outside}")
         return ends
 
 

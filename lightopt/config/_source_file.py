@@ -8,23 +8,12 @@ Keys = tuple[str | int, ...]
 
 
 def dotted(keys: Keys) -> str:
-    text = ""
-    for key in keys:
-        if isinstance(key, int):
-            text += f"[{key}]"
-        else:
-            text += f".{key}" if text else key
-    return text
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).removeprefix(".")
 
 
 @dataclass(frozen=True)
 class Source:
-    """The file that a configuration was read from.
-
-    path: The YAML file, as it was given
-    sha256: Hash of the file's bytes, hexadecimal; empty for a configuration that was built in code
-    lines: Line number (1-based) of each path of keys in the file
-    text: The file's text as it was read; empty for a configuration that was built in code
+    """The file that a configuration was read from; hash and text are empty for one that was built in code.
 
     >>> source = Source(Path("rig.yaml"), "", {("camera",): 3, ("camera", "roll_deg"): 7})
     >>> source.at("camera", "roll_deg")
@@ -33,10 +22,11 @@ class Source:
     'rig.yaml:3: camera.sensor.bit_depth'
     """
 
-    path: Path
-    sha256: str
+    path: Path  # the YAML file, as it was given
+    sha256: str  # of the file's bytes, hexadecimal
+    # line number (1-based) of each path of keys in the file
     lines: Mapping[Keys, int] = field(default_factory=dict[Keys, int], repr=False, compare=False)
-    text: str = field(default="", repr=False, compare=False)
+    text: str = field(default="", repr=False, compare=False)  # as it was read
 
     def at(self, *keys: str | int) -> str:
         """Beginning of a message about a key: ``rig.yaml:12: lights[2].gain``, with the nearest line that is there."""

@@ -14,7 +14,7 @@ class BoardTargetConfig(fields.Frozen):
     """A printed ChArUco board that lies flat on the stage."""
 
     squares: Annotated[
-        tuple[_Squares, _Squares], Field(strict=False), fields.expecting("[columns, rows], two whole numbers from 3")
+        tuple[_Squares, _Squares], fields.LIST, fields.expecting("[columns, rows], two whole numbers from 3")
     ]
     """Squares along both sides."""
     square_mm: fields.Length

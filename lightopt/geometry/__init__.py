@@ -6,24 +6,21 @@ the frame of the part's file, in mm, Z up.
 
 from lightopt.geometry._caster import Hits as Hits, RayCaster as RayCaster, resolve_hits as resolve_hits
 from lightopt.geometry._load_mesh import UNITLESS_SUFFIXES as UNITLESS_SUFFIXES, load_mesh as load_mesh
-from lightopt.geometry._mesh_formats import stl_bytes as stl_bytes
-from lightopt.geometry._nearest import (
-    SurfaceFinder as SurfaceFinder,
-    SurfacePlace as SurfacePlace,
-    surface_place as surface_place,
-)
+from lightopt.geometry._mesh_formats import box_mesh as box_mesh, sphere_mesh as sphere_mesh, stl_bytes as stl_bytes
 from lightopt.geometry._patches import (
     Patches as Patches,
     estimate_patch_count as estimate_patch_count,
     longest_edges as longest_edges,
     refine as refine,
 )
-from lightopt.geometry._solids import box_mesh as box_mesh, sphere_mesh as sphere_mesh
 from lightopt.geometry._topology import merge_rows as merge_rows, mesh_edges as mesh_edges
 from lightopt.geometry._triangle_mesh import (
+    SurfaceFinder as SurfaceFinder,
+    SurfacePlace as SurfacePlace,
     TriangleMesh as TriangleMesh,
     face_areas as face_areas,
     face_normals as face_normals,
+    surface_place as surface_place,
     transformed as transformed,
 )
 from lightopt.geometry._winding import points_inside as points_inside

@@ -25,6 +25,7 @@ from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads, side_by_side
 from lightopt.geometry._topology import corners_by_edge, join, merge_rows, next_corner
+from lightopt.geometry._triangle_mesh import unit_crosses
 
 _log = logging.getLogger("lightopt.geometry")
 
@@ -47,11 +48,7 @@ BlockerMap = tuple[Float32, Float32]
 
 
 class BlockerMaps:
-    """Maps of the targets of shadow rays. Safe to use from several threads at once.
-
-    vertices: In the unit sphere, as Embree has them, shape (n, 3), float32
-    faces: Shape (m, 3)
-    """
+    """Maps of targets of shadow rays, for threads; vertices (n, 3) are in the unit sphere, as Embree has them."""
 
     def __init__(self, vertices: Float32, faces: Int32) -> None:
         self._vertices, self._faces = vertices, faces
@@ -82,9 +79,8 @@ class BlockerMaps:
             if not closed:
                 _log.info("the mesh is open or its faces disagree in direction: every shadow ray is cast")
             else:
-                doubtful = _near_other_bodies(vertices, faces, body)
-                _add_folds(faces, folded, doubtful)
-                self._surface = planes, doubtful
+                at_fold = folded[faces[:, 0]] | folded[faces[:, 1]] | folded[faces[:, 2]]
+                self._surface = planes, at_fold | _near_other_bodies(vertices, faces, body)
         return bool(self._closed)
 
     @property
@@ -172,23 +168,15 @@ def _made(vertices: Float32, faces: Int32, planes: Float32, either: Bool, target
     return view, depths
 
 
-@kernel
 def _view(target: Float64) -> Float32:
-    distance = math.sqrt(target[0] * target[0] + target[1] * target[1] + target[2] * target[2])
-    fx, fy, fz = -target[0] / distance, -target[1] / distance, -target[2] / distance
+    distance = float(np.linalg.norm(target))
+    forward = -target / distance
     # right is across the axis that is furthest from forward
-    if abs(fx) <= min(abs(fy), abs(fz)):
-        rx, ry, rz = 0.0, -fz, fy
-    elif abs(fy) <= abs(fz):
-        rx, ry, rz = fz, 0.0, -fx
-    else:
-        rx, ry, rz = -fy, fx, 0.0
-    length = math.sqrt(rx * rx + ry * ry + rz * rz)
-    rx, ry, rz = rx / length, ry / length, rz / length
-    ux, uy, uz = fy * rz - fz * ry, fz * rx - fx * rz, fx * ry - fy * rx
+    right = np.cross(np.eye(3)[np.argmin(np.abs(forward))], forward)
+    right /= np.linalg.norm(right)
     edge = 1.02 / math.sqrt(distance * distance - 1.0)
-    numbers = (rx, ry, rz, ux, uy, uz, fx, fy, fz, distance, -edge, TEXELS / (2.0 * edge))
-    return np.array(numbers).astype(np.float32)
+    numbers = (*right, *np.cross(forward, right), *forward, distance, -edge, TEXELS / (2.0 * edge))
+    return np.array(numbers, np.float32)
 
 
 @kernel
@@ -224,29 +212,11 @@ def _drop_proven(view: Float32, depths: Float32, begins: Float64, rays: Bool) ->
                 rays[first + j] = False
 
 
-@kernel
 def _planes(vertices: Float32, faces: Int32) -> Float32:
     # unit normal of each triangle, and its plane's distance from the centre along it
-    planes = np.empty((len(faces), 4), np.float32)
-    for i in range(len(faces)):
-        nx, ny, nz = _normal(vertices, faces[i])
-        a = faces[i, 0]
-        planes[i, 0], planes[i, 1], planes[i, 2] = nx, ny, nz
-        planes[i, 3] = nx * vertices[a, 0] + ny * vertices[a, 1] + nz * vertices[a, 2]
-    return planes
-
-
-@kernel
-def _normal(vertices: Float32, face: Int32) -> tuple[float, float, float]:
-    a, b, c = face[0], face[1], face[2]
-    ax, ay, az = np.float64(vertices[a, 0]), np.float64(vertices[a, 1]), np.float64(vertices[a, 2])
-    ux, uy, uz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
-    vx, vy, vz = vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    if length > 0.0:
-        nx, ny, nz = nx / length, ny / length, nz / length
-    return nx, ny, nz
+    normals = unit_crosses(vertices.astype(np.float64), faces)
+    distance = np.einsum("ij,ij->i", normals, vertices[faces[:, 0]])
+    return np.column_stack([normals.astype(np.float32), distance.astype(np.float32)])
 
 
 @kernel
@@ -334,14 +304,10 @@ def _near_other_bodies(vertices: Float32, faces: Int32, body: Int32) -> Bool:
     low, high = np.full((count, 3), np.inf, np.float32), np.full((count, 3), -np.inf, np.float32)
     np.minimum.at(low, body, least)
     np.maximum.at(high, body, most)
-    _within_other_box(least, most, body, low - DEPTH_TOLERANCE, high + DEPTH_TOLERANCE, near)
+    for other in range(count):
+        below, above = least <= high[other] + DEPTH_TOLERANCE, most >= low[other] - DEPTH_TOLERANCE
+        near |= (below & above).all(axis=1) & (body != other)
     return near
-
-
-@kernel
-def _add_folds(faces: Int32, folded: Bool, doubtful: Bool) -> None:
-    for f in range(len(faces)):
-        doubtful[f] = doubtful[f] or folded[faces[f, 0]] or folded[faces[f, 1]] or folded[faces[f, 2]]
 
 
 @kernel
@@ -357,16 +323,3 @@ def _bodies(welded: Int32, faces: Int32) -> Int32:
     is_root = np.zeros(len(parent), np.int32)
     is_root[root] = 1
     return (np.cumsum(is_root)[root] - 1).astype(np.int32)
-
-
-@kernel
-def _within_other_box(least: Float32, most: Float32, body: Int32, low: Float32, high: Float32, near: Bool) -> None:
-    for f in range(len(near)):
-        for other in range(len(low)):
-            if other != body[f]:
-                inside = True
-                for axis in range(3):
-                    inside = inside and least[f, axis] <= high[other, axis] and most[f, axis] >= low[other, axis]
-                if inside:
-                    near[f] = True
-                    break

@@ -24,7 +24,6 @@ _log = logging.getLogger("lightopt.geometry")
 # within 1e-7 of the radius of the surface, and an offset 100 times smaller already shows no false self-shadow.
 SURFACE_OFFSET = 1e-5
 
-
 # rays per triangle below which a hierarchy that is built quicker and queried slower takes less time in all
 FEW_RAYS = 4.0
 
@@ -51,7 +50,7 @@ class RayCaster:
         self._lock = threading.Lock()
         self._rays_cast = self._rays_free = 0
         # float32 keeps 7 digits, so the mesh is centred and scaled to unit size before it is given to Embree
-        local = _local_vertices(vertices, self.centre, self.radius)
+        local = self._local(vertices).astype(np.float32)
         faces = np.ascontiguousarray(faces, dtype=np.int32)
         self._maps = BlockerMaps(local, faces)
         few = rays < FEW_RAYS * len(faces)
@@ -85,7 +84,7 @@ class RayCaster:
         directions: Shape (k, 3), any length
         neighbours: Whether rays that follow each other go nearly the same way: they are then cast together
         """
-        rays = _primary_rays(origin, directions, self.centre, self.radius)
+        rays = _primary_rays(self._local(origin), directions)
         if self._packets is None or self._recorder is not None:
             return self._run("INTERSECT", *rays)
         with self._lock:
@@ -105,8 +104,7 @@ class RayCaster:
         point_index, target_index: Shape (k,)
         """
         begins = _begins(points, normals, self.centre, self.radius)
-        origins, directions = _rays_of_pairs(begins, self._local(targets), point_index, target_index)
-        return self._run("OCCLUDED", origins, directions) >= 0
+        return self._run("OCCLUDED", *_rays_of_pairs(begins, self._local(targets), point_index, target_index)) >= 0
 
     def visible(
         self, points: Float64, normals: Float64, targets: Float64, *, candidates: Bool, outside: bool = False
@@ -155,40 +153,25 @@ class RayCaster:
         if self._packets is not None:
             query_function = self._packets.occluded if query == "OCCLUDED" else self._packets.first_hit
             return query_function(origins, directions)
-        if query == "OCCLUDED":
-            # directions end at the target, so that a ray reaches from 0 to 1 of its length
-            reach = np.ones(len(origins), np.float32)
-            return self._scene.run(origins, directions, reach, query=query)
-        return self._scene.run(origins, directions, query=query)
+        # directions end at the target, so that a shadow ray reaches from 0 to 1 of its length
+        reach = [np.ones(len(origins), np.float32)] if query == "OCCLUDED" else []
+        return self._scene.run(origins, directions, *reach, query=query)
 
 
 @kernel
-def _local_vertices(vertices: Float64, centre: Float64, radius: float) -> Float32:
-    local = np.empty(vertices.shape, np.float32)
-    for i in range(len(vertices)):
-        for axis in range(3):
-            local[i, axis] = (vertices[i, axis] - centre[axis]) / radius
-    return local
-
-
-@kernel
-def _primary_rays(origin: Float64, directions: Float64, centre: Float64, radius: float) -> tuple[Float32, Float32]:
+def _primary_rays(origin: Float64, directions: Float64) -> tuple[Float32, Float32]:
     # each ray starts near the mesh's bounding sphere, not at the far camera: the rounding of its origin to float32
     # then is that of the part's size, not of the camera's distance
     n = len(directions)
     origins32 = np.empty((n, 3), np.float32)
     directions32 = np.empty((n, 3), np.float32)
-    ox = (origin[0] - centre[0]) / radius
-    oy = (origin[1] - centre[1]) / radius
-    oz = (origin[2] - centre[2]) / radius
+    ox, oy, oz = origin
     outside = ox * ox + oy * oy + oz * oz > 1.21
     for i in range(n):
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
+        dx, dy, dz = directions[i]
         scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx * scale, dy * scale, dz * scale
-        start = 0.0
-        if outside:
-            start = max(0.0, -(ox * dx + oy * dy + oz * dz) - 1.1)
+        start = max(0.0, -(ox * dx + oy * dy + oz * dz) - 1.1) if outside else 0.0
         origins32[i, 0], origins32[i, 1], origins32[i, 2] = ox + start * dx, oy + start * dy, oz + start * dz
         directions32[i, 0], directions32[i, 1], directions32[i, 2] = dx, dy, dz
     return origins32, directions32
@@ -204,37 +187,21 @@ def _begins(points: Float64, normals: Float64, centre: Float64, radius: float) -
     return begins
 
 
-@kernel
-def _rays_of_pairs(
-    begins: Float64, targets: Float64, point_index: Int32, target_index: Int32
-) -> tuple[Float32, Float32]:
-    origins32 = np.empty((len(point_index), 3), np.float32)
-    directions32 = np.empty((len(point_index), 3), np.float32)
-    for i in range(len(point_index)):
-        p, t = point_index[i], target_index[i]
-        for axis in range(3):
-            origins32[i, axis] = begins[axis, p]
-            directions32[i, axis] = targets[t, axis] - begins[axis, p]
-    return origins32, directions32
+def _rays_of_pairs(begins: Float64, targets: Float64, point: Int32, target: Int32) -> tuple[Float32, Float32]:
+    origins = begins[:, point].T
+    return np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(targets[target] - origins, np.float32)
 
 
 @dataclass(frozen=True)
 class Hits:
-    """Rays that met the mesh, solved in float64 on the plane of the triangle that Embree named.
+    """Rays that met the mesh, solved in float64 on the plane of the triangle that Embree named; shapes (k,)."""
 
-    ray: Index of the ray among those cast, shape (k,)
-    face: Face that was met, shape (k,)
-    u, v: Barycentric coordinates: the point is (1−u−v)·A + u·B + v·C of the face's vertices; shape (k,)
-    points: Points on the surface, frame of the mesh [mm], shape (k, 3)
-    distance: Along the ray from its origin [mm], shape (k,)
-    """
-
-    ray: Int32
-    face: Int32
-    u: Float64
+    ray: Int32  # index of the ray among those cast
+    face: Int32  # face that was met
+    u: Float64  # barycentric coordinates: the point is (1−u−v)·A + u·B + v·C of the face's vertices
     v: Float64
-    points: Float64
-    distance: Float64
+    points: Float64  # points on the surface, frame of the mesh [mm], shape (k, 3)
+    distance: Float64  # along the ray from its origin [mm]
 
 
 def resolve_hits(face: Int32, origin: Float64, directions: Float64, vertices: Float64, faces: Int32) -> Hits:

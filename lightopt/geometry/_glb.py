@@ -21,9 +21,8 @@ def split_glb(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
     if version != 2:
         raise InputError(f"{name}: glTF version {version}, expected 2")
     if total != len(data) or 20 + json_size > total:
-        raise InputError(
-            f"{name}: its header says {total:,} bytes, but the file has {len(data):,}: cut off. Export or copy it again"
-        )
+        cut = f"the file has {len(data):,}: cut off. Export or copy it again"
+        raise InputError(f"{name}: its header says {total:,} bytes, but {cut}")
     try:
         tree = json.loads(data[20 : 20 + json_size])
     except ValueError as error:
@@ -59,11 +58,8 @@ def placed(matrix: Float64, vertices: Float64, faces: Int64, normals: Float64 | 
         "faces": faces[:, ::-1] if np.linalg.det(linear) < 0 else faces,
     }
     if normals is not None:
-        # normals go with the inverse transpose; the cofactor matrix is that without dividing by the
-        # determinant
-        cofactor = np.stack(
-            [np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])]
-        )
+        # normals go with the inverse transpose; the cofactor matrix is that without dividing by the determinant
+        cofactor = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
         part["vertex_normals"] = normals @ (cofactor * np.sign(np.linalg.det(linear))).T
     return part
 

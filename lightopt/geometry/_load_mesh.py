@@ -28,16 +28,11 @@ _READERS = {".stl": read_stl, ".ply": read_ply, ".obj": read_obj, ".glb": read_g
 
 # Text takes at most about this much for a triangle; a file beyond it is over the budget whatever it holds.
 _FILE_BYTES_PER_TRIANGLE = 1000
+_MOST_TRIANGLES = 700_000_000  # corner numbers are int32
 
-# Corner numbers are int32.
-_MOST_TRIANGLES = 700_000_000
-
-# A height below this part of the longest edge is rounding of the coordinates, not a surface: it has no
-# direction.
+# A height below this part of the longest edge is rounding of the coordinates, not a surface: it has no direction.
 _FLAT = 1e-12
-
-# Farther from the origin rounding eats the part, and no part is that large.
-_FARTHEST_MM = 1e9
+_FARTHEST_MM = 1e9  # farther from the origin rounding eats the part, and no part is that large
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +56,9 @@ def load_mesh(
     """Mesh of a part from an STL, PLY, OBJ, GLB or STEP file, repaired and with normals.
 
     Coinciding vertices are one vertex, triangles without area are left out, triangles that wind against their
-    neighbours and closed surfaces that are inside out are turned; each with a warning that says how many.
-    Open and non-manifold meshes are fine. STEP keeps the normals of the CAD surface, PLY, OBJ and GLB the
-    vertex normals that they carry; anything else is smoothed within the crease angle. GLB is turned from Y up
-    to Z up.
+    neighbours and closed surfaces that are inside out are turned; each with a warning that says how many. Open and
+    non-manifold meshes are fine. STEP keeps the normals of the CAD surface, PLY, OBJ and GLB the vertex normals that
+    they carry; anything else is smoothed within the crease angle. GLB is turned from Y up to Z up.
 
     path: File; its ending gives the format (`MESH_SUFFIXES`)
     unit_mm: Length of one unit of the file [mm]. Required for formats that carry none (`UNITLESS_SUFFIXES`). STEP
@@ -144,17 +138,15 @@ def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:
         bad = (raw.faces < 0) | (raw.faces >= len(raw.vertices))
         count = counted(int(np.count_nonzero(bad.any(axis=1))), "triangle")
         raise InputError(
-            f"{name}: {count} with vertices that do not exist: indices "
-            f"{low} to {high} (counted from 0) for {len(raw.vertices)} vertices. The file is damaged; "
-            "export it again"
+            f"{name}: {count} with vertices that do not exist: indices {low} to {high} (counted from 0) for "
+            f"{len(raw.vertices)} vertices. The file is damaged; export it again"
         )
     farthest = max(-float(raw.vertices.min()), float(raw.vertices.max()))
     if not math.isfinite(farthest):
-        bad = ~np.isfinite(raw.vertices).all(axis=1)
-        where = int(np.argmax(bad))
+        bad = np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))
         raise InputError(
-            f"{name}: {np.count_nonzero(bad)} vertices have coordinates that are not finite, the first is "
-            f"vertex {where} (counted from 0): {raw.vertices[where].tolist()}. Export the file again"
+            f"{name}: {len(bad)} vertices have coordinates that are not finite, the first is vertex {bad[0]} (counted "
+            f"from 0): {raw.vertices[bad[0]].tolist()}. Export the file again"
         )
     if farthest > _FARTHEST_MM / unit_mm:
         raise InputError(
@@ -186,10 +178,8 @@ def _read(path: Path, max_triangles: int) -> bytes:
     try:
         size = path.stat().st_size
         if size > max_triangles * _FILE_BYTES_PER_TRIANGLE + 1_000_000:
-            raise InputError(
-                f"{path}: {size / 1e9:.1f} GB, too much for the {max_triangles:,} triangles that are "
-                "accepted. Export the part with a coarser tolerance"
-            )
+            much = f"{size / 1e9:.1f} GB, too much for the {max_triangles:,} triangles that are accepted"
+            raise InputError(f"{path}: {much}. Export the part with a coarser tolerance")
         data = path.read_bytes()
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such mesh file") from error

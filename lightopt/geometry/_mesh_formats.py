@@ -1,4 +1,4 @@
-"""Faceted files (STL, PLY, OBJ, GLB) as triangles in the file's unit; the one module that calls trimesh.
+"""Faceted files (STL, PLY, OBJ, GLB) as triangles in the file's unit, and plain solids; all that calls trimesh.
 
 trimesh reads the numbers, but for those of binary STL and of most binary PLY: they are arrays, and trimesh takes longer
 to load than most commands have to compute. What it would pass over in silence (a file cut off, counts that disagree
@@ -16,10 +16,9 @@ import numpy as np
 from lightopt.core.arrays import Float32, Float64, Int32, Int64
 from lightopt.core.errors import InputError
 from lightopt.geometry._glb import glb_triangle_count, placed, split_glb
-from lightopt.geometry._triangle_mesh import TriangleMesh
+from lightopt.geometry._triangle_mesh import TriangleMesh, face_normals
 
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attributes", "<u2")])
-
 
 # a binary PLY file of vertices and faces alone, without comments
 _PLAIN_PLY = re.compile(
@@ -31,6 +30,7 @@ _PLY_NAMES = (
     *("int8 i1", "uint8 u1", "int16 i2", "uint16 u2", "int32 i4", "uint32 u4", "float32 f4", "float64 f8"),
 )
 _PLY_NUMBERS: dict[str, str] = dict(pair.split(maxsplit=1) for pair in _PLY_NAMES)
+_SUBDIVISIONS = 6  # of a sphere: 81,920 triangles, whose middles are 0.004 % of the radius inside it
 
 # Peak of loading and smoothing a binary STL of 1.3 million triangles: 700 bytes each, measured.
 _BYTES_PER_TRIANGLE = 700
@@ -38,32 +38,22 @@ _BYTES_PER_TRIANGLE = 700
 
 @dataclass(frozen=True, eq=False)
 class RawMesh:
-    """Triangles of a file in the file's unit.
+    """Triangles of a file in the file's unit."""
 
-    vertices: Positions [file unit], Z up, shape (n, 3); float32 where the file has no more
-    faces: Vertex indices as found in the file, shape (m, 3)
-    normals: Vertex normals carried by the file, not necessarily of unit length, shape (n, 3), or None
-    format: For messages, such as "binary STL"
-    repeats_vertices: The format repeats a vertex for each face or seam, so coinciding vertices are nothing to report
-    warnings: What was noticed while reading
-    """
-
-    vertices: Float32 | Float64
-    faces: Int32 | Int64
-    normals: Float64 | None
-    format: str
-    repeats_vertices: bool
-    warnings: tuple[str, ...] = ()
+    vertices: Float32 | Float64  # positions [file unit], Z up, shape (n, 3); float32 where the file has no more
+    faces: Int32 | Int64  # vertex indices as found in the file, shape (m, 3)
+    normals: Float64 | None  # vertex normals carried by the file, not necessarily of unit length, shape (n, 3)
+    format: str  # for messages, such as "binary STL"
+    repeats_vertices: bool  # for each face or seam, so that coinciding vertices are nothing to report
+    warnings: tuple[str, ...] = ()  # what was noticed while reading
 
 
 def check_budget(name: str, triangles: int, max_triangles: int) -> None:
     """Refuse a mesh of more than `max_triangles` before its data is loaded."""
     if triangles > max_triangles:
         gigabytes = triangles * _BYTES_PER_TRIANGLE / 1e9
-        raise InputError(
-            f"{name}: {triangles:,} triangles, at most {max_triangles:,} are accepted; loading them would "
-            f"take about {gigabytes:.1f} GB of memory. Export the part with a coarser tolerance"
-        )
+        cost = f"loading them would take about {gigabytes:.1f} GB of memory. Export the part with a coarser tolerance"
+        raise InputError(f"{name}: {triangles:,} triangles, at most {max_triangles:,} are accepted; {cost}")
 
 
 def read_stl(name: str, data: bytes, max_triangles: int) -> RawMesh:
@@ -87,7 +77,7 @@ def read_stl(name: str, data: bytes, max_triangles: int) -> RawMesh:
     check_budget(name, claimed, max_triangles)
     loaded = _trimesh(name, "STL", lambda: load_stl(io.BytesIO(data)))
     parts = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]
-    raw = _joined(name, parts, "ASCII STL", repeats_vertices=True)
+    raw = joined(name, parts, "ASCII STL", repeats_vertices=True)
     if len(raw.faces) != claimed:
         raise InputError(f"{name}: {claimed} triangles in the ASCII STL file, but only {len(raw.faces)} could be read")
     return raw
@@ -130,10 +120,9 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
     if is_ascii:
         rows = len(data[end.end() :].splitlines())
         if rows < sum(counts.values()):
-            raise InputError(
-                f"{name}: the PLY header announces {sum(counts.values()):,} lines ({_listed(counts)}), the "
-                f"file has {rows:,}: cut off. Export or copy it again"
-            )
+            announced = f"{sum(counts.values()):,} lines ({_listed(counts)})"
+            found = f"the file has {rows:,}: cut off. Export or copy it again"
+            raise InputError(f"{name}: the PLY header announces {announced}, {found}")
     if (raw := _plain_ply(data, end.end(), header)) is not None:
         return raw
     from trimesh.exchange.ply import load_ply
@@ -144,12 +133,10 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
     )
     if "faces" not in loaded:
         raise InputError(f"{name}: the {kind} file has no triangles ({_listed(counts)})")
-    raw = _joined(name, [loaded], kind, repeats_vertices=False)
+    raw = joined(name, [loaded], kind, repeats_vertices=False)
     if len(raw.vertices) != counts.get("vertex", 0) or len(raw.faces) < counts.get("face", 0):
-        raise InputError(
-            f"{name}: the PLY header announces {_listed(counts)}; found {len(raw.vertices)} vertices and "
-            f"{len(raw.faces)} triangles. The file is damaged; export it again"
-        )
+        found = f"{len(raw.vertices)} vertices and {len(raw.faces)} triangles. The file is damaged; export it again"
+        raise InputError(f"{name}: the PLY header announces {_listed(counts)}; found {found}")
     return raw
 
 
@@ -202,23 +189,19 @@ def read_obj(name: str, data: bytes, max_triangles: int) -> RawMesh:
         found = re.search(pattern, data, re.MULTILINE)
         if found is not None:
             line = data.count(b"\n", 0, found.start()) + 1
-            raise InputError(
-                f"{name}, line {line}: {what}: {found.group().decode('ascii', 'replace').strip()!r}. "
-                "The file is cut off or damaged; export or copy it again"
-            )
+            text = found.group().decode("ascii", "replace").strip()
+            advice = "The file is cut off or damaged; export or copy it again"
+            raise InputError(f"{name}, line {line}: {what}: {text!r}. {advice}")
     loaded = _trimesh(name, "OBJ", lambda: load_obj(io.BytesIO(data), skip_materials=True))
     parts = list(loaded.get("geometry", {}).values())
     if not parts:
         raise InputError(f"{name}: the OBJ file has no triangles")
     seams = re.search(rb"^vt\s", data, re.MULTILINE) is not None
-    return _joined(name, parts, "OBJ", repeats_vertices=seams)
+    return joined(name, parts, "OBJ", repeats_vertices=seams)
 
 
 def read_glb(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of a binary glTF 2.0 file [m], all nodes of the scene in place, turned from Y up to Z up.
-
-    glTF is Y up by its specification: (x, y, z) becomes (x, −z, y).
-    """
+    """Triangles of a binary glTF 2.0 file [m], all nodes in place, from Y up, as glTF is, to Z up: (x, −z, y)."""
     import trimesh
 
     tree, _ = split_glb(name, data)
@@ -239,7 +222,7 @@ def read_glb(name: str, data: bytes, max_triangles: int) -> RawMesh:
             parts.append(placed(matrix, np.asarray(geometry.vertices), np.asarray(geometry.faces), normals))
     if not parts:
         raise InputError(f"{name}: the GLB file has no triangles in its scene")
-    raw = _joined(name, parts, "GLB", repeats_vertices=seams)
+    raw = joined(name, parts, "GLB", repeats_vertices=seams)
     z_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     normals = None if raw.normals is None else raw.normals @ z_up.T
     return replace(raw, vertices=raw.vertices @ z_up.T, normals=normals)
@@ -251,47 +234,52 @@ def _trimesh(name: str, kind: str, read: Callable[[], Any]) -> Any:
     except MemoryError:
         raise
     except Exception as error:  # a damaged file can make trimesh raise anything
-        raise InputError(
-            f"{name}: could not be read as {kind}: {error}. The file is cut off, damaged or of another "
-            "format; export or copy it again"
-        ) from error
+        advice = "The file is cut off, damaged or of another format; export or copy it again"
+        raise InputError(f"{name}: could not be read as {kind}: {error}. {advice}") from error
 
 
-def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertices: bool) -> RawMesh:
-    vertices: list[Float64] = []
-    faces: list[Int64] = []
-    normals: list[Float64] = []
-    start = 0
-    for part in parts:
-        vertices.append(np.asarray(part["vertices"], dtype=np.float64))
-        if vertices[-1].ndim != 2 or vertices[-1].shape[1] != 3:
-            raise InputError(
-                f"{name}: the {kind} file has vertices of {vertices[-1].shape[-1]} coordinates, expected 3. "
-                "The file is damaged; export or copy it again"
-            )
-        faces.append(_fans(np.asarray(part["faces"], dtype=np.int64)) + start)
-        if part.get("vertex_normals") is not None:
-            normals.append(np.asarray(part["vertex_normals"], dtype=np.float64))
-        start += len(vertices[-1])
+def joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertices: bool) -> RawMesh:
+    vertices = [np.asarray(part["vertices"], dtype=np.float64) for part in parts]
+    for some in vertices:
+        if some.ndim != 2 or some.shape[1] != 3:
+            found = f"vertices of {some.shape[-1]} coordinates, expected 3"
+            raise InputError(f"{name}: the {kind} file has {found}. The file is damaged; export or copy it again")
+    starts = np.cumsum([0, *map(len, vertices)])
+    faces = [_fans(np.asarray(part["faces"], np.int64)) + start for part, start in zip(parts, starts, strict=False)]
+    normals = [np.asarray(n, np.float64) for part in parts if (n := part.get("vertex_normals")) is not None]
     complete = len(normals) == len(parts)
     warnings = ()
     if normals and not complete:
         warnings = (f"{len(normals)} of {len(parts)} pieces of the {kind} file carry vertex normals: not used",)
-    joined = np.concatenate(normals) if complete else None
-    return RawMesh(np.concatenate(vertices), np.concatenate(faces), joined, kind, repeats_vertices, warnings)
+    carried = np.concatenate(normals) if complete else None
+    return RawMesh(np.concatenate(vertices), np.concatenate(faces), carried, kind, repeats_vertices, warnings)
 
 
 def _fans(polygons: Int64) -> Int64:
     """Triangles (0, k, k+1) of polygons with the same number of corners, shape (m, 3)."""
-    corners = polygons.shape[1]
-    return np.stack([polygons[:, (0, k, k + 1)] for k in range(1, corners - 1)], axis=1).reshape(-1, 3)
+    return np.stack([polygons[:, (0, k, k + 1)] for k in range(1, polygons.shape[1] - 1)], axis=1).reshape(-1, 3)
 
 
 def stl_bytes(mesh: TriangleMesh) -> bytes:
     """A mesh [mm] as a binary STL file; normals are those of the facets."""
-    corners = mesh.vertices[mesh.faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    triangles = np.zeros(len(corners), _STL_TRIANGLE)
-    triangles["vertices"] = corners
-    triangles["normal"] = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
-    return bytes(80) + len(corners).to_bytes(4, "little") + triangles.tobytes()
+    triangles = np.zeros(len(mesh.faces), _STL_TRIANGLE)
+    triangles["vertices"] = mesh.vertices[mesh.faces]
+    triangles["normal"] = face_normals(mesh)
+    return bytes(80) + len(triangles).to_bytes(4, "little") + triangles.tobytes()
+
+
+def sphere_mesh(radius: float) -> TriangleMesh:
+    """A sphere about the origin, with its own normals; radius [mm]."""
+    from trimesh import creation
+
+    unit = creation.icosphere(subdivisions=_SUBDIVISIONS)
+    normals = np.asarray(unit.vertices, np.float64)
+    return TriangleMesh(vertices=radius * normals, faces=np.asarray(unit.faces, np.int32), normals=normals)
+
+
+def box_mesh(corners: Float64) -> TriangleMesh:
+    """A box between two corners [mm], shape (2, 3)."""
+    from trimesh import creation
+
+    box = creation.box(bounds=corners)
+    return TriangleMesh(vertices=np.asarray(box.vertices, np.float64), faces=np.asarray(box.faces, np.int32))

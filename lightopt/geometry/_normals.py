@@ -8,13 +8,10 @@ from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import side_by_side
 from lightopt.geometry._topology import EdgePairs, join, merge_rows, next_corner
-from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross
+from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross, unit_crosses
 
-# Facet normals of coordinates in float64 are good to about this [rad].
-_ANGLE_ROUNDING = 1e-9
-
-# Components of one normal written twice in float32 or with six decimals differ by less.
-_SAME_NORMAL = 1e-5
+_ANGLE_ROUNDING = 1e-9  # facet normals of coordinates in float64 are good to about this [rad]
+_SAME_NORMAL = 1e-5  # components of one normal written twice in float32 or with six decimals differ by less
 
 
 def smooth_normals(
@@ -22,10 +19,9 @@ def smooth_normals(
 ) -> tuple[TriangleMesh, int]:
     """Mesh with angle-weighted vertex normals, split where the surface bends by more than the crease angle.
 
-    The corners at a vertex that are connected through edges of two faces bent by at most the crease angle
-    share one normal; every other edge is sharp. Weights are the corners' angles (Thürmer and Wüthrich,
-    Computing vertex normals from polygonal facets, J. Graphics Tools 3, 1998), so the normal does not depend
-    on how the surface is cut.
+    The corners at a vertex that are connected through edges of two faces bent by at most the crease angle share one
+    normal; every other edge is sharp. Weights are the corners' angles (Thürmer and Wüthrich, Computing vertex normals
+    from polygonal facets, J. Graphics Tools 3, 1998), so the normal does not depend on how the surface is cut.
 
     vertices: Positions without coinciding ones [mm], shape (n, 3)
     faces: Vertex indices with an agreeing winding, shape (m, 3)
@@ -33,7 +29,7 @@ def smooth_normals(
     """
 
     def groups() -> tuple[Float64, Int32]:
-        flat = _unit_crosses(vertices, faces)
+        flat = unit_crosses(vertices, faces)
         smooth = ~pairs.same_direction & (_bends(flat, pairs.corners) <= crease_angle + _ANGLE_ROUNDING)
         return flat, _join_corners(3 * len(faces), pairs.corners[smooth])
 
@@ -52,9 +48,8 @@ def carried_normals(
 ) -> tuple[TriangleMesh, tuple[str, ...], int]:
     """Mesh with the normals that its file carries, vertices of equal position and normal merged.
 
-    The file's normals are kept even where they are smooth across an edge sharper than the crease angle (a
-    coarse sphere with exact normals needs that); as many programs average them over true creases, a warning
-    counts such edges.
+    The file's normals are kept even where they are smooth across an edge sharper than the crease angle (a coarse sphere
+    with exact normals needs that); as many programs average them over true creases, a warning counts such edges.
 
     vertices: Positions as in the file [mm], shape (n, 3)
     faces: Vertex indices after repair, shape (m, 3)
@@ -64,7 +59,7 @@ def carried_normals(
     Returns: The mesh, warnings about normals that had to be replaced or turned, and the number of vertices merged.
     """
     # triangle edges are long against rounding, so sums over the faces around a vertex point to its outside
-    flat = _unit_crosses(vertices, faces)
+    flat = unit_crosses(vertices, faces)
     outside, any_flat = _around_vertices(vertices, faces, flat)
     unit, _ = _unit_or(outside, any_flat, least=0.0)
     used = np.zeros(len(vertices), dtype=np.bool_)
@@ -97,14 +92,11 @@ def _smeared_creases(given: Float64, vertex: Int32, flat: Float64, pairs: EdgePa
     c, d = sharp[:, 0], sharp[:, 1]
     level = (np.abs(given[vertex[c]] - given[vertex[next_corner(d)]]) < _SAME_NORMAL).all(axis=1)
     level &= (np.abs(given[vertex[d]] - given[vertex[next_corner(c)]]) < _SAME_NORMAL).all(axis=1)
-    if not level.any():
-        return []
     message = (
-        f"the file's vertex normals are smooth across {np.count_nonzero(level)} of {len(sharp)} edges bent "
-        f"by more than the crease angle ({np.degrees(crease_angle):g}°): kept; for sharp creases save it "
-        "without normals"
+        f"the file's vertex normals are smooth across {np.count_nonzero(level)} of {len(sharp)} edges bent by more "
+        f"than the crease angle ({np.degrees(crease_angle):g}°): kept; for sharp creases save it without normals"
     )
-    return [message]
+    return [message] if level.any() else []
 
 
 @kernel
@@ -117,16 +109,6 @@ def _bends(flat: Float64, pairs: Int32) -> Float64:
         x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
         angles[e] = math.atan2(math.sqrt(x * x + y * y + z * z), a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
     return angles
-
-
-@kernel
-def _unit_crosses(vertices: Float64, faces: Int32) -> Float64:
-    normals = np.empty((len(faces), 3))
-    for f in range(len(faces)):
-        x, y, z = face_cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
-        length = math.sqrt(x * x + z * z + y * y)
-        normals[f, 0], normals[f, 1], normals[f, 2] = x / length, y / length, z / length
-    return normals
 
 
 @kernel
@@ -169,10 +151,9 @@ def _corner_angles(vertices: Float64, faces: Int32) -> Float64:
     for f in range(len(faces)):
         for k in range(3):
             a, b, c = vertices[faces[f, k]], vertices[faces[f, (k + 1) % 3]], vertices[faces[f, (k + 2) % 3]]
-            ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-            vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-            cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-            angles[f, k] = np.arctan2(np.sqrt(cx * cx + cy * cy + cz * cz), ux * vx + uy * vy + uz * vz)
+            x, y, z = face_cross(a, b, c)
+            dot = (b[0] - a[0]) * (c[0] - a[0]) + (b[1] - a[1]) * (c[1] - a[1]) + (b[2] - a[2]) * (c[2] - a[2])
+            angles[f, k] = np.arctan2(np.sqrt(x * x + y * y + z * z), dot)
     return angles
 
 

@@ -12,8 +12,8 @@ from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_areas, face_normals
 
-# Pending triangles of one face: one for each level of its tree. Two cuts at most halve the longest edge, so
-# 512 levels outlast float64.
+# Pending triangles of one face: one for each level of its tree. Two cuts at most halve the longest edge, so 512 levels
+# outlast float64.
 _LEVELS = 512
 
 
@@ -21,30 +21,19 @@ _LEVELS = 512
 class Patches:
     """Pieces of a mesh's faces, in the order of the faces, and the trees that find them.
 
-    Each face is cut at the middle of its longest edge, then each half likewise, until no edge is too long. A
-    cut is an inner node of the face's binary tree; a tree entry e ≥ 0 is node e, an entry e < 0 is patch −1 −
-    e.
-
-    vertices: The mesh's vertices, then one for each cut, part file's frame [mm], shape (n + c, 3)
-    triangles: The patches' corners as indices into `vertices`, counterclockwise from outside, shape (p, 3), int32
-    centroids: Centres of the patches [mm], shape (p, 3)
-    normals: Unit outward normals at the centroids: the vertex normals interpolated, or the facet's, shape (p, 3)
-    areas: [mm²], shape (p,). Those of a face sum up to the face's area.
-    face: Face of the mesh that the patch lies on, ascending, shape (p,), int32
-    roots: Tree entry of each face, shape (m,), int32
-    children: Tree entries of the two halves of each cut, shape (c, 2), int32
-    cut_edge: Which edge of its triangle was cut: k runs from corner k to corner k + 1, shape (c,), uint8
+    Each face is cut at the middle of its longest edge, then each half likewise, until no edge is too long. A cut is an
+    inner node of the face's binary tree; a tree entry e ≥ 0 is node e, an entry e < 0 is patch −1 − e.
     """
 
-    vertices: Float64
-    triangles: Int32
-    centroids: Float64
-    normals: Float64
-    areas: Float64
-    face: Int32
-    roots: Int32
-    children: Int32
-    cut_edge: UInt8
+    vertices: Float64  # the mesh's vertices, then one for each cut, part file's frame [mm], shape (n + c, 3)
+    triangles: Int32  # the patches' corners, indices into `vertices`, counterclockwise from outside, shape (p, 3)
+    centroids: Float64  # centres of the patches [mm], shape (p, 3)
+    normals: Float64  # unit outward normals at the centroids: vertex normals interpolated, or the facet's, (p, 3)
+    areas: Float64  # [mm²], shape (p,). Those of a face sum up to the face's area
+    face: Int32  # face of the mesh that the patch lies on, ascending, shape (p,)
+    roots: Int32  # tree entry of each face, shape (m,)
+    children: Int32  # tree entries of the two halves of each cut, shape (c, 2)
+    cut_edge: UInt8  # which edge of its triangle was cut: k runs from corner k to corner k + 1, shape (c,)
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -65,14 +54,11 @@ class Patches:
         faces = np.asarray(face)
         us, vs = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
         if faces.ndim != 1 or faces.shape != us.shape or faces.shape != vs.shape or faces.dtype.kind not in "iu":
-            raise InputError(
-                "patch_at: expected integer faces and coordinates u, v of one shape (k,), found "
-                f"{faces.dtype} {faces.shape}, {us.shape}, {vs.shape}"
-            )
+            found = f"{faces.dtype} {faces.shape}, {us.shape}, {vs.shape}"
+            raise InputError(f"patch_at: expected integer faces and coordinates u, v of one shape (k,), found {found}")
         if len(faces) and (int(faces.min()) < -1 or int(faces.max()) >= len(self.roots)):
-            raise InputError(
-                f"patch_at: faces from {faces.min()} to {faces.max()}, expected −1 to {len(self.roots) - 1}"
-            )
+            expected = f"expected −1 to {len(self.roots) - 1}"
+            raise InputError(f"patch_at: faces from {faces.min()} to {faces.max()}, {expected}")
         return _find(self.roots, self.children, self.cut_edge, faces.astype(np.int32), us, vs)
 
 
@@ -90,10 +76,8 @@ def refine(mesh: TriangleMesh, *, max_edge_mm: float, max_patches: int, select: 
     selected = _checked(mesh, max_edge_mm, select)
     count = estimate_patch_count(mesh, max_edge_mm, select=select, limit=max_patches + 1)
     if count > max_patches:
-        raise InputError(
-            f"patches: at an edge of {max_edge_mm:g} mm the {len(mesh.faces):,} faces give {count:,} patches "
-            f"or more, at most {max_patches:,} are accepted; take a longer edge"
-        )
+        many = f"the {len(mesh.faces):,} faces give {count:,} patches or more, at most {max_patches:,} are accepted"
+        raise InputError(f"patches: at an edge of {max_edge_mm:g} mm {many}; take a longer edge")
     smooth = np.zeros((0, 3)) if mesh.normals is None else mesh.normals
     of_faces = smooth, face_normals(mesh), face_areas(mesh)
     return Patches(*_build(mesh.vertices, mesh.faces, *of_faces, selected, max_edge_mm, count))
@@ -104,8 +88,7 @@ def estimate_patch_count(
 ) -> int:
     """Count the patches that :func:`refine` would make, without making them.
 
-    Exact below `limit`; where the number is certainly not below, some value of at least `limit` in little
-    time.
+    Exact below `limit`; where the number is certainly not below, some value of at least `limit` in little time.
 
     mesh, max_edge_mm, select: As for :func:`refine`
     Raises InputError: A parameter is out of range
@@ -127,10 +110,8 @@ def _checked(mesh: TriangleMesh, max_edge_mm: float, select: Bool | None) -> Boo
     if select is None:
         return np.ones(len(mesh.faces), dtype=np.bool_)
     if select.shape != (len(mesh.faces),) or select.dtype != np.bool_:
-        raise InputError(
-            f"patches: expected the selection as booleans of shape ({len(mesh.faces)},), found "
-            f"{select.dtype} {select.shape}"
-        )
+        found = f"{select.dtype} {select.shape}"
+        raise InputError(f"patches: expected the selection as booleans of shape ({len(mesh.faces)},), found {found}")
     return select
 
 
@@ -154,10 +135,8 @@ def longest_edges(vertices: Float64, faces: Int32, selected: Bool) -> Float64:
     for f in range(len(faces)):
         if selected[f]:
             for k in range(3):
-                p, q = faces[f, k], faces[f, (k + 1) % 3]
-                x = vertices[q, 0] - vertices[p, 0]
-                y = vertices[q, 1] - vertices[p, 1]
-                z = vertices[q, 2] - vertices[p, 2]
+                p, q = vertices[faces[f, k]], vertices[faces[f, (k + 1) % 3]]
+                x, y, z = q[0] - p[0], q[1] - p[1], q[2] - p[2]
                 longest[f] = max(longest[f], x * x + y * y + z * z)
     return longest
 

@@ -22,19 +22,15 @@ from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import call_address, kernel
 
 _POINTER, _INT, _UNSIGNED, _SIZE = ctypes.c_void_p, ctypes.c_int, ctypes.c_uint, ctypes.c_size_t
+_OF_ONE, _SETTING = (None, [_POINTER]), (None, [_POINTER, _INT])
 _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
     "rtcNewDevice": (_POINTER, [ctypes.c_char_p]),
     "rtcGetDeviceError": (_INT, [_POINTER]),
     "rtcGetDeviceProperty": (ctypes.c_ssize_t, [_POINTER, _INT]),
     "rtcNewScene": (_POINTER, [_POINTER]),
-    "rtcReleaseScene": (None, [_POINTER]),
-    "rtcCommitScene": (None, [_POINTER]),
-    "rtcSetSceneFlags": (None, [_POINTER, _INT]),
     "rtcNewGeometry": (_POINTER, [_POINTER, _INT]),
-    "rtcReleaseGeometry": (None, [_POINTER]),
-    "rtcSetSceneBuildQuality": (None, [_POINTER, _INT]),
-    "rtcSetGeometryBuildQuality": (None, [_POINTER, _INT]),
-    "rtcCommitGeometry": (None, [_POINTER]),
+    **dict.fromkeys(("rtcCommitScene", "rtcCommitGeometry", "rtcReleaseScene", "rtcReleaseGeometry"), _OF_ONE),
+    **dict.fromkeys(("rtcSetSceneFlags", "rtcSetSceneBuildQuality", "rtcSetGeometryBuildQuality"), _SETTING),
     "rtcAttachGeometry": (_UNSIGNED, [_POINTER, _POINTER]),
     "rtcSetSharedGeometryBuffer": (None, [_POINTER, _INT, _UNSIGNED, _INT, _POINTER, _SIZE, _SIZE, _SIZE]),
 }
@@ -179,10 +175,7 @@ def _nearest_in_packets(
 
 
 class PacketScene:
-    """A hierarchy over triangles, queried through Embree's own functions.
-
-    few_rays: Whether building it takes longer than its queries: it is then built quicker, and queried slower
-    """
+    """A hierarchy over triangles, queried by Embree's own functions; with `few_rays` built quicker, queried slower."""
 
     def __init__(self, vertices: Float32, faces: Int32, *, few_rays: bool = False) -> None:
         library, device, width = _embree(os.getpid())
@@ -235,11 +228,7 @@ class PacketScene:
         return _blocked(self._shadow_packet, self._scene, self._scattered_address, self._width, origins, directions)
 
     def blocked(self, begins: Float64, targets: Float64, cast: Bool) -> Bool:
-        """Whether anything lies on the way from points to targets, False for rays that are not to be cast; (t, n).
-
-        begins, targets: Shapes (3, n) and (t, 3)
-        cast: Shape (t, n)
-        """
+        """Whether anything lies on the ways from points (3, n) to targets (t, 3) that are to `cast`; shape (t, n)."""
         found = np.zeros(cast.shape, np.bool_)
         for target, some, answer in zip(targets, cast, found, strict=True):
             _blocked_ways(
@@ -249,10 +238,9 @@ class PacketScene:
 
 
 def _query_arguments(flags: int) -> NDArray[np.uint32]:
-    raw = np.zeros(2 * _ALIGNMENT // 4, np.uint32)
-    begin = (-raw.ctypes.data % _ALIGNMENT) // 4
-    raw[begin : begin + 2] = flags, _ALL_FEATURES
-    return raw[begin : begin + _ALIGNMENT // 4]
+    arguments: NDArray[np.uint32] = _aligned(_ALIGNMENT // 4).view(np.uint32)
+    arguments[:2] = flags, _ALL_FEATURES
+    return arguments
 
 
 def _address(function: Any) -> int:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +16,13 @@ from lightopt.core.errors import InputError
 from lightopt.core.units import step_units_mm, unit_name
 from lightopt.geometry import _step_worker
 from lightopt.geometry._glb import glb_triangle_count, parse_glb, split_glb
-from lightopt.geometry._mesh_formats import RawMesh, check_budget
+from lightopt.geometry._mesh_formats import RawMesh, check_budget, joined
 
 _LARGEST_MM, _SMALLEST_MM = 1000.0, 0.1
 _MM_PER_GLB_UNIT = 1000.0
 
-# The first pass only has to learn the size, in a time that does not depend on the unit: relative to the
-# edges.
+# The first pass only has to learn the size, in a time that does not depend on the unit: relative to the edges.
 _COARSE_LINEAR, _COARSE_ANGULAR = 0.2, 0.5
-
-
 TIMEOUT_S = 300.0  # time for both passes together [s]
 MEMORY_GB = 4.0  # address space of each of the two workers [10⁹ bytes]; not limited on Windows
 
@@ -44,10 +42,8 @@ def read_step(
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
         raise InputError(f"{name}: not a STEP file: expected it to begin with ISO-10303-21, found {data[:20]!r}")
     if b"END-ISO-10303-21" not in data[-2000:]:
-        raise InputError(
-            f"{name}: the STEP file is cut off: {len(data):,} bytes without END-ISO-10303-21 at the end. "
-            "Export or copy it again"
-        )
+        cut = f"{len(data):,} bytes without END-ISO-10303-21 at the end. Export or copy it again"
+        raise InputError(f"{name}: the STEP file is cut off: {cut}")
     deadline = time.monotonic() + TIMEOUT_S
     # both at the same time; the fine one is ended where the coarse one finds a mistake
     with (
@@ -58,16 +54,9 @@ def read_step(
         _check_size(name, parse_glb(name, size), declared_unit_mm(data))
         fine, output = fine_one.result(deadline)
     check_budget(name, glb_triangle_count(name, split_glb(name, fine)[0]), max_triangles)
-    parts = parse_glb(name, fine)
-    starts = np.cumsum([0] + [len(part["vertices"]) for part in parts])
-    return RawMesh(
-        np.concatenate([part["vertices"] for part in parts]) * _MM_PER_GLB_UNIT,
-        np.concatenate([part["faces"] + start for part, start in zip(parts, starts, strict=False)]),
-        np.concatenate([part["vertex_normals"] for part in parts]),
-        "STEP",
-        repeats_vertices=True,
-        warnings=(f"the CAD kernel reported while reading the STEP file: {output}",) if output else (),
-    )
+    raw = joined(name, parse_glb(name, fine), "STEP", repeats_vertices=True)
+    warnings = (f"the CAD kernel reported while reading the STEP file: {output}",) if output else ()
+    return replace(raw, vertices=raw.vertices * _MM_PER_GLB_UNIT, warnings=warnings)
 
 
 def declared_unit_mm(data: bytes) -> float | None:
@@ -86,15 +75,11 @@ def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float
     if _SMALLEST_MM <= largest <= _LARGEST_MM:
         return
     unit = "" if declared is None else f" (the file declares {unit_name(declared)})"
-    factors = (1000.0, 25.4) if largest > _LARGEST_MM else (1e-3, 1 / 25.4)
-    likely = " or ".join(
-        f"{largest / factor:.3g} mm with a unit mistake of {1000 if factor in (1000.0, 1e-3) else 25.4:g}"
-        for factor in factors
-    )
+    true = {mistake: largest / mistake if largest > _LARGEST_MM else largest * mistake for mistake in (1000.0, 25.4)}
+    likely = " or ".join(f"{mm:.3g} mm with a unit mistake of {mistake:g}" for mistake, mm in true.items())
     raise InputError(
-        f"{name}: the part is {size[0]:.4g} × {size[1]:.4g} × {size[2]:.4g} mm{unit}; expected its largest "
-        f"side between {_SMALLEST_MM} mm and {_LARGEST_MM:g} mm. It would be {likely}: export it in its true "
-        "unit"
+        f"{name}: the part is {size[0]:.4g} × {size[1]:.4g} × {size[2]:.4g} mm{unit}; expected its largest side "
+        f"between {_SMALLEST_MM} mm and {_LARGEST_MM:g} mm. It would be {likely}: export it in its true unit"
     )
 
 
@@ -139,20 +124,16 @@ class _Tessellation:
         if status == 0 and self._glb.is_file():
             return self._glb.read_bytes(), _last_line(written)
         output = f" ({_last_line(written)})" if written.strip() else ""
-        if status == _step_worker.EXIT_READ:
-            raise InputError(
-                f"{path}: the STEP file could not be read{output}. Export it again (AP203, AP214 or AP242)"
-            )
-        if status == _step_worker.EXIT_MEMORY:
-            raise InputError(
-                f"{path}: {what} needs more than {MEMORY_GB:g} GB of memory. Use a coarser "
-                "mesh.chord_tolerance_mm, or simplify the part"
-            )
-        raise InputError(
-            f"{path}: {what} ended with status {status}{output}: the CAD kernel crashed on this file or "
-            f"reached the memory limit of {MEMORY_GB:g} GB. Use a coarser mesh.chord_tolerance_mm, or export the "
-            "part as STL"
+        coarser = "Use a coarser mesh.chord_tolerance_mm"
+        problem = (
+            f"{what} ended with status {status}{output}: the CAD kernel crashed on this file or reached the memory "
+            f"limit of {MEMORY_GB:g} GB. {coarser}, or export the part as STL"
         )
+        if status == _step_worker.EXIT_READ:
+            problem = f"the STEP file could not be read{output}. Export it again (AP203, AP214 or AP242)"
+        elif status == _step_worker.EXIT_MEMORY:
+            problem = f"{what} needs more than {MEMORY_GB:g} GB of memory. {coarser}, or simplify the part"
+        raise InputError(f"{path}: {problem}")
 
 
 def _last_line(output: bytes) -> str:

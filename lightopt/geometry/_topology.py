@@ -12,31 +12,20 @@ from lightopt.core.kernels import bits_of_float, kernel
 
 @dataclass(frozen=True, eq=False)
 class EdgePairs:
-    """Edges that exactly two faces use.
+    """Edges that exactly two faces use."""
 
-    corners: The two corners that begin the edge, one in each face, as 3·face + corner, lower face first, shape (e, 2),
-        int32
-    same_direction: True where both faces run along the edge in the same direction (their windings disagree), shape (e,)
-    rim: True for faces that touch an edge used once or more than twice, shape (m,)
-    """
-
-    corners: Int32
-    same_direction: Bool
-    rim: Bool
+    corners: Int32  # the corners that begin the edge, one in each face, 3·face + corner, lower face first; (e, 2)
+    same_direction: Bool  # whether both faces run along the edge the same way (their windings disagree), shape (e,)
+    rim: Bool  # whether a face touches an edge used once or more than twice, shape (m,)
 
 
 @dataclass(frozen=True, eq=False)
 class MeshEdges:
-    """Every edge once.
+    """Every edge once."""
 
-    ends: Vertex indices, the lower one first, shape (e, 2)
-    uses: Number of faces at the edge, shape (e,)
-    corners: The corners that begin the edge in the first and in the last of them, as 3·face + corner, shape (e, 2)
-    """
-
-    ends: Int64
-    uses: Int64
-    corners: Int64
+    ends: Int64  # vertex indices, the lower one first, shape (e, 2)
+    uses: Int64  # number of faces at the edge, shape (e,)
+    corners: Int64  # that begin the edge in the first and in the last of them, as 3·face + corner, shape (e, 2)
 
     @property
     def faces(self) -> Int64:
@@ -55,10 +44,7 @@ def merge_rows(rows: Float32 | Float64) -> tuple[Int32, Int32]:
 
 
 def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
-    """Every edge of some faces once.
-
-    faces: Vertex indices, shape (m, 3); edges meet where these are the same, whatever the positions are
-    """
+    """Every edge of some faces (m, 3) once; edges meet where vertex indices are the same, wherever the vertices are."""
     faces = np.ascontiguousarray(faces, np.int32)
     order, begins = corners_by_edge(faces)
     first, last = order[begins[:-1]], order[begins[1:] - 1]
@@ -70,7 +56,14 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
 
 def edge_pairs(faces: Int32) -> EdgePairs:
     """Match the edges of all faces."""
-    return EdgePairs(*_pairs(faces, *corners_by_edge(faces)))
+    order, begins = corners_by_edge(faces)
+    uses = np.diff(begins)
+    of_two = begins[:-1][uses == 2]
+    corners = np.stack([order[of_two], order[of_two + 1]], axis=1)
+    start = faces.reshape(-1)[corners]
+    rim = np.zeros(len(faces), np.bool_)
+    rim[order[np.repeat(uses != 2, uses)] // 3] = True
+    return EdgePairs(corners, start[:, 0] == start[:, 1], rim)
 
 
 @kernel
@@ -113,24 +106,6 @@ def corners_by_edge(faces: Int32) -> tuple[Int32, Int32]:
 def next_corner(corner: Any) -> Any:
     """The corner after a corner in its face; of one or of an array."""
     return corner - corner % 3 + (corner + 1) % 3
-
-
-@kernel
-def _pairs(faces: Int32, order: Int32, begins: Int32) -> tuple[Int32, Bool, Bool]:
-    flat = faces.reshape(-1)
-    pairs, same = np.empty((len(flat) // 2, 2), np.int32), np.empty(len(flat) // 2, np.bool_)
-    rim = np.zeros(len(faces), np.bool_)
-    count = 0
-    for edge in range(len(begins) - 1):
-        begin, end = begins[edge], begins[edge + 1]
-        if end - begin == 2:
-            pairs[count, 0], pairs[count, 1] = order[begin], order[begin + 1]
-            same[count] = flat[order[begin]] == flat[order[begin + 1]]
-            count += 1
-        else:
-            for k in range(begin, end):
-                rim[order[k] // 3] = True
-    return pairs[:count].copy(), same[:count].copy(), rim
 
 
 @kernel

@@ -1,5 +1,6 @@
-"""The triangle mesh that everything above casts rays at."""
+"""The triangle mesh that everything above casts rays at, and the places of its surface that are nearest to points."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,20 +15,16 @@ from lightopt.core.kernels import kernel
 class TriangleMesh:
     """A triangle mesh with one normal per vertex, or none for facet shading.
 
-    Faces are counterclockwise seen from outside. Vertices are split where the normal jumps (at a crease), so
-    two faces that share a vertex also share its normal. Arrays of the right type are not copied; they are
-    read-only here.
+    Faces are counterclockwise seen from outside. Vertices are split where the normal jumps (at a crease), so two faces
+    that share a vertex also share its normal. Arrays of the right type are not copied; they are read-only here.
 
-    vertices: Positions in the part file's frame [mm], shape (n, 3)
-    faces: Vertex indices, shape (m, 3), int32
-    normals: Unit outward normals of the surface at the vertices, same frame, shape (n, 3); None shades flat facets
     Raises InputError: A shape is wrong, a coordinate is not finite, an index is out of range, or a normal is not of
         unit length
     """
 
-    vertices: Float64
-    faces: Int32
-    normals: Float64 | None = None
+    vertices: Float64  # positions in the part file's frame [mm], shape (n, 3)
+    faces: Int32  # vertex indices, shape (m, 3), int32
+    normals: Float64 | None = None  # unit outward normals at the vertices, shape (n, 3); None shades flat facets
 
     def __post_init__(self) -> None:
         vertices = _rows_of_three("vertices", self.vertices)
@@ -35,9 +32,8 @@ class TriangleMesh:
         if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
             raise InputError(f"mesh faces: expected integers of shape (m, 3), found {faces.dtype} {faces.shape}")
         if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-            raise InputError(
-                f"mesh faces: vertex indices from {faces.min()} to {faces.max()} for {len(vertices)} vertices"
-            )
+            numbers = f"from {faces.min()} to {faces.max()} for {len(vertices)} vertices"
+            raise InputError(f"mesh faces: vertex indices {numbers}")
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", read_only(np.ascontiguousarray(faces, dtype=np.int32)))
         if self.normals is None:
@@ -59,21 +55,19 @@ class TriangleMesh:
         return bounding_box(self.vertices)
 
 
-@kernel
 def bounding_box(vertices: Float64) -> Float64:
     """Lowest and highest corner of the bounding box of some points, shape (2, 3)."""
-    box = np.empty((2, 3))
-    box[0], box[1] = vertices[0], vertices[0]
-    for i in range(len(vertices)):
-        for axis in range(3):
-            box[0, axis] = min(box[0, axis], vertices[i, axis])
-            box[1, axis] = max(box[1, axis], vertices[i, axis])
-    return box
+    return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
 
 
 def face_normals(mesh: TriangleMesh) -> Float64:
     """Outward unit normals of the facets, part file's frame, shape (m, 3); zero for faces without area."""
-    cross = face_crosses(mesh.vertices, mesh.faces)
+    return unit_crosses(mesh.vertices, mesh.faces)
+
+
+def unit_crosses(vertices: Float64, faces: Int32) -> Float64:
+    """Unit normals of the facets, shape (m, 3); zero for faces without area."""
+    cross = face_crosses(vertices, faces)
     length = np.sqrt(np.einsum("ij,ij->i", cross, cross))
     return cross / np.where(length > 0.0, length, 1.0)[:, None]
 
@@ -89,8 +83,7 @@ def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike)
 
     Raises InputError: R is not a rotation (a scaling or a mirror would falsify normals and winding), or t is not finite
     """
-    R = np.asarray(rotation, dtype=np.float64)
-    t = np.asarray(translation, dtype=np.float64)
+    R, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
     if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9) or np.linalg.det(R) < 0:
         raise InputError(f"mesh rotation: expected a rotation matrix of shape (3, 3), found {R.tolist()}")
     if t.shape != (3,) or not np.isfinite(t).all():
@@ -127,8 +120,81 @@ def _rows_of_three(name: str, values: Float64) -> Float64:
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"mesh {name}: expected shape (n, 3), found {array.shape}")
     if not np.isfinite(array).all():
-        finite = np.isfinite(array).all(axis=1)
-        raise InputError(
-            f"mesh {name}: {np.count_nonzero(~finite)} rows are not finite, the first is row {int(np.argmin(finite))}"
-        )
+        odd = np.flatnonzero(~np.isfinite(array).all(axis=1))
+        raise InputError(f"mesh {name}: {len(odd)} rows are not finite, the first is row {odd[0]}")
     return read_only(array)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SurfacePlace:
+    """A place on a mesh."""
+
+    point: Float64  # [mm], shape (3,), frame of the mesh
+    normal: Float64  # unit normal there as shading has it: interpolated, or the facet's, shape (3,)
+    face: int
+
+
+def surface_place(mesh: TriangleMesh, face: int, u: float, v: float) -> SurfacePlace:
+    """The place (1−u−v)·A + u·B + v·C of a face."""
+    corners = mesh.faces[face]
+    weights = np.array([1.0 - u - v, u, v])
+    a, b, c = mesh.vertices[corners]
+    normal = np.zeros(3) if mesh.normals is None else weights @ mesh.normals[corners]
+    if math.hypot(*normal) <= 1e-12:
+        normal = np.cross(b - a, c - a)
+    return SurfacePlace(point=weights @ mesh.vertices[corners], normal=normal / np.linalg.norm(normal), face=face)
+
+
+class SurfaceFinder:
+    """Finds the place of a mesh that is nearest to a point; centres and radii of its faces are computed once."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self._mesh = mesh
+        corners = mesh.vertices[mesh.faces]
+        self._middles: Float64 = corners.mean(axis=1)
+        self._radii: Float64 = np.sqrt(((corners - self._middles[:, None]) ** 2).sum(axis=2).max(axis=1))
+
+    def nearest(self, point: Float64) -> SurfacePlace:
+        """The place nearest to a point [mm], shape (3,), frame of the mesh.
+
+        The nearest place of a triangle is one inside, the foot of the perpendicular, or one of its three sides
+        (C. Ericson, Real-Time Collision Detection, 2005, section 5.1.5).
+        """
+        offset = self._middles - point
+        distance = np.sqrt(np.einsum("ij,ij->i", offset, offset))
+        # a face has no place nearer than its middle less its radius, and its middle is one of them
+        near = np.flatnonzero(distance - self._radii <= distance.min())
+        faces = self._mesh.faces[near]
+        a, b, c = (self._mesh.vertices[faces[:, k]] for k in range(3))
+        weights = np.concatenate([_on_sides(a, b, c, point), _inside(a, b, c, point)])
+        places = np.einsum("skw,wkj->skj", weights, np.stack([a, b, c]))
+        off = np.linalg.norm(places - point, axis=2)
+        kind, k = np.unravel_index(int(np.argmin(off)), off.shape)
+        _, u, v = weights[kind, k]
+        return surface_place(self._mesh, int(near[k]), float(u), float(v))
+
+
+def _on_sides(a: Float64, b: Float64, c: Float64, point: Float64) -> Float64:
+    # barycentric coordinates of the nearest place of each side, shape (3, k, 3)
+    result = np.zeros((3, len(a), 3))
+    for side, (start, end) in enumerate(((a, b), (b, c), (c, a))):
+        run = end - start
+        square = np.einsum("ij,ij->i", run, run)
+        share = np.einsum("ij,ij->i", point - start, run) / np.where(square > 0.0, square, 1.0)
+        share = np.clip(share, 0.0, 1.0)
+        result[side, :, side] = 1.0 - share
+        result[side, :, (side + 1) % 3] = share
+    return result
+
+
+def _inside(a: Float64, b: Float64, c: Float64, point: Float64) -> Float64:
+    # barycentric coordinates of the foot of the perpendicular, or of corner A where it is outside; shape (1, k, 3)
+    p, q, w = b - a, c - a, point - a
+    n = np.cross(p, q)
+    square = np.einsum("ij,ij->i", n, n)
+    safe = np.where(square > 0.0, square, 1.0)
+    v = np.einsum("ij,ij->i", np.cross(p, w), n) / safe
+    u = np.einsum("ij,ij->i", np.cross(w, q), n) / safe
+    inside = (square > 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
+    u, v = np.where(inside, u, 0.0), np.where(inside, v, 0.0)
+    return np.stack([1.0 - u - v, u, v], axis=1)[None]

@@ -1,6 +1,5 @@
 """Make all faces of a surface wind the same way, and closed surfaces face outwards."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,22 +8,18 @@ from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.errors import counted
 from lightopt.core.kernels import kernel
 from lightopt.geometry._topology import EdgePairs, edge_pairs
-from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross
+from lightopt.geometry._triangle_mesh import TriangleMesh, face_crosses
 
-# Closed surfaces with less volume than this part of area^1.5 are folded sheets without an inside.
-_NO_VOLUME = 1e-9
+_NO_VOLUME = 1e-9  # closed surfaces with less volume than this part of area^1.5 are folded sheets without an inside
 
 
 @dataclass(frozen=True, eq=False)
 class Repaired:
-    """Faces with a winding that agrees across every edge of two faces.
-
-    warnings: What was turned, with numbers
-    """
+    """Faces with a winding that agrees across every edge of two faces."""
 
     faces: Int32
     pairs: EdgePairs
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # what was turned, with numbers
 
 
 def repair_winding(vertices: Float64, faces: Int32) -> Repaired:
@@ -49,19 +44,16 @@ def repair_winding(vertices: Float64, faces: Int32) -> Repaired:
         pairs = edge_pairs(faces)
     twisted = pairs.corners[pairs.same_direction, 0] // 3
     if len(twisted):
-        warnings.append(
-            f"{counted(len(twisted), 'edge')} between triangles whose winding cannot be made to agree (a one-sided "
-            "surface): kept"
-        )
+        kept = "between triangles whose winding cannot be made to agree (a one-sided surface): kept"
+        warnings.append(f"{counted(len(twisted), 'edge')} {kept}")
     is_open = np.bincount(label, weights=pairs.rim, minlength=components) > 0
     is_open[label[twisted]] = True
     inside_out = _inside_out(vertices, faces, label, ~is_open)
     if inside_out.any():
         turn = inside_out[label]
-        warnings.append(
-            f"{counted(int(np.count_nonzero(inside_out)), 'closed surface')} "
-            f"({counted(int(np.count_nonzero(turn)), 'triangle')}) inside out: turned"
-        )
+        triangles = counted(int(np.count_nonzero(turn)), "triangle")
+        surfaces = counted(int(np.count_nonzero(inside_out)), "closed surface")
+        warnings.append(f"{surfaces} ({triangles}) inside out: turned")
         faces = _turned(faces, turn)
         pairs = edge_pairs(faces)
     return Repaired(faces, pairs, tuple(warnings))
@@ -74,11 +66,13 @@ def _turned(faces: Int32, turn: Bool) -> Int32:
 def _inside_out(vertices: Float64, faces: Int32, label: Int32, closed: Bool) -> Bool:
     # the volume of a closed surface does not depend on the origin, its rounding error does
     middle = vertices.mean(axis=0)
-    volume, area = _volumes(vertices, faces, label, middle, len(closed))
+    centred, cross = vertices - middle, face_crosses(vertices, faces)
+    volume = np.bincount(label, np.einsum("ij,ij->i", centred[faces[:, 0]], cross) / 6.0, len(closed))
+    area = np.bincount(label, 0.5 * np.sqrt(np.einsum("ij,ij->i", cross, cross)), len(closed))
     result = closed & (volume < -_NO_VOLUME * area**1.5)
     if not result.any() or np.count_nonzero(closed) == 1:
         return result
-    corners = (vertices - middle)[faces]
+    corners = centred[faces]
     low, high = np.full((len(closed), 3), np.inf), np.full((len(closed), 3), -np.inf)
     np.minimum.at(low, label, corners.min(axis=1))
     np.maximum.at(high, label, corners.max(axis=1))
@@ -95,29 +89,14 @@ def _inside_out(vertices: Float64, faces: Int32, label: Int32, closed: Bool) -> 
 
 
 @kernel
-def _volumes(vertices: Float64, faces: Int32, label: Int32, middle: Float64, count: int) -> tuple[Float64, Float64]:
-    # volume [mm³] and area [mm²] of each surface
-    volume, area = np.zeros(count), np.zeros(count)
-    for f in range(len(faces)):
-        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
-        x, y, z = face_cross(a, b, c)
-        x0, y0, z0 = a[0] - middle[0], a[1] - middle[1], a[2] - middle[2]
-        volume[label[f]] += (x0 * x + y0 * y + z0 * z) / 6.0
-        area[label[f]] += 0.5 * math.sqrt(x * x + y * y + z * z)
-    return volume, area
-
-
-@kernel
 def _flood(face_count: int, corners: Int32, same_direction: Bool) -> tuple[Int32, Bool]:
     """Label connected faces; turn[f] is whether f winds against the first face of its surface."""
-    neighbour = np.full((face_count, 3), -1, dtype=np.int32)
-    against = np.zeros((face_count, 3), dtype=np.bool_)
+    neighbour = np.full(3 * face_count, -1, dtype=np.int32)  # of each corner, across the edge that it begins
+    against = np.zeros(3 * face_count, dtype=np.bool_)
     for e in range(len(corners)):
-        c, d = corners[e, 0], corners[e, 1]
-        neighbour[c // 3, c % 3] = d // 3
-        neighbour[d // 3, d % 3] = c // 3
-        against[c // 3, c % 3] = same_direction[e]
-        against[d // 3, d % 3] = same_direction[e]
+        c, d = corners[e]
+        neighbour[c], neighbour[d] = d // 3, c // 3
+        against[c] = against[d] = same_direction[e]
     label = np.full(face_count, -1, dtype=np.int32)
     turn = np.zeros(face_count, dtype=np.bool_)
     queue = np.empty(face_count, dtype=np.int32)
@@ -131,11 +110,11 @@ def _flood(face_count: int, corners: Int32, same_direction: Bool) -> tuple[Int32
         while head < tail:
             f = queue[head]
             head += 1
-            for k in range(3):
-                g = neighbour[f, k]
+            for corner in range(3 * f, 3 * f + 3):
+                g = neighbour[corner]
                 if g >= 0 and label[g] < 0:
                     label[g] = component
-                    turn[g] = turn[f] ^ against[f, k]
+                    turn[g] = turn[f] ^ against[corner]
                     queue[tail] = g
                     tail += 1
         component += 1
@@ -158,7 +137,6 @@ def points_inside(points: Float64, mesh: TriangleMesh) -> Bool:
     return inside
 
 
-@kernel
 def winding_number(triangles: Float64, point: Float64) -> float:
     """How often closed surfaces surround a point.
 
@@ -167,16 +145,8 @@ def winding_number(triangles: Float64, point: Float64) -> float:
     triangles: Corners [mm], shape (m, 3, 3)
     point: [mm], shape (3,)
     """
-    x, y, z = point[0], point[1], point[2]
-    total = 0.0
-    for t in range(len(triangles)):
-        ax, ay, az = triangles[t, 0, 0] - x, triangles[t, 0, 1] - y, triangles[t, 0, 2] - z
-        bx, by, bz = triangles[t, 1, 0] - x, triangles[t, 1, 1] - y, triangles[t, 1, 2] - z
-        cx, cy, cz = triangles[t, 2, 0] - x, triangles[t, 2, 1] - y, triangles[t, 2, 2] - z
-        la = np.sqrt(ax * ax + ay * ay + az * az)
-        lb = np.sqrt(bx * bx + by * by + bz * bz)
-        lc = np.sqrt(cx * cx + cy * cy + cz * cz)
-        over = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-        ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
-        total += 2.0 * np.arctan2(over, la * lb * lc + ab * lc + bc * la + ca * lb)
-    return total / (4.0 * np.pi)
+    a, b, c = (triangles - point).swapaxes(0, 1)
+    la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+    ab, bc, ca = (np.einsum("ij,ij->i", *sides) for sides in ((a, b), (b, c), (c, a)))
+    over = np.einsum("ij,ij->i", a, np.cross(b, c))
+    return float(np.arctan2(over, la * lb * lc + ab * lc + bc * la + ca * lb).sum() / (2.0 * np.pi))

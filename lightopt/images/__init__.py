@@ -15,8 +15,11 @@ from lightopt.images._file_names import (
     sheet_name as sheet_name,
 )
 from lightopt.images._image_files import (
+    PhotographFormat as PhotographFormat,
+    photograph_format as photograph_format,
     read_exr as read_exr,
     read_metadata as read_metadata,
+    read_photograph as read_photograph,
     read_png as read_png,
     write_exr as write_exr,
     write_png as write_png,
@@ -36,11 +39,6 @@ from lightopt.images._overlap import (
     overlap_map_name as overlap_map_name,
     write_overlap_map as write_overlap_map,
     write_overlaps as write_overlaps,
-)
-from lightopt.images._photograph import (
-    PhotographFormat as PhotographFormat,
-    photograph_format as photograph_format,
-    read_photograph as read_photograph,
 )
 from lightopt.images._result_folder import ResultFolder as ResultFolder
 from lightopt.images._set_reader import ImageSet as ImageSet, read_image_set as read_image_set

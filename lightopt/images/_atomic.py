@@ -16,10 +16,7 @@ from lightopt.core.provenance import file_sha256
 from lightopt.core.threads import blocks, in_threads
 
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
-
 _PACKED_AT_ONCE = 2  # arrays of an archive that are compressed at the same time
-
-
 # an array of which so many elements are not compressed to less than this share of their size is stored as it is
 _SAMPLE, _WORTHWHILE = 50_000, 0.85
 
@@ -124,9 +121,8 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made: {error.strerror or error}; choose an output folder that can be written"
-        ) from error
+        why = error.strerror or error
+        raise InputError(f"{folder}: cannot be made: {why}; choose an output folder that can be written") from error
 
 
 def remove_file(path: Path) -> bool:
@@ -136,7 +132,6 @@ def remove_file(path: Path) -> bool:
     except FileNotFoundError:
         return False
     except OSError as error:
-        raise InputError(
-            f"{path}: cannot be removed: {error.strerror or error}; choose another output folder"
-        ) from error
+        why = error.strerror or error
+        raise InputError(f"{path}: cannot be removed: {why}; choose another output folder") from error
     return True

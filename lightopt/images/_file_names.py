@@ -56,10 +56,8 @@ class FileNames:
         """Reserve a file for `owner`; InputError when another has it (case is ignored, as on some platforms)."""
         other = self._owners.setdefault(name.casefold(), owner)
         if other != owner:
-            raise InputError(
-                f"{other} and {owner} would both be written to {name}; give the lights names that differ in "
-                "more than case and that do not end like an exposure (_x2)"
-            )
+            advice = "give the lights names that differ in more than case and that do not end like an exposure (_x2)"
+            raise InputError(f"{other} and {owner} would both be written to {name}; {advice}")
 
     def claim_images(self, keys: Iterable[ImageKey]) -> None:
         """Reserve the files of images and of their postures' geometry; InputError where two would share one."""

@@ -1,4 +1,4 @@
-"""Image files: EXR of float32 channels, PNG of camera levels and of illustrations; on top of OpenImageIO."""
+"""Image files: EXR of float32 channels, PNG of camera levels and of illustrations, photographs; by OpenImageIO."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 Levels = UInt8 | NDArray[np.uint16]
 
 _METADATA_KEY = "lightopt:json"  # the attribute that carries all metadata: the only kind that both EXR and PNG keep
-
 _PROBE_BYTES = 1 << 20
 _FORMAT_NAMES = {"openexr": "an OpenEXR image", "png": "a PNG image", "jpeg": "a JPEG image", "tiff": "a TIFF image"}
 
@@ -69,16 +69,12 @@ def _write_image(
         # raises OSError with the system's reason
         OpenImageIO = _openimageio()
         output = OpenImageIO.ImageOutput.create(file_format)
-        if output is None:
-            raise OSError(f"OpenImageIO has no {file_format} writer: {OpenImageIO.geterror()}")
         if not output.open(str(path), spec):  # writing after a failed open crashes the process
             raise OSError(output.geterror())
         top, done = 0, True
         for block in rows:
-            done = output.write_scanlines(top, top + block.shape[0], 0, np.ascontiguousarray(block))
-            if not done:
-                break
-            top += block.shape[0]
+            done = done and output.write_scanlines(top, top + len(block), 0, np.ascontiguousarray(block))
+            top += len(block)
         closed = output.close()
         # The PNG writer reports success on a full disk; only its error text shows it.
         message = output.geterror()
@@ -91,7 +87,7 @@ def _write_image(
 
 
 @contextmanager
-def opened(path: Path, *formats: str) -> Generator[OpenImageIO.ImageInput, None, None]:
+def _opened(path: Path, *formats: str) -> Generator[OpenImageIO.ImageInput, None, None]:
     """Open an image of one of some formats; InputError when it is missing, unreadable or of another one."""
     OpenImageIO = _openimageio()
     try:
@@ -115,7 +111,7 @@ def opened(path: Path, *formats: str) -> Generator[OpenImageIO.ImageInput, None,
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
     """Metadata that lightopt put into a PNG or EXR, empty for those of others; InputError for a damaged file."""
-    with opened(Path(path), "openexr", "png") as source:
+    with _opened(Path(path), "openexr", "png") as source:
         text = source.spec().getattribute(_METADATA_KEY)
     if text is None:
         return {}
@@ -130,10 +126,8 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
 
 # of a noisy camera image of 1600 × 1200, on a busy machine: 21 ms and 0.71 MB; level 2 takes 43 ms for 0.69 MB
 _PNG_LEVEL = 1
-
 # libpng's number. Choosing a filter row by row takes 76 ms instead of 21, and noise is packed no better by any.
 _NO_FILTER = 8
-
 _END_CHUNK = b"\0\0\0\0IEND\xaeB`\x82"
 _COLOUR_TYPES = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
 
@@ -152,10 +146,8 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], 
     grey = levels.ndim == 2 and str(levels.dtype) in ("uint8", "uint16")
     picture = levels.ndim == 3 and levels.shape[2] == 3 and levels.dtype == np.uint8
     if not (grey or picture) or not levels.size:
-        raise InputError(
-            f"{path}: expected uint8 or uint16 of shape (H, W), or uint8 of shape (H, W, 3), "
-            f"found {levels.dtype} of shape {levels.shape}"
-        )
+        expected = "uint8 or uint16 of shape (H, W), or uint8 of shape (H, W, 3)"
+        raise InputError(f"{path}: expected {expected}, found {levels.dtype} of shape {levels.shape}")
     pixels = levels if picture else levels[:, :, np.newaxis]
     height, width, channels = pixels.shape
     spec = _openimageio().ImageSpec(width, height, channels, str(levels.dtype))
@@ -168,12 +160,9 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], 
 
 def _is_whole_png(path: Path) -> bool:
     """Whether the file ends as every PNG ends."""
-    size = path.stat().st_size
-    if size < len(_END_CHUNK):
-        return False
     with path.open("rb") as file:
-        file.seek(size - len(_END_CHUNK))
-        return file.read() == _END_CHUNK
+        file.seek(max(0, path.stat().st_size - len(_END_CHUNK)))
+        return file.read(len(_END_CHUNK)) == _END_CHUNK
 
 
 def read_png(path: str | Path, *, colour: bool = False) -> Levels:
@@ -185,7 +174,7 @@ def read_png(path: str | Path, *, colour: bool = False) -> Levels:
     colour without `colour`.
     """
     path = Path(path)
-    with opened(path, "png") as source:
+    with _opened(path, "png") as source:
         with path.open("rb") as file:
             header = file.read(26)
         bits, kind = header[24], header[25]
@@ -210,7 +199,6 @@ def read_png(path: str | Path, *, colour: bool = False) -> Levels:
 # ms, 7.7 MB; piz 53 ms, 2.6 MB; zips 49 ms, 3.2 MB), geometry of 8 channels 122 ms and 10.7 MB (uncompressed 60 ms, 61
 # MB; piz 251 ms, 12.7 MB; zips 215 ms, 15.7 MB). Levels above 4 only take longer.
 _EXR_COMPRESSION = "zip:4"
-
 _BLOCK_ROWS = 256  # a multiple of the compressed chunk of 16 rows; keeps the interleaved copy of a large image small
 
 
@@ -225,10 +213,8 @@ def write_exr(path: str | Path, channels: Mapping[str, Float32], *, metadata: Ma
         raise InputError(f"{path}: an EXR image needs at least one channel")
     for name, channel in channels.items():
         if not name or channel.dtype != np.float32 or channel.ndim != 2 or not channel.size:
-            raise InputError(
-                f"{path}: channel {name!r}: expected a name and float32 of shape (H, W), "
-                f"found {channel.dtype} of shape {channel.shape}"
-            )
+            found = f"{channel.dtype} of shape {channel.shape}"
+            raise InputError(f"{path}: channel {name!r}: expected a name and float32 of shape (H, W), found {found}")
     shapes = {channel.shape for channel in channels.values()}
     if len(shapes) != 1:
         raise InputError(f"{path}: channels of different shapes: {sorted(shapes)}")
@@ -254,9 +240,9 @@ def _is_whole_exr(path: Path) -> bool:
         return False
     height = source.spec().height
     row = source.read_scanlines(0, 0, height - 1, height, 0, 0, 1, "float")
-    failed = bool(source.geterror()) or row is None
+    whole = row is not None and not source.geterror()
     source.close()
-    return not failed
+    return whole
 
 
 def read_exr(path: str | Path) -> dict[str, Float32]:
@@ -266,7 +252,7 @@ def read_exr(path: str | Path) -> dict[str, Float32]:
     integer channels, several parts, deep pixels, or a data window other than its display window.
     """
     path = Path(path)
-    with opened(path, "openexr") as source:
+    with _opened(path, "openexr") as source:
         spec = source.spec()
         if spec.deep:
             raise InputError(f"{path}: a deep EXR; expected a flat image")
@@ -286,3 +272,45 @@ def read_exr(path: str | Path) -> dict[str, Float32]:
             raise InputError(f"{path}: damaged: {source.geterror().strip()}; write the file anew")
     values = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, -1)
     return {name: np.ascontiguousarray(values[..., index[name]]) for name in sorted(index)}
+
+
+_PHOTOGRAPHS = ("png", "jpeg", "tiff")  # of other programs, grey or colour
+_BITS = {"uint8": 8, "uint16": 16}
+
+
+@dataclass(frozen=True)
+class PhotographFormat:
+    """What a photograph's header says; bits per sample."""
+
+    width: int
+    height: int
+    bits: int
+
+    def __str__(self) -> str:
+        return f"{self.width} × {self.height} px, {self.bits} bits"
+
+
+def photograph_format(path: Path) -> PhotographFormat:
+    """Read the header of a photograph; InputError: missing, of another format or kind of samples, or stored rotated."""
+    with _opened(path, *_PHOTOGRAPHS) as source:
+        spec = source.spec()
+    if str(spec.format) not in _BITS:
+        raise InputError(f"{path}: expected samples of 8 or 16 bits, found {spec.format}; convert the image")
+    if (turn := spec.get_int_attribute("Orientation", 1)) != 1:
+        advice = "save it as it was calibrated, with orientation 1"
+        raise InputError(f"{path}: stored rotated or mirrored (EXIF orientation {turn}); {advice}")
+    return PhotographFormat(spec.width, spec.height, _BITS[str(spec.format)])
+
+
+def read_photograph(path: Path) -> NDArray[Any]:
+    """Samples of a photograph as stored, uint8 or uint16 of shape (H, W, 1 or 3), row 0 at the top, no transparency.
+
+    Raises InputError: As :func:`photograph_format`, or the file is damaged
+    """
+    shape = photograph_format(path)
+    with _opened(path, *_PHOTOGRAPHS) as source:
+        pixels = source.read_image(f"uint{shape.bits}")
+        if pixels is None or source.has_error:
+            raise InputError(f"{path}: damaged: {source.geterror().strip().splitlines()[0]}; copy the file anew")
+    samples = np.asarray(pixels).reshape(shape.height, shape.width, -1)
+    return samples[..., : 3 if samples.shape[2] >= 3 else 1]

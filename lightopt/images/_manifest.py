@@ -30,8 +30,18 @@ class SourceFile:
     sha256: str
 
 
+class _Entry:
+    posture: Posture
+    sha256: Mapping[str, str]
+    extra: Mapping[str, Any]
+
+    def as_dict(self) -> dict[str, Any]:
+        facts = {**vars(self), "posture": self.posture.as_dict(), "sha256": dict(self.sha256) or None, "extra": None}
+        return {**{name: value for name, value in facts.items() if value is not None}, **self.extra}
+
+
 @dataclass(frozen=True)
-class ImageEntry:
+class ImageEntry(_Entry):
     """One image of a set: light, posture, exposure, and its files; at least one of those in a valid set."""
 
     light: str
@@ -65,12 +75,9 @@ class ImageEntry:
             return self.exposure  # a set of others, which has its own words
         return self.exposure * share if 0.0 < share < math.inf else self.exposure
 
-    def as_dict(self) -> dict[str, Any]:
-        return _entry_facts(self)
-
 
 @dataclass(frozen=True)
-class GeometryEntry:
+class GeometryEntry(_Entry):
     """The geometry image of a posture: file relative to the set's folder, SHA-256 in hex under ``exr``."""
 
     posture: Posture
@@ -78,44 +85,26 @@ class GeometryEntry:
     sha256: Mapping[str, str] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
 
-    def as_dict(self) -> dict[str, Any]:
-        return _entry_facts(self)
-
-
-def _entry_facts(entry: ImageEntry | GeometryEntry) -> dict[str, Any]:
-    facts = {**vars(entry), "posture": entry.posture.as_dict(), "sha256": dict(entry.sha256) or None, "extra": None}
-    return {**{name: value for name, value in facts.items() if value is not None}, **entry.extra}
-
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """The content of ``manifest.json``.
+    """The content of ``manifest.json``."""
 
-    kind: ``simulated`` or ``captured``.
-    full_scale: Grey level of a full-scale sensor level at exposure 1: the scale of the reflectance.
-    saturation_level: Sensor level from which a pixel counts as saturated; None is full scale.
-    black_level: Sensor level without light.
-    lightopt: Version that wrote the set; None in sets of other programs.
-    provenance: In the layout of :mod:`lightopt.core.provenance`; empty in sets of other programs.
-    files: Further files of the set (the patch table among them): name to SHA-256 in hex.
-    extra: Unknown keys of the JSON object, kept as they are.
-    """
-
-    kind: str
-    lightopt: str | None = None
+    kind: str  # simulated or captured
+    lightopt: str | None = None  # version that wrote the set; None in sets of other programs
     bit_depth: int
-    full_scale: float = 255.0
-    saturation_level: float | None = None
-    black_level: float = 0.0
+    full_scale: float = 255.0  # grey level of a full-scale sensor level at exposure 1: the scale of the reflectance
+    saturation_level: float | None = None  # sensor level from which a pixel counts as saturated; None is full scale
+    black_level: float = 0.0  # sensor level without light
     rig: SourceFile | None = None
     part: SourceFile | None = None
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # as lightopt.core.provenance; of others empty
     images: tuple[ImageEntry, ...] = ()
     geometry: tuple[GeometryEntry, ...] = ()
     patches: str | None = None
-    files: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)  # further ones (patch table among them) to SHA-256 in hex
     warnings: tuple[str, ...] = ()
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)  # unknown keys of the JSON object, kept as they are
 
     @property
     def options(self) -> Mapping[str, Any]:
@@ -228,9 +217,7 @@ class _Fields:
         place = self.place(key) or "manifest"
         self.problems.append(f"{self.path}: {place}: expected {expected}, found {found_text}")
 
-    def number(
-        self, key: str, default: float | None = None, *, above: float = -math.inf, upto: float = math.inf
-    ) -> float:
+    def number(self, key: str, default: float | None = None, above: float = -math.inf, upto: float = math.inf) -> float:
         """Read a number in (above, upto]; required when there is no default."""
         value = self.data.get(key, default)
         good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
@@ -303,9 +290,8 @@ def _manifest(top: _Fields) -> Manifest:
     files = top.texts("files")
     for name in files:
         top.require_inside("files", name)
-    saturation = None
-    if top.data.get("saturation_level") is not None:
-        saturation = top.number("saturation_level", above=0, upto=max_level)
+    given = top.data.get("saturation_level") is not None
+    saturation = top.number("saturation_level", above=0, upto=max_level) if given else None
     return Manifest(
         kind=kind,
         bit_depth=int(bits),
@@ -326,10 +312,8 @@ def _manifest(top: _Fields) -> Manifest:
 
 
 def _source(top: _Fields, key: str) -> SourceFile | None:
-    if top.data.get(key) is None:
-        return None
-    source = top.inner(key, top.data[key])
-    return SourceFile(file=source.text("file"), sha256=source.text("sha256"))
+    source = None if top.data.get(key) is None else top.inner(key, top.data[key])
+    return source and SourceFile(file=source.text("file"), sha256=source.text("sha256"))
 
 
 def _posture(entry: _Fields) -> Posture:
@@ -341,28 +325,16 @@ def _posture(entry: _Fields) -> Posture:
 
 
 def _image(item: _Fields) -> ImageEntry:
-    entry = ImageEntry(
-        light=item.text("light"),
-        light_elevation_deg=item.number("light_elevation_deg"),
-        light_azimuth_deg=item.number("light_azimuth_deg"),
-        posture=_posture(item),
-        exposure=item.number("exposure", above=0),
-        png=item.file("png"),
-        exr=item.file("exr"),
-        sha256=item.texts("sha256"),
-        extra=item.unknown(ImageEntry),
-    )
-    if entry.png is None and entry.exr is None:
+    light, angles = item.text("light"), (item.number("light_elevation_deg"), item.number("light_azimuth_deg"))
+    posture, exposure = _posture(item), item.number("exposure", above=0)
+    png, exr, hashes = item.file("png"), item.file("exr"), item.texts("sha256")
+    if png is None and exr is None:
         item.problem("", "png or exr", None)
-    return entry
+    return ImageEntry(light, *angles, posture, exposure, png, exr, sha256=hashes, extra=item.unknown(ImageEntry))
 
 
 def _geometry(item: _Fields) -> GeometryEntry:
     if item.data.get("exr") is None:
         item.problem("exr", "a file", None)
-    return GeometryEntry(
-        posture=_posture(item),
-        exr=item.file("exr") or "",
-        sha256=item.texts("sha256"),
-        extra=item.unknown(GeometryEntry),
-    )
+    posture, exr, hashes = _posture(item), item.file("exr") or "", item.texts("sha256")
+    return GeometryEntry(posture, exr, sha256=hashes, extra=item.unknown(GeometryEntry))

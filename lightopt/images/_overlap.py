@@ -40,13 +40,10 @@ class Overlap:
         return int((self.count >= 2).sum())
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "posture": self.posture.as_dict(),
-            "exposure": self.exposure,
-            "saturated_px": dict(self.saturated),
-            "overlap_px": [{"lights": list(pair), "px": pixels} for pair, pixels in self.pairs.items()],
-            "saturated_in_two_or_more_px": self.pixels,
-        }
+        pairs = [{"lights": list(pair), "px": pixels} for pair, pixels in self.pairs.items()]
+        figures = {"saturated_px": dict(self.saturated), "overlap_px": pairs}
+        image = {"posture": self.posture.as_dict(), "exposure": self.exposure}
+        return {**image, **figures, "saturated_in_two_or_more_px": self.pixels}
 
 
 def find_overlaps(images: ImageSet) -> tuple[Overlap, ...]:
@@ -71,10 +68,9 @@ def _overlap(images: ImageSet, posture: Posture, exposure: float, entries: list[
         masks[entry.light] = image.saturated
         share = np.clip(image.levels / full, 0.0, 1.0).astype(np.float64)
         if total is not None and total.shape != share.shape:
-            raise InputError(
-                f"{where}: {entry.light} is {share.shape[1]} × {share.shape[0]} px, the images before it are "
-                f"{total.shape[1]} × {total.shape[0]}; expected images of one camera"
-            )
+            size, before = (f"{shape[1]} × {shape[0]}" for shape in (share.shape, total.shape))
+            sizes = f"{entry.light} is {size} px, the images before it are {before}"
+            raise InputError(f"{where}: {sizes}; expected images of one camera")
         total = share if total is None else total + share
     assert total is not None
     return Overlap(
@@ -108,15 +104,9 @@ def write_overlaps(overlaps: Sequence[Overlap], images: ImageSet, folder: Path, 
     Raises InputError: the folder holds overlaps of other images, and `force` is False; or a file cannot be written.
     """
     maps = {overlap_map_name(one.posture, one.exposure): one for one in overlaps}
-    result = ResultFolder(
-        folder,
-        provenance({"image_sets": [images.fingerprint]}, {}),
-        name="overlap.json",
-        format="lightopt-overlap/1",
-        what="overlaps",
-        also=tuple(maps),
-        force=force,
-    )
+    made_from = provenance({"image_sets": [images.fingerprint]}, {})
+    kind = {"name": "overlap.json", "format": "lightopt-overlap/1", "what": "overlaps"}
+    result = ResultFolder(folder, made_from, **kind, also=tuple(maps), force=force)
     for name, one in maps.items():
         write_overlap_map(one, result.place(name), overwrite=True)
     figures = result.finish({"overlaps": [one.as_dict() for one in overlaps]})

@@ -53,10 +53,8 @@ class ImageSet:
         """
         read = [name for i in self.images if (name := i.png or i.exr) is not None]
         read += [name for name in self.manifest.files if name.endswith(".png")]  # frames without light
-        return {
-            "manifest_sha256": file_sha256(self.path(MANIFEST_NAME)),
-            "images_sha256": files_sha256(self.folder, read),
-        }
+        manifest = file_sha256(self.path(MANIFEST_NAME))
+        return {"manifest_sha256": manifest, "images_sha256": files_sha256(self.folder, read)}
 
     def load(self, entry: ImageEntry) -> LoadedImage:
         """Read an image, by its PNG where there is one; InputError: missing, damaged, or beyond the bit depth."""
@@ -75,10 +73,10 @@ class ImageSet:
         sensor = read_png(self.path(name))
         highest = int(sensor.max())
         if highest > manifest.max_level or np.iinfo(sensor.dtype).max < manifest.max_level:
+            expected = f"right-aligned levels of {manifest.bit_depth} bits (up to {manifest.max_level})"
             raise InputError(
-                f"{self.path(name)}: expected right-aligned levels of {manifest.bit_depth} bits (up to "
-                f"{manifest.max_level}), found {sensor.dtype} up to {highest}; correct bit_depth in the "
-                "manifest or deliver the levels unscaled"
+                f"{self.path(name)}: expected {expected}, found {sensor.dtype} up to {highest}; correct bit_depth in "
+                "the manifest or deliver the levels unscaled"
             )
         scale = manifest.full_scale / (manifest.max_level * entry.held_exposure)
         levels = ((sensor.astype(np.float64) - manifest.black_level) * scale).astype(np.float32)
@@ -106,8 +104,7 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
 
     With `verify` all files must be there, with the hashes listed where there are any.
 
-    Raises InputError: the manifest is missing or wrong, or files are missing or changed; with one message per
-    problem.
+    Raises InputError: the manifest is missing or wrong, or files are missing or changed; with one message per problem.
     """
     path = Path(path)
     manifest_path = path / MANIFEST_NAME if path.is_dir() else path
@@ -120,10 +117,9 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
             "sets, says how to write one for pictures that another program took"
         )
     image_set = ImageSet(folder=manifest_path.parent, manifest=read_manifest(manifest_path))
-    if verify:
-        listed = image_set.manifest.listed_files
-        if problems := [text for name, digest in listed if (text := _file_problem(image_set.path(name), digest))]:
-            raise InputError(*problems)
+    listed = image_set.manifest.listed_files if verify else ()
+    if problems := [text for name, digest in listed if (text := _file_problem(image_set.path(name), digest))]:
+        raise InputError(*problems)
     return image_set
 
 

@@ -68,8 +68,8 @@ class ImageSetWriter:
 
     def done(self, light: str, posture: Posture, exposure: float) -> bool:
         """Whether an image is listed and its files are there with the hashes listed."""
-        entry = next((e for e in self.manifest.images if e.key == (light, posture, exposure)), None)
-        return entry is not None and all(self._intact(name, digest) for name, digest in entry.files)
+        found = (e for e in self.manifest.images if e.key == (light, posture, exposure))
+        return any(all(self._intact(name, digest) for name, digest in entry.files) for entry in found)
 
     def linear_done(self, light: str, posture: Posture) -> bool:
         """Whether the linear image of a light and posture is listed and intact."""
@@ -147,12 +147,11 @@ class ImageSetWriter:
     def _images_sharing(self, entry: ImageEntry, digest: str) -> tuple[ImageEntry, ...]:
         # the listed images; those of the entry's light and posture with the linear image that was written for it
         exr = file_names.exr_name(entry.light, entry.posture)
-        return tuple(
-            replace(e, exr=exr, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
-            if e.key[:2] == entry.key[:2]
-            else e
-            for e in self.manifest.images
-        )
+        images = list(self.manifest.images)
+        for i, e in enumerate(images):
+            if e.key[:2] == entry.key[:2]:
+                images[i] = replace(e, exr=exr, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
+        return tuple(images)
 
     def add_levels(self, name: str, levels: UInt8 | NDArray[np.uint16], *, metadata: Mapping[str, Any]) -> None:
         """Write camera levels (H, W) that are no image of a light (a dark frame) as a further file, then list it."""
@@ -247,21 +246,15 @@ class ImageSetWriter:
         # path of a file, refused where one that this run has not written may not be overwritten
         path = self.folder / name
         if not self._may_overwrite and name not in self._verified and path.exists():
-            raise InputError(
-                f"{path}: exists but belongs to no image set; "
-                "use option 'force' to overwrite it, or choose another output folder"
-            )
+            advice = "use option 'force' to overwrite it, or choose another output folder"
+            raise InputError(f"{path}: exists but belongs to no image set; {advice}")
         return path
 
     def _intact(self, name: str, digest: str | None) -> bool:
-        if digest is None:
-            return False
-        if name not in self._verified:
-            try:
+        if digest is not None and name not in self._verified:
+            with contextlib.suppress(OSError):
                 self._verified[name] = file_sha256(self.folder / name)
-            except OSError:
-                return False
-        return self._verified[name] == digest
+        return digest is not None and self._verified.get(name) == digest
 
     def _origin(self) -> dict[str, Any]:
         return {"lightopt": self.manifest.lightopt, "kind": self.manifest.kind}
@@ -272,11 +265,9 @@ class ImageSetWriter:
         facts["full_scale"] = self.manifest.full_scale
         if linear:  # the same whatever the exposure
             return {key: value for key, value in facts.items() if key != "exposure" and key not in entry.extra}
-        return facts | {
-            "bit_depth": self.manifest.bit_depth,
-            "saturation_level": self.manifest.saturated_from,
-            "black_level": self.manifest.black_level,
-        }
+        saturation, black = self.manifest.saturated_from, self.manifest.black_level
+        sensor = {"bit_depth": self.manifest.bit_depth, "saturation_level": saturation, "black_level": black}
+        return {**facts, **sensor}
 
     def _save(self, **changes: Any) -> None:
         manifest = replace(self.manifest, **changes)
@@ -310,9 +301,8 @@ def remove_set(folder: Path, header: Manifest) -> int:
     if manifest is None:
         return 0
     if manifest.kind == "captured" and header.kind != "captured":
-        raise InputError(
-            f"{folder}: holds captured images, which {header.kind} ones never replace; choose another output folder"
-        )
+        why = f"holds captured images, which {header.kind} ones never replace"
+        raise InputError(f"{folder}: {why}; choose another output folder")
     return _remove_files(folder, manifest)
 
 

@@ -2,6 +2,7 @@
 
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.estimate.rig_calibration import CharucoBoard, white_areas
@@ -47,17 +48,13 @@ def board_sheet(target: CharucoBoard, path: str | Path, *, paper: str | None = N
         below = 0.5 * (sheet[1] + _CAPTION)
         axes.set_xlim(-0.5 * sheet[0], 0.5 * sheet[0])
         axes.set_ylim(-below, sheet[1] - below)
-        axes.fill(
-            *_rectangle(-0.5 * width, -0.5 * height, 0.5 * width, 0.5 * height),
-            color="black",
-            linewidth=0.0,
-            antialiased=False,
-        )
+        black: dict[str, Any] = {"color": "black", "linewidth": 0.0, "antialiased": False}
+        axes.fill(*_rectangle(-0.5 * width, -0.5 * height, 0.5 * width, 0.5 * height), **black)
         white = [list(zip(*_rectangle(*area), strict=True)) for area in white_areas(target)]
         axes.add_collection(PolyCollection(white, facecolors="white", linewidths=0.0, antialiaseds=False))
         bar = max(length for length in (100.0, 50.0, 20.0, 10.0, 5.0) if length <= max(width, 5.0))
         left, line = -0.5 * width, -0.5 * height - 4.0
-        axes.fill(*_rectangle(left, line - 1.0, left + bar, line), color="black", linewidth=0.0, antialiased=False)
+        axes.fill(*_rectangle(left, line - 1.0, left + bar, line), **black)
         text = f"The bar is {bar:g} mm long. {target}"
         axes.text(left, line - 3.0, text, fontsize=min(7.0, 0.05 * width), va="top")
         drawn = BytesIO()

@@ -48,46 +48,28 @@ def _half(measured: Measured) -> float:
 def calibration_report(found: RigCalibration, figures: Mapping[str, Any]) -> str:
     """The page as HTML; `figures` is the content of calibration.json."""
     lead: list[Block] = [Answer(figure=f"{what.capitalize()}:", text=text) for what, text in calibration_lines(found)]
-    unobservable = found.unobservable
-    if unobservable:
+    if unobservable := found.unobservable:
         lead.append(Warnings(texts=[f"the images do not show {name}; it is as filed" for name in unobservable]))
     lead.append(Warnings(texts=found.warnings))
-    page = Page(
-        title=f"Calibration of {found.rig.name}",
-        subtitle=f"{found.rig.source.path.name}; intervals hold with a probability of 95 %",
-        lead=lead,
-        sections=[*_sections(found), _values(figures)],
-    )
-    return page_html(page)
+    rows = [[name, f"{low:.6g}", f"{high:.6g}"] for name, (low, high) in figures["intervals_95"].items()]
+    values = Section(heading="Intervals", blocks=[Table(header=["value", "from", "to"], rows=rows)])
+    subtitle = f"{found.rig.source.path.name}; intervals hold with a probability of 95 %"
+    title = f"Calibration of {found.rig.name}"
+    return page_html(Page(title=title, subtitle=subtitle, lead=lead, sections=[*_sections(found), values]))
 
 
 def _sections(found: RigCalibration) -> Iterator[Section]:
     if (board := found.board) is not None:
-        rows = [
-            [
-                str(view.posture),
-                str(view.corners),
-                f"{view.median:.3f}",
-                f"{view.rms:.3f}",
-                str(view.outliers),
-                "does not fit" if view.faulty else "",
-            ]
-            for view in board.residuals
-        ]
+        rows: list[list[str]] = []
+        for view in board.residuals:
+            pixels = f"{view.median:.3f}", f"{view.rms:.3f}"
+            fault = "does not fit" if view.faulty else ""
+            rows.append([str(view.posture), str(view.corners), *pixels, str(view.outliers), fault])
         header = ["posture", "corners", "median [px]", "rms [px]", "left out", ""]
-        caption = (
-            "Found less predicted corners of all views, on the image; a pattern means another lens or a bent board."
-        )
-        blocks: list[Block] = [
-            Picture(
-                png=png_bytes(residual_map(board, found.camera.width, found.camera.height)),
-                alt=caption,
-                caption=caption,
-            ),
-            Table(header=header, rows=rows),
-        ]
-        if board.next_posture is not None:
-            gain = board.next_posture
+        shown = "Found less predicted corners of all views, on the image; a pattern means another lens or a bent board."
+        png = png_bytes(residual_map(board, found.camera.width, found.camera.height))
+        blocks: list[Block] = [Picture(png=png, alt=shown, caption=shown), Table(header=header, rows=rows)]
+        if (gain := board.next_posture) is not None:
             text = (
                 f"Of further postures {gain.posture} would help most: pixels would be predicted to "
                 f"{gain.predicted_rms:.2g} px instead of {board.predicted_rms:.2g} px."
@@ -99,19 +81,12 @@ def _sections(found: RigCalibration) -> Iterator[Section]:
         filed = {light.name: light for light in found.filed}
         rows = []
         for light, width in zip(ball.lights, ball.half_widths_95, strict=True):
-            rows.append(
-                [
-                    light.name,
-                    ", ".join(f"{c:.2f}" for c in light.centre),
-                    f"{float(np.linalg.norm(width[:3])):.2f}",
-                    f"{math.degrees(float(np.linalg.norm(width[3:5]))):.2f}",
-                    " × ".join(f"{side:.2f}" for side in light.size),
-                    f"{float(np.linalg.norm(light.centre - filed[light.name].centre)):.2f}",
-                ]
-            )
-        left_out = [
-            Note(text=f"Left out, since it fits no pose: {name} at {posture}.") for posture, name in ball.left_out
-        ]
+            centre, size = ", ".join(f"{c:.2f}" for c in light.centre), " × ".join(f"{side:.2f}" for side in light.size)
+            place, turn = float(np.linalg.norm(width[:3])), math.degrees(float(np.linalg.norm(width[3:5])))
+            moved = float(np.linalg.norm(light.centre - filed[light.name].centre))
+            rows.append([light.name, centre, f"{place:.2f}", f"{turn:.2f}", size, f"{moved:.2f}"])
+        texts = [f"Left out, since it fits no pose: {name} at {posture}." for posture, name in ball.left_out]
+        left_out = [Note(text=text) for text in texts]
         yield Section(heading="Panels", blocks=[Table(header=header, rows=rows), *left_out])
     if (plate := found.plate) is not None:
         rows = [
@@ -120,30 +95,22 @@ def _sections(found: RigCalibration) -> Iterator[Section]:
         ]
         (v2, v4), exponent = plate.vignetting, plate.emission_exponent
         decided = "" if plate.fall_off_decided else ", as filed: not decided"
-        facts = Facts(
-            rows=[
-                ("fall-off", plate.fall_off + decided),
-                ("emission exponent", f"{exponent.value:.2f} ± {_half(exponent):.2f}"),
-                ("vignetting", f"1 + {v2.value:.4f}·ρ² + {v4.value:.4f}·ρ⁴"),
-                ("residuals, in the errors claimed", f"{plate.rms:.2f}"),
-            ]
-        )
-        yield Section(heading="Light", blocks=[Table(header=["light", "gain", "±"], rows=rows), facts])
+        facts = [
+            ("fall-off", plate.fall_off + decided),
+            ("emission exponent", f"{exponent.value:.2f} ± {_half(exponent):.2f}"),
+            ("vignetting", f"1 + {v2.value:.4f}·ρ² + {v4.value:.4f}·ρ⁴"),
+            ("residuals, in the errors claimed", f"{plate.rms:.2f}"),
+        ]
+        yield Section(heading="Light", blocks=[Table(header=["light", "gain", "±"], rows=rows), Facts(rows=facts)])
     if (sensor := found.sensor) is not None:
+        columns = sensor.exposures, sensor.means, sensor.variances, sensor.fitted
         rows = [
             [f"{exposure:.4g}", f"{mean:.2f}", f"{variance:.3f}", "" if fitted else "left out"]
-            for exposure, mean, variance, fitted in zip(
-                sensor.exposures, sensor.means, sensor.variances, sensor.fitted, strict=True
-            )
+            for exposure, mean, variance, fitted in zip(*columns, strict=True)
         ]
         header = ["exposure", "level above black", "variance [levels²]", ""]
-        facts = Facts(rows=[("deviation from a straight line", f"{sensor.linearity_error:.2g} % of the range")])
-        yield Section(heading="Sensor", blocks=[Table(header=header, rows=rows, numbers_from=0), facts])
-
-
-def _values(figures: Mapping[str, Any]) -> Section:
-    rows = [[name, f"{low:.6g}", f"{high:.6g}"] for name, (low, high) in figures["intervals_95"].items()]
-    return Section(heading="Intervals", blocks=[Table(header=["value", "from", "to"], rows=rows)])
+        facts = [("deviation from a straight line", f"{sensor.linearity_error:.2g} % of the range")]
+        yield Section(heading="Sensor", blocks=[Table(header=header, rows=rows, numbers_from=0), Facts(rows=facts)])
 
 
 @fixed_style()

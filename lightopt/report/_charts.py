@@ -16,7 +16,6 @@ LINE, MARK, SHADE = "#1f5fbf", "#c2410c", "#c2410c33"
 
 # Okabe and Ito (2008)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-
 WIDTH, PANEL_HEIGHT, TITLE_HEIGHT = 900, 350, 90  # of a chart and of one panel with its ticks [px]
 TITLE_SIZE, TEXT_SIZE = 19, 14  # [px]
 
@@ -31,17 +30,14 @@ def chart(
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    height = TITLE_HEIGHT + len(labels) * PANEL_HEIGHT
-    layout = ConstrainedLayoutEngine(w_pad=0.2, h_pad=0.15)
-    figure = Figure(figsize=(WIDTH / DPI, height / DPI), dpi=DPI, layout=layout)
-    figure.suptitle(
-        printable(fit_text(title, TITLE_SIZE, WIDTH - 60)), x=0.03, ha="left", color=INK, fontsize=TITLE_SIZE * POINT
-    )  # fmt: skip
+    size = WIDTH / DPI, (TITLE_HEIGHT + len(labels) * PANEL_HEIGHT) / DPI
+    figure = Figure(figsize=size, dpi=DPI, layout=ConstrainedLayoutEngine(w_pad=0.2, h_pad=0.15))
+    heading = printable(fit_text(title, TITLE_SIZE, WIDTH - 60))
+    figure.suptitle(heading, x=0.03, ha="left", color=INK, fontsize=TITLE_SIZE * POINT)
     panels: list[Axes] = list(figure.subplots(len(labels), 1, sharex=True, squeeze=False)[:, 0])
     for i, (panel, label) in enumerate(zip(panels, labels, strict=True)):
-        panel.set_title(
-            printable(fit_text(label, TEXT_SIZE, WIDTH - 130)), loc="left", color=SOFT, fontsize=TEXT_SIZE * POINT
-        )  # fmt: skip
+        name = printable(fit_text(label, TEXT_SIZE, WIDTH - 130))
+        panel.set_title(name, loc="left", color=SOFT, fontsize=TEXT_SIZE * POINT)
         panel.grid(color=FAINT, linewidth=POINT)
         panel.set_axisbelow(True)
         panel.tick_params(which="both", length=0, labelsize=TEXT_SIZE * POINT, labelcolor=SOFT)

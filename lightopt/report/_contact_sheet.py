@@ -12,26 +12,9 @@ from PIL import Image
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSet, ImageSetWriter, Manifest, read_image_set, sheet_name
-from lightopt.report._drawing import (
-    CAP_HEIGHT,
-    FAINT,
-    LINE_HEIGHT,
-    SOFT,
-    Drawing,
-    fit_text,
-    fixed_style,
-    hex_colour,
-    sub,
-    text_width,
-)
-from lightopt.report._images import (
-    SATURATED_COLOUR,
-    Thumbnail,
-    check_png_path,
-    shade_of_saturation,
-    thumbnail,
-    write_picture,
-)
+from lightopt.report import _drawing as drawings, _images as pictures
+from lightopt.report._drawing import CAP_HEIGHT, FAINT, LINE_HEIGHT, SOFT, Drawing, fit_text, text_width
+from lightopt.report._images import SATURATED_COLOUR, Thumbnail, check_png_path, write_picture
 
 EMPTY = "#f1f3f5"
 MARGIN, GAP = 36, 18
@@ -40,7 +23,6 @@ LINE = round(LINE_HEIGHT * TEXT)  # distance of lines of small text [px]
 
 # sides of a thumbnail [px]: many columns make them smaller, until they could not be told apart any more
 LARGEST, SMALLEST = 420, 240
-
 SHEET_WIDTH = 4000  # width that all thumbnails of a row may share before they become smaller [px]
 
 
@@ -64,7 +46,7 @@ def add_contact_sheets(
     return tuple(sheets)
 
 
-@fixed_style()
+@drawings.fixed_style()
 def contact_sheet(
     image_set: ImageSet,
     path: str | Path,
@@ -87,9 +69,8 @@ def contact_sheet(
     """
     path = check_png_path(path)
     shown = _exposure(image_set, exposure)
-    return write_picture(
-        path, _Sheet(image_set, shown, title or _names(image_set.manifest)).draw(), overwrite=overwrite
-    )
+    sheet = _Sheet(image_set, shown, title or _names(image_set.manifest))
+    return write_picture(path, sheet.draw(), overwrite=overwrite)
 
 
 class _Sheet:
@@ -140,15 +121,10 @@ class _Sheet:
 
     def _facts(self) -> str:
         manifest = self.manifest
-        facts = [
-            manifest.kind,
-            f"{counted(len(self.lights), 'light')} × {counted(len(self.postures), 'posture')}",
-            f"exposure {self.exposure:g}",
-            f"{manifest.bit_depth} bit, saturated from level {manifest.saturated_from:g}",
-        ]
-        if manifest.black_level:
-            facts.append(f"black level {manifest.black_level:g}")
-        return "   ·   ".join(facts)
+        number = f"{counted(len(self.lights), 'light')} × {counted(len(self.postures), 'posture')}"
+        sensor = f"{manifest.bit_depth} bit, saturated from level {manifest.saturated_from:g}"
+        black = [f"black level {manifest.black_level:g}"] if manifest.black_level else []
+        return "   ·   ".join([manifest.kind, number, f"exposure {self.exposure:g}", sensor, *black])
 
     def _draw_heads(self, drawing: Drawing) -> None:
         rule = self.top - GAP // 2
@@ -185,7 +161,7 @@ class _Sheet:
         if columns < width:  # a narrow image is framed, lest its black run into nothing
             drawing.rectangle((x, y, x + width - 1, y + height - 1), outline=FAINT, width=1.0)
         baseline = y + height + 8 + CAP_HEIGHT * TEXT
-        colour = hex_colour(SATURATED_COLOUR) if thumbnail.saturated else SOFT
+        colour = drawings.hex_colour(SATURATED_COLOUR) if thumbnail.saturated else SOFT
         drawing.text(x, baseline, saturation_text(thumbnail), size=TEXT, colour=colour)
         if len(self.positions(light)) > 1:
             note = light_position(self.entries[posture, light])
@@ -196,7 +172,7 @@ def entry_thumbnail(image_set: ImageSet, entry: ImageEntry, limit: int) -> Thumb
     """An image of a set as the camera delivered it, made small; neither side longer than `limit` [px]."""
     image = image_set.load(entry)
     share = image.levels * np.float32(entry.held_exposure / image_set.manifest.full_scale)
-    return thumbnail(share, image.saturated, limit=limit)
+    return pictures.thumbnail(share, image.saturated, limit=limit)
 
 
 def degrees(angle: float) -> str:
@@ -227,9 +203,8 @@ def _exposure(image_set: ImageSet, requested: float | None) -> float:
     # 1/3 typed as 0.3333333333 is the same exposure
     found = [value for value in known if math.isclose(value, requested, rel_tol=1e-6)]
     if not found:
-        raise InputError(
-            f"exposure: {image_set.folder} has no images at {requested:g}; it has {', '.join(f'{e:g}' for e in known)}"
-        )
+        there = ", ".join(f"{e:g}" for e in known)
+        raise InputError(f"exposure: {image_set.folder} has no images at {requested:g}; it has {there}")
     return found[0]
 
 
@@ -239,7 +214,8 @@ def _names(manifest: Manifest) -> str:
 
 
 def _posture_lines(posture: Posture) -> tuple[str, str]:
-    return (f"{sub('θ', 'j')} {degrees(posture.elevation_deg)}", f"{sub('φ', 'j')} {degrees(posture.rotation_deg)}")
+    theta, phi = drawings.sub("θ", "j"), drawings.sub("φ", "j")
+    return f"{theta} {degrees(posture.elevation_deg)}", f"{phi} {degrees(posture.rotation_deg)}"
 
 
 def _draw_rule(drawing: Drawing, y: float, colour: str) -> None:
@@ -252,19 +228,14 @@ def _draw_legend(drawing: Drawing, manifest: Manifest) -> None:
     levels = f"level {manifest.black_level:g} to {manifest.max_level}"
     averaged = "averaged over cells of pixels"
     ramp = np.linspace(0.0, 1.0, 180)[:, None]
-    tint = shade_of_saturation(ramp)
+    tint = pictures.shade_of_saturation(ramp)
+    grey, red = np.repeat(255.0 * ramp, 3, axis=1), tint * np.array(SATURATED_COLOUR) + (1.0 - tint) * 128.0
     # each with a long text and one for narrow sheets
+    long_grey = f"grey: {levels} shown linearly as black to white (screen values 0 to 255), {averaged}"
+    long_red = "red: share of saturated pixels in a cell, from a single one to all of them"
     bars = (
-        (
-            np.repeat(255.0 * ramp, 3, axis=1),
-            f"grey: {levels} shown linearly as black to white (screen values 0 to 255), {averaged}",
-            f"grey: {levels}, linear, {averaged}",
-        ),
-        (
-            tint * np.array(SATURATED_COLOUR) + (1.0 - tint) * 128.0,
-            "red: share of saturated pixels in a cell, from a single one to all of them",
-            "red: saturated pixels in a cell, from one to all",
-        ),
+        (grey, long_grey, f"grey: {levels}, linear, {averaged}"),
+        (red, long_red, "red: saturated pixels in a cell, from one to all"),
     )
     height = round(CAP_HEIGHT * TEXT) + 4
     top = y + GAP - 2

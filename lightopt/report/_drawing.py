@@ -112,16 +112,12 @@ def _rgb(canvas: FigureCanvasAgg) -> Image.Image:
 
 @dataclass(frozen=True, kw_only=True)
 class Label:
-    """What to write, and where it belongs.
-
-    anchor: The place named [px]
-    away: Preferred direction from the anchor to the label, of any length; None for any
-    """
+    """What to write, and where it belongs."""
 
     text: str
-    anchor: tuple[float, float]
+    anchor: tuple[float, float]  # the place named [px]
     colour: str
-    away: tuple[float, float] | None = None
+    away: tuple[float, float] | None = None  # preferred direction from the anchor to the label, of any length
 
 
 class Drawing:
@@ -163,8 +159,8 @@ class Drawing:
         """Draw a disc around a place of shape (2,); radius in [px]."""
         from matplotlib.patches import Circle
 
-        x, y = centre
-        self._add(Circle((float(x), float(y)), radius, facecolor=fill, edgecolor=outline, linewidth=1.5 * POINT))
+        x, y = centre.tolist()
+        self._add(Circle((x, y), radius, facecolor=fill, edgecolor=outline, linewidth=1.5 * POINT))
 
     def arrow(self, points: Points, *, colour: str, width: float = 2.0, head: float = 13.0) -> None:
         """Draw a polyline that ends in an arrow head of the given length [px]; a short line gets a smaller one."""
@@ -174,13 +170,10 @@ class Drawing:
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         if length < 1.0:
             return
-        self._add(
-            FancyArrowPatch(
-                path=Polyline(points), arrowstyle="-|>,head_length=0.9,head_width=0.27", color=colour,
-                mutation_scale=min(head, 0.6 * length) * POINT, linewidth=width * POINT, shrinkA=0.0, shrinkB=0.0,
-                capstyle="butt", joinstyle="miter",
-            )
-        )  # fmt: skip
+        shape: dict[str, Any] = {"shrinkA": 0.0, "shrinkB": 0.0, "capstyle": "butt", "joinstyle": "miter"}
+        style, size = "-|>,head_length=0.9,head_width=0.27", min(head, 0.6 * length) * POINT
+        line: dict[str, Any] = {"path": Polyline(points), "color": colour, "linewidth": width * POINT}
+        self._add(FancyArrowPatch(arrowstyle=style, mutation_scale=size, **line, **shape))
 
     def picture(self, picture: UInt8, left: int, top: int) -> None:
         """Lay an RGB or RGBA picture over the drawing, pixel on pixel."""
@@ -209,11 +202,9 @@ class Drawing:
         from matplotlib.text import Text
 
         effects = [] if halo is None else [withStroke(linewidth=0.3 * size * POINT, foreground=halo)]
-        written = Text(
-            x, baseline, printable(text), fontsize=size * POINT, color=colour, horizontalalignment=align,
-            verticalalignment="baseline", parse_math=_MATH in text, path_effects=effects,
-        )  # fmt: skip
-        self._add(written)
+        style: dict[str, Any] = {"color": colour, "horizontalalignment": align, "verticalalignment": "baseline"}
+        letters: dict[str, Any] = {"fontsize": size * POINT, "parse_math": _MATH in text, "path_effects": effects}
+        self._add(Text(x, baseline, printable(text), **letters, **style))
 
     def labels(self, labels: Sequence[Label], *, size: float, bounds: Box) -> list[Box]:
         """Write labels within bounds, none on another and as little as possible on what is drawn; where they stand.
@@ -249,7 +240,6 @@ class Drawing:
 
 # distances from a label to its anchor that are tried [px], each in so many directions
 _RADII = (6, 12, 20, 30, 44, 62, 85, 115, 155, 210, 280, 370, 480, 620, 800)
-
 _DIRECTIONS = 24
 _SPACE = 4  # least distance of two labels [px]
 _LEADER = 34  # from this distance on a thin line leads from the anchor to the label [px]

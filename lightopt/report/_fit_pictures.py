@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
-from lightopt.core.arrays import Float32, UInt8
+from lightopt.core.arrays import Float32
+from lightopt.images.comparison import diverging
 from lightopt.report._charts import LINE, MARK, SHADE, chart, label_whole_numbers
 from lightopt.report._drawing import SOFT, Drawing, figure_image, fixed_style
 from lightopt.report._images import write_picture
@@ -24,25 +24,18 @@ RESIDUAL_SCALE = 0.08  # difference of the full colours, as a share of the senso
 
 # where R_s runs away, no highlight of that width fits [grey level]; such points of the ridge are not drawn
 RUNAWAY = 1e11
-
 LEGEND_HEIGHT = 24
-_BELOW, _EQUAL, _ABOVE = (33, 102, 172), (247, 247, 247), (178, 24, 43)
 
 
 @fixed_style()
 def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
-    """Draw how a fit came about: the ridge of R_s and σ, or the rounds of the paper's procedure.
-
-    place: Called for the path of the PNG where there is something to draw; None is returned where there is not.
-    """
+    """Draw a fit's ridge of R_s and σ, or the paper's rounds, into the PNG `place()`; None where nothing is to draw."""
     from lightopt.estimate.reflectance import PaperDiffuse, PaperSpecular
 
     if isinstance(result.paper, PaperSpecular):
         figure = _paper_sweep(result.paper)
-    elif isinstance(result.paper, PaperDiffuse):
-        figure = _paper_rounds(result.paper)
     else:
-        figure = _ridge(result)
+        figure = _paper_rounds(result.paper) if isinstance(result.paper, PaperDiffuse) else _ridge(result)
     return None if figure is None else write_picture(place(), figure_image(figure))
 
 
@@ -78,8 +71,8 @@ def _ridge(result: FitResult) -> Figure | None:
 
 def _paper_rounds(record: PaperDiffuse) -> Figure:
     labels = "R_d [grey level]", "D, difference of the mean brightness [grey level]"
-    figure, panels = chart(title="R_d, round by round (section 4.2)", x_label="round", labels=labels)
-    coefficient, difference = panels
+    title = "R_d, round by round (section 4.2)"
+    figure, (coefficient, difference) = chart(title=title, x_label="round", labels=labels)
     rounds = np.arange(1, len(record.iterations) + 1)
     coefficient.plot(rounds, [i[0] for i in record.iterations], ".-", color=LINE)
     difference.plot(rounds, [i[2] for i in record.iterations], ".-", color=LINE)
@@ -130,12 +123,3 @@ def residual_picture(
     legend.text(width - 4.0, 17.0, f"+{scale:.3g} levels", size=13, colour="#ffffff", align="right")
     picture = np.concatenate([diverging(difference / scale), np.asarray(legend.image())])
     return write_picture(Path(path), Image.fromarray(picture))
-
-
-def diverging(shares: NDArray[np.floating[Any]]) -> UInt8:
-    """Colours of shares from −1, blue, over 0, white, to 1, red; shape of the shares and 3."""
-    channels = [
-        np.interp(shares, [-1.0, 0.0, 1.0], [low, middle, high])
-        for low, middle, high in zip(_BELOW, _EQUAL, _ABOVE, strict=True)
-    ]
-    return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)

@@ -4,6 +4,7 @@ import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,14 +44,11 @@ FAINTEST_MARK = 0.4
 
 @dataclass(frozen=True)
 class Thumbnail:
-    """A small picture of an image: RGB, shape (rows, columns, 3), read-only.
+    """A small picture of an image."""
 
-    saturated, pixels: Number of saturated pixels and of all pixels in the image
-    """
-
-    picture: UInt8
-    saturated: int
-    pixels: int
+    picture: UInt8  # RGB, shape (rows, columns, 3), read-only
+    saturated: int  # number of saturated pixels in the image
+    pixels: int  # number of all its pixels
 
 
 def thumbnail(level: NDArray[np.floating], saturated: Bool, *, limit: int) -> Thumbnail:
@@ -74,7 +72,7 @@ def thumbnail(level: NDArray[np.floating], saturated: Bool, *, limit: int) -> Th
 def shrunk(picture: UInt8 | NDArray[np.uint8 | np.uint16], *, limit: int) -> UInt8:
     """A colour picture of 8 bits, shape (rows, columns, 3), by means of square cells; no side longer than `limit`."""
     shrink, _ = _factors(picture.shape[1], picture.shape[0], limit)
-    channels = [_cell_means(picture[..., k].astype(np.float64), shrink) for k in range(3)]
+    channels = [_cell_means(picture[..., k], shrink) for k in range(3)]
     return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)
 
 
@@ -88,10 +86,9 @@ def _factors(width: int, height: int, limit: int) -> tuple[int, int]:
     return max(1, math.ceil(longest / limit)), max(1, limit // longest)
 
 
-def _cell_means(values: NDArray[np.floating] | Bool, side: int) -> Float64:
+def _cell_means(values: NDArray[Any], side: int) -> Float64:
     """Means over cells of side × side pixels; cells cut by the border are averaged over what is there of them."""
-    rows = np.arange(0, values.shape[0], side)
-    columns = np.arange(0, values.shape[1], side)
+    rows, columns = (np.arange(0, length, side) for length in values.shape)
     cells = np.add.reduceat(values.astype(np.float64), rows, axis=0)
     sums: Float64 = np.add.reduceat(cells, columns, axis=1)
     return sums / np.outer(np.diff(rows, append=values.shape[0]), np.diff(columns, append=values.shape[1]))

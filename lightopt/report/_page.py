@@ -14,19 +14,12 @@ from urllib.parse import quote
 
 from PIL import Image
 
+from lightopt.report import _surface as surfaces
 from lightopt.report._images import png_bytes
-from lightopt.report._surface import (
-    ColouredSurface,
-    SurfaceLayer,
-    simplified,
-    surface_data,
-    surface_head,
-    surface_still,
-)
+from lightopt.report._surface import ColouredSurface, SurfaceLayer
 
 # the browser itself then refuses every request
 POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-
 KEYS = "Drag to turn, wheel to zoom, right button to move; keys on the picture: arrows, + and −, Home."
 WIDE = 8  # tables of more columns have narrow margins, and their cells may take several lines
 
@@ -62,17 +55,14 @@ class Facts:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of texts.
-
-    numbers_from: Columns from this one on are numbers, aligned to the right
-    links: Per row the file that its first cell leads to, relative to the page and with ``/`` between folders, empty
-        for none; no links at all where no row has one
-    """
+    """A table of texts."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
-    numbers_from: int = 1
+    numbers_from: int = 1  # columns from this one on are numbers, aligned to the right
     caption: str = ""
+    # per row the file that its first cell leads to, relative to the page and with / between folders, empty for none; no
+    # links at all where no row has one
     links: Sequence[str] = ()
 
 
@@ -126,17 +116,14 @@ class Page:
 
 
 def page_html(page: Page) -> str:
-    """The page as HTML; the same page gives the same text. Every text is escaped: names may contain anything.
-
-    Sections without blocks are left out.
-    """
+    """The page as HTML, the same for the same page, without empty sections; escaped, as names may contain anything."""
     sections = [section for section in page.sections if section.blocks]
     links = [f'<a href="#s{i}">{escape(section.heading)}</a>' for i, section in enumerate(sections, start=1)]
     parts = [*map(_block, page.lead), f'<nav aria-label="Contents">{" ".join(links)}</nav>']
     for i, section in enumerate(sections, start=1):
         own = ' class="own-page"' * section.own_page
-        parts += [f'<section id="s{i}"{own}>', f"<h2>{escape(section.heading)}</h2>"]
-        parts += [*map(_block, section.blocks), "</section>"]
+        heading = f'<section id="s{i}"{own}>', f"<h2>{escape(section.heading)}</h2>"
+        parts += [*heading, *map(_block, section.blocks), "</section>"]
     parts += ["</main>"]
     blocks = (*page.lead, *(block for section in sections for block in section.blocks))
     if any(isinstance(block, SurfaceView) for block in blocks):
@@ -195,10 +182,8 @@ def _table(table: Table) -> str:
         texts = [escape(cell) for cell in cells]
         if href:
             texts[0] = f'<a href="{quote(href)}">{texts[0]}</a>'
-        marked = (
-            f"<{tag}{' class=number' if i >= table.numbers_from else ''}>{text}</{tag}>" for i, text in enumerate(texts)
-        )
-        return f"<tr>{''.join(marked)}</tr>"
+        begins = [f"<{tag}{' class=number' if i >= table.numbers_from else ''}>" for i in range(len(texts))]
+        return f"<tr>{''.join(f'{begin}{text}</{tag}>' for begin, text in zip(begins, texts, strict=True))}</tr>"
 
     links = table.links or [""] * len(table.rows)
     body = "\n".join(row(cells, "td", href) for cells, href in zip(table.rows, links, strict=True))
@@ -236,8 +221,8 @@ def _optional(tag: str, text: str) -> str:
 
 
 def _surface(view: SurfaceView) -> str:
-    surface, grid = simplified(view.surface)
-    still = _image(Picture(png=png_bytes(surface_still(surface)), alt=view.alt), css=' class="still"')
+    surface, grid = surfaces.simplified(view.surface)
+    still = _image(Picture(png=png_bytes(surfaces.surface_still(surface)), alt=view.alt), css=' class="still"')
     caption = view.caption
     if grid:
         caption += (
@@ -259,8 +244,8 @@ def _surface(view: SurfaceView) -> str:
 <p class="note">{escape(KEYS)}</p></div>
 </div></div>
 {_optional("figcaption", caption.strip())}
-<script type="application/json" class="head">{surface_head(surface)}</script>
-<script type="application/octet-stream" class="data">{surface_data(surface)}</script>
+<script type="application/json" class="head">{surfaces.surface_head(surface)}</script>
+<script type="application/octet-stream" class="data">{surfaces.surface_data(surface)}</script>
 </figure>"""
 
 

@@ -14,19 +14,17 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.lights import panel_corners
 from lightopt.rendering import cast_rays_at
+from lightopt.report import _rig_elements as elements
 from lightopt.report._drawing import CAP_HEIGHT, FAINT, LINE_HEIGHT, SOFT, Box, Drawing, fit_text, fixed_style, sub
 from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._rig_elements import (
-    CAMERA,
     STAGE,
     CameraShape,
     Pen,
-    camera_shape,
     degrees,
     number,
     part_box,
     rig_size,
-    round_up,
     square,
     table_grid,
 )
@@ -36,7 +34,6 @@ from lightopt.scene import Scene, pixel_footprint
 MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
 # of more lights than that only a few get arcs, which would hide each other; all angles are in the table
 MOST_ARCS, FEW_ARCS = 6, 3
-
 _ARC = 0.4  # radius of elevation arcs, relative to the light's distance
 SIDE_WIDTH, EDGE = 500, 30
 HEAD, TEXT, LABEL = 20, 16, 17  # sizes of text [px]
@@ -58,8 +55,7 @@ def rig_drawing(scene: Scene, path: str | Path, *, overwrite: bool = True) -> Pa
     overwrite: Whether a file of other content may be replaced.
     Raises InputError: The file cannot be written, or one of other content is there and `overwrite` is False.
     """
-    path = check_png_path(path)
-    return write_picture(path, rig_image(scene), overwrite=overwrite)
+    return write_picture(check_png_path(path), rig_image(scene), overwrite=overwrite)
 
 
 @fixed_style()
@@ -67,7 +63,7 @@ def rig_image(scene: Scene) -> Image.Image:
     """The picture that :func:`rig_drawing` writes."""
     posture = scene.postures[0] if scene.postures else Posture(0.0, 0.0)
     caster = cast_rays_at(scene)
-    shape = camera_shape(scene.camera, 0.13 * rig_size(scene))
+    shape = elements.camera_shape(scene.camera, 0.13 * rig_size(scene))
     height = max(LEAST_HEIGHT, _stage_top(scene) + STAGE_HEIGHT + EDGE)
     drawing = Drawing(MAIN_WIDTH + SIDE_WIDTH, height)
     pen = Pen(drawing, _view(scene, shape, posture, height), [])
@@ -86,9 +82,9 @@ def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> Pa
     axes = np.diag(_axis_lengths(scene, half))
     panels = [panel_corners(light) for light in scene.lights]
     points = np.concatenate([table, shape.body, arrows, axes, part_box(scene, posture), shape.footprint, *panels])
-    elevation, azimuth = _best_side(scene, posture)
     # labels stand outside of what they name
     box = (MARGIN + 50.0, MARGIN + 20.0, MAIN_WIDTH - MARGIN - 50.0, height - MARGIN - 20.0)
+    elevation, azimuth = _best_side(scene, posture)
     return fit_view(points, elevation=elevation, azimuth=azimuth, box=box)
 
 
@@ -117,7 +113,9 @@ def _axis_lengths(scene: Scene, half: float) -> tuple[float, float, float]:
 def _draw_rig(scene: Scene, caster: RayCaster, shape: CameraShape, posture: Posture, pen: Pen) -> None:
     half, step = table_grid(scene, posture)
     pen.grid(half, step)
-    pen.polygon(shape.footprint, fill="#45535f20", outline=CAMERA, width=1.2)  # what the camera sees of the table
+    pen.polygon(
+        shape.footprint, fill="#45535f20", outline=elements.CAMERA, width=1.2
+    )  # what the camera sees of the table
     part = cast_part(scene, caster, posture, pen.view)
     # what lies on the table is drawn around the part, what stands up may pass in front of it
     pen = replace(pen, part=part)
@@ -203,13 +201,11 @@ def _vector(values: Float64) -> str:
 def _part_lines(scene: Scene) -> list[str]:
     low, high = scene.mesh.bounds
     size = " × ".join(number(float(f"{side:.3g}")) for side in high - low)
-    listed = [str(posture).replace("-", "−") for posture in scene.postures[:MOST_POSTURES]]
     lines = [f"{size} mm, pivot {_vector(scene.pivot)} mm"]
-    if scene.postures:
-        first = scene.postures[0]
+    for first in scene.postures[:1]:
         elevation, rotation = number(first.elevation_deg), number(first.rotation_deg)
         lines.append(f"drawn at {sub('θ', 'j')} {elevation}°, {sub('φ', 'j')} {rotation}°")
-    rest = listed[1:]
+    rest = [str(posture).replace("-", "−") for posture in scene.postures[1:MOST_POSTURES]]
     if len(scene.postures) > MOST_POSTURES:
         rest.append(f"{len(scene.postures) - MOST_POSTURES} more")
     return lines + [("other postures " if i == 0 else "") + ", ".join(rest[i : i + 3]) for i in range(0, len(rest), 3)]
@@ -227,9 +223,9 @@ def draw_stage(scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawi
     ends = np.concatenate([ends, pivot + reach * np.stack([rotary, -0.35 * rotary])])
     inner = (box[0] + 45, box[1] + 20, box[2] - 45, box[3] - 40)
     middle = corners.mean(axis=0)
-    half, step = round_up(1.05 * radius)
-    elevation, azimuth = _STAGE_VIEW
+    half, step = elements.round_up(1.05 * radius)
     shown = np.concatenate([corners, ends, square(half, middle)])
+    elevation, azimuth = _STAGE_VIEW
     view = fit_view(shown, elevation=elevation, azimuth=azimuth, box=inner)
     pen = Pen(drawing, view, [])
     pen.grid(half, step, centre=middle)

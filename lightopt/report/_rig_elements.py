@@ -22,18 +22,12 @@ _FARTHEST = 1.5  # rays that rise from the table or graze it are cut at this man
 
 @dataclass(frozen=True)
 class CameraShape:
-    """A camera to draw, in the world frame [mm]; corners from the image's top left clockwise.
+    """A camera to draw, in the world frame [mm]; corners from the image's top left clockwise."""
 
-    aperture: Front of its frustum, whose apex is the pinhole, shape (4, 3)
-    body: Corners of the housing behind the pinhole, four at the front, four at the back, shape (8, 3)
-    footprint: Where the image's border meets the table, `BORDER_STEPS` points per side, shape (n, 3)
-    arrow: Length of the arrows for image right and up
-    """
-
-    aperture: Float64
-    body: Float64
-    footprint: Float64
-    arrow: float
+    aperture: Float64  # front of its frustum, whose apex is the pinhole, shape (4, 3)
+    body: Float64  # corners of the housing behind the pinhole, four at the front, four at the back, shape (8, 3)
+    footprint: Float64  # where the image's border meets the table, `BORDER_STEPS` points per side, shape (n, 3)
+    arrow: float  # length of the arrows for image right and up
 
 
 def camera_shape(camera: PinholeCamera, size: float) -> CameraShape:
@@ -71,8 +65,7 @@ def part_box(scene: Scene, posture: Posture) -> Float64:
 
 def rig_size(scene: Scene) -> float:
     """Distance of the farthest light or, without lights, of the camera [mm]: what signs are sized by."""
-    distances = [light.distance for light in scene.lights] or [float(np.linalg.norm(scene.camera.position))]
-    return max(distances)
+    return max([light.distance for light in scene.lights] or [float(np.linalg.norm(scene.camera.position))])
 
 
 def square(half: float, centre: Float64) -> Float64:
@@ -102,20 +95,14 @@ def nice_step(span: float) -> float:
 
 @dataclass(frozen=True)
 class Pen:
-    """Draws world shapes [mm]; what stands behind the part is left out.
-
-    labels: What is to be written, the important first; collected while drawing
-    part: The part's picture, once it is known
-    """
+    """Draws world shapes [mm]; what stands behind the part is left out."""
 
     drawing: Drawing
     view: ParallelView
-    labels: list[Label]
-    part: PartPicture | None = None
+    labels: list[Label]  # what is to be written, the important first; collected while drawing
+    part: PartPicture | None = None  # the part's picture, once it is known
 
-    def line(
-        self, points: Float64, colour: str, width: float = 1.5, *, dash: tuple[float, float] | None = None
-    ) -> None:
+    def line(self, points: Float64, colour: str, width: float = 1.5, dash: tuple[float, float] | None = None) -> None:
         """Draw a polyline of shape (n, 3), dash and gap in [px]."""
         for piece in self._visible(points):
             self.drawing.line(self.view.place(piece), colour=colour, width=width, dash=dash)
@@ -134,22 +121,21 @@ class Pen:
 
     def label(self, text: str, anchor: Float64, colour: str, *, away_from: Float64 | None = None) -> None:
         """Name a place [mm], shape (3,), on the side turned away from another one."""
-        x, y = self.view.place(anchor)
+        x, y = self.view.place(anchor).tolist()
         away = None
         if away_from is not None:
-            ax, ay = self.view.place(away_from)
-            away = (float(x - ax), float(y - ay))
-        self.labels.append(Label(text=text, anchor=(float(x), float(y)), colour=colour, away=away))
+            from_x, from_y = self.view.place(away_from).tolist()
+            away = (x - from_x, y - from_y)
+        self.labels.append(Label(text=text, anchor=(x, y), colour=colour, away=away))
 
     def grid(self, half: float, step: float, centre: Float64 = ORIGIN) -> None:
         """Draw the table plane around a place as a grid; `half` a side is a multiple of the step [mm]."""
-        n = round(half / step)
-        cx, cy = centre[:2]
+        n, middle = round(half / step), centre * [1, 1, 0]
         side = n * step
         self.polygon(square(side, centre), fill="#f7f8fa")
         for i in range(-n, n + 1):
-            for a, b in (((i * step, -side), (i * step, side)), ((-side, i * step), (side, i * step))):
-                ends = np.array([[cx + a[0], cy + a[1], 0.0], [cx + b[0], cy + b[1], 0.0]])
+            for along, across in ((X, Y), (Y, X)):
+                ends = middle + np.stack([i * step * along - side * across, i * step * along + side * across])
                 self.drawing.line(self.view.place(ends), colour=GRID, width=1.0)
 
     def axes(self, lengths: tuple[float, float, float]) -> None:
@@ -201,11 +187,10 @@ class Pen:
             self.line(np.stack([camera.position, corner]), CAMERA, 1.1, dash=(7, 4))
         front, back = shape.body[:4], shape.body[4:]
         faces = [back, front, *(np.stack([front[i], front[i - 1], back[i - 1], back[i]]) for i in range(4))]
-        for face in sorted(faces, key=lambda f: float(self.view.nearness(f.mean(axis=0)))):
-            self.polygon(face, fill="#d9e0e6", outline=CAMERA, width=1.5)
         sides = [np.stack([camera.position, shape.aperture[i - 1], shape.aperture[i]]) for i in range(4)]
-        for face in sorted(sides, key=lambda f: float(self.view.nearness(f.mean(axis=0)))):
-            self.polygon(face, fill="#45535f30", outline=CAMERA, width=1.5)
+        for some, fill in ((faces, "#d9e0e6"), (sides, "#45535f30")):
+            for face in sorted(some, key=lambda f: float(self.view.nearness(f.mean(axis=0)))):
+                self.polygon(face, fill=fill, outline=CAMERA, width=1.5)
         self.label("camera", back.mean(axis=0), CAMERA, away_from=camera.position)
         for name, vector in (("image right", camera.right), ("image up", camera.up)):
             tip = camera.position + shape.arrow * vector

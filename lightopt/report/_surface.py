@@ -37,15 +37,11 @@ MOST_TRIANGLES = 500_000
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceClass:
-    """What some faces have in common, as the legend shows it.
-
-    colour: ``#rrggbb``
-    amount: How much of the surface it is; may be empty
-    """
+    """What some faces have in common, as the legend shows it."""
 
     label: str
-    colour: str
-    amount: str = ""
+    colour: str  # #rrggbb
+    amount: str = ""  # how much of the surface it is; may be empty
 
 
 def surface_classes(kinds: Iterable[tuple[str, str]], amounts: Iterable[str]) -> tuple[SurfaceClass, ...]:
@@ -56,41 +52,29 @@ def surface_classes(kinds: Iterable[tuple[str, str]], amounts: Iterable[str]) ->
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceLayer:
-    """One way to colour a surface.
-
-    of_face: Class of each face, index into `classes`, shape (m,), uint8
-    group: Heading above neighbouring layers of one kind; may be empty
-    """
+    """One way to colour a surface."""
 
     name: str
     classes: tuple[SurfaceClass, ...]
-    of_face: UInt8
-    group: str = ""
+    of_face: UInt8  # class of each face, index into `classes`, shape (m,)
+    group: str = ""  # heading above neighbouring layers of one kind; may be empty
 
     def __post_init__(self) -> None:
         if self.of_face.dtype != np.uint8 or (self.of_face.size and int(self.of_face.max()) >= len(self.classes)):
-            raise InputError(
-                f"layer {self.name}: expected uint8 below {len(self.classes)}, found {self.of_face.dtype} "
-                f"up to {self.of_face.max() if self.of_face.size else 'nothing'}"
-            )
+            found = f"{self.of_face.dtype} up to {self.of_face.max() if self.of_face.size else 'nothing'}"
+            raise InputError(f"layer {self.name}: expected uint8 below {len(self.classes)}, found {found}")
         object.__setattr__(self, "of_face", read_only(self.of_face))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ColouredSurface:
-    """A triangle mesh and the ways to colour it.
+    """A triangle mesh and the ways to colour it."""
 
-    vertices: In any right-handed frame [mm], shape (n, 3)
-    triangles: Corners of the faces, indices into `vertices`, shape (m, 3), int32
-    layers: At least one; the first is shown first
-    up, toward: Unit vectors, shape (3,): what points up, and from where the surface is seen first
-    """
-
-    vertices: Float64
-    triangles: Int32
-    layers: tuple[SurfaceLayer, ...]
-    up: Float64
-    toward: Float64
+    vertices: Float64  # in any right-handed frame [mm], shape (n, 3)
+    triangles: Int32  # corners of the faces, indices into `vertices`, shape (m, 3)
+    layers: tuple[SurfaceLayer, ...]  # at least one; the first is shown first
+    up: Float64  # unit vector of what points up, shape (3,)
+    toward: Float64  # unit vector to where the surface is seen from first, shape (3,)
 
     def __post_init__(self) -> None:
         for layer in self.layers:
@@ -126,8 +110,7 @@ def simplified(surface: ColouredSurface, *, most: int = MOST_TRIANGLES) -> tuple
             break
         cell *= max(1.05, math.sqrt(len(left) / most))
     layers = tuple(replace(layer, of_face=layer.of_face[left]) for layer in surface.layers)
-    vertices = low + places[first] * cell
-    return replace(surface, vertices=vertices, triangles=moved[left], layers=layers), cell
+    return replace(surface, vertices=low + places[first] * cell, triangles=moved[left], layers=layers), cell
 
 
 def eye_distance(surface: ColouredSurface) -> float:
@@ -137,12 +120,8 @@ def eye_distance(surface: ColouredSurface) -> float:
 
 
 def first_view(camera: PinholeCamera) -> Float64:
-    """Unit vector to the first viewpoint, shape (3,): towards the camera, but a third aside.
-
-    Not from straight above: that shows sides, too.
-    """
-    toward = camera.position / np.linalg.norm(camera.position)
-    mixed = toward + np.array([0.35, -0.9, 0.0])
+    """Unit vector to the first viewpoint, shape (3,): towards the camera, but a third aside, which shows sides, too."""
+    mixed = camera.position / np.linalg.norm(camera.position) + np.array([0.35, -0.9, 0.0])
     return mixed / np.linalg.norm(mixed)
 
 
@@ -163,13 +142,8 @@ def surface_head(surface: ColouredSurface) -> str:
 def surface_data(surface: ColouredSurface) -> str:
     """The surface in base64."""
     places = np.rint((surface.vertices - _middle(surface)) / _step(surface)).astype(np.int16)
-    data = b"".join(
-        [
-            _differences(surface.triangles.astype(np.int32)).astype("<i4").tobytes(),
-            _differences(places).astype("<i2").tobytes(),
-            *(layer.of_face.tobytes() for layer in surface.layers),
-        ]
-    )
+    columns = _differences(surface.triangles.astype(np.int32)).astype("<i4"), _differences(places).astype("<i2")
+    data = b"".join(array.tobytes() for array in (*columns, *(layer.of_face for layer in surface.layers)))
     return base64.b64encode(zlib.compress(data, 6)).decode("ascii")
 
 
@@ -184,8 +158,7 @@ def _middle(surface: ColouredSurface) -> Float64:
 
 
 def _step(surface: ColouredSurface) -> float:
-    half = 0.5 * float((surface.vertices.max(axis=0) - surface.vertices.min(axis=0)).max())
-    return max(half, 1e-9) / _STEPS
+    return max(0.5 * float(np.ptp(surface.vertices, axis=0).max()), 1e-9) / _STEPS
 
 
 def surface_still(surface: ColouredSurface) -> Image.Image:

@@ -12,9 +12,9 @@ from PIL import Image
 
 from lightopt.core.arrays import Float32
 from lightopt.estimate.verification import Finding, LightComparison, Verification
+from lightopt.images.comparison import diverging
 from lightopt.report._charts import COLOURS, MARK, chart, label_whole_numbers, name_lines
 from lightopt.report._drawing import figure_image, fixed_style
-from lightopt.report._fit_pictures import diverging
 from lightopt.report._images import png_bytes, shrunk, write_picture
 from lightopt.report._page import Answer, Facts, Gallery, Note, Page, Picture, Section, Table, Warnings, page_html
 
@@ -34,12 +34,10 @@ def findings_table(result: Verification) -> Table:
 def lights_table(result: Verification) -> Table:
     """Predicted against captured, a row for each light."""
 
-    def text(value: float | None, digits: int) -> str:
-        return "-" if value is None else f"{value:.{digits}f}"
-
     def cells(one: LightComparison) -> list[str]:
+        overlap = "-" if one.overlap is None else f"{one.overlap:.3f}"
         rest = (one.offset_px, one.offset_deg, one.residual, one.explained)
-        return [one.light, text(one.overlap, 3), *(text(value, 2) for value in rest)]
+        return [one.light, overlap, *("-" if value is None else f"{value:.2f}" for value in rest)]
 
     return Table(
         header=["light", "overlap (IoU)", "offset [px]", "offset [°]", "residual/noise", "explained"],
@@ -50,11 +48,7 @@ def lights_table(result: Verification) -> Table:
 
 
 def verification_report(result: Verification, *, part: str, rig: str, provenance: Mapping[str, Any]) -> str:
-    """The report as HTML.
-
-    part, rig: Names.
-    provenance: Of the result folder.
-    """
+    """The report as HTML; `part` and `rig` are names, `provenance` is that of the result folder."""
     remedies = [f"To tell {f.cause}: {f.remedy}." for f in result.findings if f.remedy]
     unseen = "Not observable in these images: " + (", ".join(result.unseen) or "nothing") + "."
     inputs: Mapping[str, Any] = provenance["inputs"]
@@ -62,41 +56,31 @@ def verification_report(result: Verification, *, part: str, rig: str, provenance
     facts.append(("compared with", "a known good set" if "baseline" in inputs else "the model"))
     facts += [(f"limit {name}", f"{value:g}") for name, value in result.limits.as_dict().items()]
     word = "Within tolerances" if result.within_tolerances else "Out of tolerances"
-    return page_html(
-        Page(
-            title=f"{word}: {rig}",
-            subtitle=f"{part} on {rig}, lightopt {provenance['lightopt']}",
-            lead=[Answer(figure=word, text=result.answer), Warnings(texts=result.warnings)],
-            sections=[
-                Section(
-                    heading="Causes",
-                    blocks=[
-                        findings_table(result) if result.findings else Note(text="Nothing differs."),
-                        *(Note(text=text) for text in (*remedies, unseen)),
-                    ],
-                ),
-                Section(heading="Lights", blocks=[lights_table(result)]),
-                Section(heading="What differs", blocks=[_gallery(result, 0, "as the rig file has it")]),
-                Section(heading="What the causes leave", blocks=[_gallery(result, 1, "with the causes")]),
-                Section(heading="Inputs and limits", blocks=[Facts(rows=facts)]),
-            ],
-        )
-    )
+    causes = findings_table(result) if result.findings else Note(text="Nothing differs.")
+    sections = [
+        Section(heading="Causes", blocks=[causes, *(Note(text=text) for text in (*remedies, unseen))]),
+        Section(heading="Lights", blocks=[lights_table(result)]),
+        Section(heading="What differs", blocks=[_gallery(result, 0, "as the rig file has it")]),
+        Section(heading="What the causes leave", blocks=[_gallery(result, 1, "with the causes")]),
+        Section(heading="Inputs and limits", blocks=[Facts(rows=facts)]),
+    ]
+    lead = [Answer(figure=word, text=result.answer), Warnings(texts=result.warnings)]
+    subtitle = f"{part} on {rig}, lightopt {provenance['lightopt']}"
+    return page_html(Page(title=f"{word}: {rig}", subtitle=subtitle, lead=lead, sections=sections))
 
 
 def _gallery(result: Verification, number: int, what: str) -> Gallery:
     lights = list(dict.fromkeys(light for _, light, _ in result.differences))
     rows = dict.fromkeys((posture, exposure) for posture, _, exposure in result.differences)
     several = len({exposure for _, exposure in rows}) > 1
+    table: list[tuple[str, list[Picture | None]]] = []
+    for posture, exposure in rows:
+        found = [result.differences.get((posture, light, exposure)) for light in lights]
+        pictures = [_picture(one, number, light) for one, light in zip(found, lights, strict=True)]
+        table.append((f"{posture}{f' ×{exposure:g}' if several else ''}", pictures))
     return Gallery(
         header=["posture", *lights],
-        rows=[
-            (
-                f"{posture}{f' ×{exposure:g}' if several else ''}",
-                [_picture(result.differences.get((posture, light, exposure)), number, light) for light in lights],
-            )
-            for posture, exposure in rows
-        ],
+        rows=table,
         caption=f"Captured minus predicted {what}: blue darker, red brighter, full colour at {FULL_COLOUR:g} standard "
         "deviations of noise and model; white where equal, saturated or off the part.",
     )
@@ -111,15 +95,11 @@ def _picture(difference: Float32 | None, number: int, light: str) -> Picture | N
 
 @fixed_style()
 def history_chart(rows: Sequence[Mapping[str, str]], path: Path) -> Path:
-    """Draw verifications over time: faults as shares of their limits, offset and residual of each light.
-
-    rows: Of :func:`lightopt.estimate.verification.append_history`.
-    """
+    """Draw the rows of ``append_history``: faults as shares of their limits, offset and residual of each light."""
     labels = ("size of each fault over its limit", "offset of the highlights [px]", "residual over noise")
     figure, panels = chart(title="Verifications of the rig", x_label="run", labels=labels)
-    for panel, suffix, missing in zip(
-        panels, ("/limit", " offset_px", " residual"), (0.0, math.nan, math.nan), strict=True
-    ):
+    kinds = (("/limit", 0.0), (" offset_px", math.nan), (" residual", math.nan))
+    for panel, (suffix, missing) in zip(panels, kinds, strict=True):
         names = list(dict.fromkeys(name for row in rows for name in row if name.endswith(suffix)))
         for number, name in enumerate(names):
             values = [float(row.get(name) or missing) for row in rows]

@@ -12,7 +12,7 @@ from lightopt.core.arrays import Bool, Float64, UInt8, read_only
 from lightopt.core.transforms import Posture, azimuth_tangent, direction, elevation_tangent
 from lightopt.geometry import RayCaster
 from lightopt.rendering import trace_samples
-from lightopt.report._drawing import Drawing
+from lightopt.report._drawing import Box, Drawing
 from lightopt.scene import PinholeCamera, Scene
 
 # the world frame's origin and axes
@@ -29,16 +29,12 @@ _CREASE_COS = 0.94  # neighbouring pixels whose normals differ by more than 20°
 
 @dataclass(frozen=True)
 class ParallelView:
-    """Orthographic view from (elevation, azimuth) [rad]; vectors are in the world frame, shape (3,).
-
-    scale: [px/mm]
-    offset: Where the world's origin lies on the picture [px], shape (2,)
-    """
+    """Orthographic view from (elevation, azimuth) [rad]; vectors are in the world frame, shape (3,)."""
 
     elevation: float
     azimuth: float
-    scale: float
-    offset: Float64
+    scale: float  # [px/mm]
+    offset: Float64  # where the world's origin lies on the picture [px], shape (2,)
 
     @property
     def right(self) -> Float64:
@@ -65,9 +61,7 @@ class ParallelView:
         return np.asarray(points, dtype=np.float64) @ self.toward
 
 
-def fit_view(
-    points: Float64, *, elevation: float, azimuth: float, box: tuple[float, float, float, float]
-) -> ParallelView:
+def fit_view(points: Float64, *, elevation: float, azimuth: float, box: Box) -> ParallelView:
     """The largest view that shows all points [mm], shape (n, 3), centred in a box (left, top, right, bottom) [px]."""
     unit = ParallelView(elevation=elevation, azimuth=azimuth, scale=1.0, offset=np.zeros(2))
     flat = unit.place(points)
@@ -79,28 +73,20 @@ def fit_view(
 
 
 def arc(centre: Float64, start: Float64, towards: Float64, angle: float, radius: float) -> Float64:
-    """Points of a circular arc [mm], shape (n, 3): from `start` through `angle` [rad] towards `towards`.
-
-    `start` and `towards` are orthonormal vectors, shape (3,).
-    """
+    """Points of an arc [mm], shape (n, 3): from `start` through `angle` [rad] to `towards`, two orthonormal vectors."""
     angles = np.linspace(0.0, angle, max(2, int(abs(angle) * 24)))[:, None]
     return centre + radius * (np.cos(angles) * start + np.sin(angles) * towards)
 
 
 @dataclass(frozen=True)
 class PartPicture:
-    """The part seen from one side, :data:`FINE` times as fine as the drawing.
-
-    left, top: Upper left corner of the arrays [fine px]
-    picture: RGBA, shape (rows, columns, 4)
-    nearness: Of the surface to the viewer [mm], shape (rows, columns); −∞ where there is no surface
-    """
+    """The part seen from one side, :data:`FINE` times as fine as the drawing."""
 
     view: ParallelView
-    left: int
+    left: int  # of the arrays' upper left corner [fine px]
     top: int
-    picture: UInt8
-    nearness: Float64
+    picture: UInt8  # RGBA, shape (rows, columns, 4)
+    nearness: Float64  # of the surface to the viewer [mm], shape (rows, columns); −∞ where there is no surface
 
     def draw(self, drawing: Drawing) -> None:
         """Lay the picture over a drawing."""
@@ -111,8 +97,7 @@ class PartPicture:
     def hides(self, points: Float64) -> Bool:
         """Whether the part stands before world points [mm], shape (n, 3); shape (n,)."""
         flat = self.view.place(points) * FINE
-        columns = np.floor(flat[:, 0]).astype(int) - self.left
-        rows = np.floor(flat[:, 1]).astype(int) - self.top
+        columns, rows = np.floor(flat).astype(int).T - [[self.left], [self.top]]
         height, width = self.nearness.shape
         inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
         hidden = np.zeros(len(points), dtype=bool)
@@ -139,8 +124,7 @@ def cast_part(scene: Scene, caster: RayCaster, posture: Posture, view: ParallelV
         image_distance=distance,
     ).moved(rotation.T, -rotation.T @ translation)
     # the middle of this image is the centre exactly; on the picture it is rounded to whole fine pixels
-    nearness = np.full(4 * half * half, -np.inf)
-    normals = np.zeros((4 * half * half, 3))
+    nearness, normals = np.full(4 * half * half, -np.inf), np.zeros((4 * half * half, 3))
     for start in range(0, len(nearness), _BLOCK):
         index = np.arange(start, min(start + _BLOCK, len(nearness)))
         rows, columns = (part.astype(np.float64) + 0.5 for part in np.divmod(index, 2 * half))
@@ -169,11 +153,9 @@ def _edges(hit: Bool, nearness: Float64, normals: Float64, *, step: float) -> Bo
     # outline, jumps in depth and creases, FINE pixels wide
     from scipy.ndimage import binary_dilation  # takes long to import
 
-    edge = np.zeros(hit.shape, dtype=bool)
-    depth = np.where(hit, nearness, 0.0)
+    edge, depth = np.zeros(hit.shape, dtype=bool), np.where(hit, nearness, 0.0)
     for axis in (0, 1):
-        edges, hits = edge.swapaxes(0, axis), hit.swapaxes(0, axis)
-        depths, facets = depth.swapaxes(0, axis), normals.swapaxes(0, axis)
+        edges, hits, depths, facets = (array.swapaxes(0, axis) for array in (edge, hit, depth, normals))
         both = hits[:-1] & hits[1:]
         facing = np.einsum("ijk,ijk->ij", facets[:-1], facets[1:])
         # what lies farther back than the slope of the surface explains is another surface

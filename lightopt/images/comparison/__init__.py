@@ -5,6 +5,7 @@ from lightopt.images.comparison._files import (
     FileComparison as FileComparison,
     compare_files as compare_files,
     difference_picture as difference_picture,
+    diverging as diverging,
 )
 from lightopt.images.comparison._sets import (
     SetComparison as SetComparison,

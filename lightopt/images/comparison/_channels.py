@@ -18,25 +18,18 @@ PERCENTILES: Mapping[str, float] = MappingProxyType({"p50": 50, "p95": 95, "p99"
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonThresholds:
-    """When a difference is too large.
+    """When a difference is too large. InputError: A threshold is negative, not finite, or a share above 1.
 
-    absolute, relative: A pixel differs where |a − b| > absolute + relative · |a|, a being the golden [level of the
-        file, 1].
-    max_share: Share of pixels that may differ, 0 to 1: of those that are not background in both images, so that a
-        small part in a large frame is judged like a large one.
-    geometry_absolute: In geometry images and patch tables a value differs by more than this [mm; 1 for normals],
-        nothing relative.
-    min_iou: Least intersection over union of the saturated masks; None: not checked.
-    saturation: Level from which a pixel counts as saturated; None: what the file or its manifest says.
-    Raises InputError: A threshold is negative, not finite, or a share above 1.
+    A pixel differs where |a − b| > absolute + relative · |a|, a being the golden. Shares are of the pixels that are not
+    background in both images, so that a small part in a large frame is judged like a large one.
     """
 
-    absolute: float = 0.05
+    absolute: float = 0.05  # [level of the file]
     relative: float = 0.001
-    max_share: float = 0.001
-    geometry_absolute: float = 0.001
-    min_iou: float | None = None
-    saturation: float | None = None
+    max_share: float = 0.001  # share of pixels that may differ, 0 to 1
+    geometry_absolute: float = 0.001  # of values in geometry images and patch tables [mm; 1 for normals]
+    min_iou: float | None = None  # least intersection over union of the saturated masks; None: not checked
+    saturation: float | None = None  # level from which a pixel is saturated; None: what the file or manifest says
 
     def __post_init__(self) -> None:
         problems: list[str] = []
@@ -130,11 +123,9 @@ def compare_arrays(
     statistics: dict[str, Any] = {"max": None, "rms": None, "percentiles": None}
     if distance.size:
         values = np.percentile(distance, list(PERCENTILES.values()))
-        statistics = {
-            "max": float(distance.max()),
-            "rms": float(np.sqrt(np.mean(distance**2))),
-            "percentiles": dict(zip(PERCENTILES, values.tolist(), strict=True)),
-        }
+        percentiles = dict(zip(PERCENTILES, values.tolist(), strict=True))
+        rms = float(np.sqrt(np.mean(distance**2)))
+        statistics = {"max": float(distance.max()), "rms": rms, "percentiles": percentiles}
     return ChannelDifference(
         name=name,
         pixels=int(a.size),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, UInt8
+from lightopt.core.arrays import Bool, UInt8
 from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_metadata, read_png, write_png
 from lightopt.images.comparison._channels import ChannelDifference, ComparisonThresholds, Verdict, compare_arrays
@@ -65,9 +65,8 @@ def load_file(path: Path) -> LoadedFile:
     pixels = read_png(path, colour=True)
     grey = pixels.ndim == 2
     channels = {LEVELS: pixels} if grey else {name: pixels[..., i] for i, name in enumerate("RGB")}
-    top = float(np.iinfo(pixels.dtype).max)
     metadata = read_metadata(path)
-    saturation = _number(metadata.get("saturation_level"), top)
+    saturation = _number(metadata.get("saturation_level"), float(np.iinfo(pixels.dtype).max))
     black = _number(metadata.get("black_level"), 0.0)
     return LoadedFile(dict(channels), f"PNG of {pixels.dtype}", saturation, black)
 
@@ -136,13 +135,8 @@ def _load_image(
     except InputError as error:
         problems.extend(error.messages)
         return None
-    if not image.kind.startswith("PNG"):
-        return image
-    return replace(
-        image,
-        saturation=image.saturation if saturation is None else saturation,
-        black=image.black if black is None else black,
-    )
+    known = {name: value for name, value in (("saturation", saturation), ("black", black)) if value is not None}
+    return replace(image, **known) if image.kind.startswith("PNG") else image
 
 
 def _structure_problems(golden: LoadedFile, new: LoadedFile) -> Iterator[str]:
@@ -150,28 +144,22 @@ def _structure_problems(golden: LoadedFile, new: LoadedFile) -> Iterator[str]:
         yield f"different formats: golden {golden.kind}, new {new.kind}"
     if golden.shape != new.shape:
         yield f"different sizes (H, W): golden {golden.shape}, new {new.shape}"
-    for role, names in (
-        ("new file lacks", set(golden.channels) - set(new.channels)),
-        ("golden file lacks", set(new.channels) - set(golden.channels)),
-    ):
+    old, now = set(golden.channels), set(new.channels)
+    for role, names in (("new", old - now), ("golden", now - old)):
         if names and golden.kind == new.kind:
-            yield f"{role} channel {', '.join(sorted(names))}"
+            yield f"{role} file lacks channel {', '.join(sorted(names))}"
 
 
 def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: ComparisonThresholds) -> Iterator[ChannelDifference]:
     both_hit, hit_a, hit_b = None, golden.hit, new.hit
     if hit_a is not None and hit_b is not None:
         both_hit, either, share = hit_a & hit_b, hit_a | hit_b, limits.max_share
-        mask = compare_arrays(
-            "hit", hit_a, hit_b, absolute=0, relative=0, max_share=share, where=either, saturation=(1, 1)
-        )
+        exact: dict[str, Any] = {"absolute": 0, "relative": 0, "saturation": (1, 1)}
+        mask = compare_arrays("hit", hit_a, hit_b, **exact, max_share=share, where=either)
         yield replace(mask, saturated_a=None, saturated_b=None)
     for name in sorted(golden.channels.keys() & new.channels.keys()):
         geometry = both_hit is not None
         patch = geometry and name == "patch"
-        saturation = (golden.saturation, new.saturation)
-        if limits.saturation is not None:
-            saturation = (limits.saturation, limits.saturation)
         difference = compare_arrays(
             name,
             golden.channels[name],
@@ -180,11 +168,16 @@ def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: ComparisonThr
             relative=0 if geometry else limits.relative,
             max_share=limits.max_share,
             where=golden.lit(name) | new.lit(name) if both_hit is None else both_hit,
-            saturation=saturation if name in _SATURATING else None,
+            saturation=_saturation(golden, new, limits.saturation) if name in _SATURATING else None,
             min_iou=limits.min_iou,
         )
         # Patch numbers are names: they are equal or not, and how far apart they are says nothing.
         yield replace(difference, max=None, rms=None, percentiles=None) if patch else difference
+
+
+def _saturation(golden: LoadedFile, new: LoadedFile, level: float | None) -> tuple[float, float]:
+    # levels from which both are saturated: one that was given goes before those of the files
+    return (golden.saturation, new.saturation) if level is None else (level, level)
 
 
 def compare_tables(a: Path, b: Path, thresholds: ComparisonThresholds) -> FileComparison:
@@ -201,8 +194,7 @@ def compare_tables(a: Path, b: Path, thresholds: ComparisonThresholds) -> FileCo
         if old.shape != now.shape or old.dtype.kind != now.dtype.kind:
             reasons.append(f"{name}: golden {old.dtype} {old.shape}, new {now.dtype} {now.shape}")
         elif old.dtype.kind in "biuf":
-            absolute = thresholds.geometry_absolute if old.dtype.kind == "f" else 0.0
-            share = thresholds.max_share
+            absolute, share = thresholds.geometry_absolute if old.dtype.kind == "f" else 0.0, thresholds.max_share
             channels.append(compare_arrays(name, old, now, absolute=absolute, relative=0, max_share=share))
         elif not np.array_equal(old, now):
             reasons.append(f"{name}: different texts")
@@ -222,12 +214,8 @@ def _load_arrays(role: str, path: Path, reasons: list[str]) -> dict[str, NDArray
     return {}
 
 
-_LOWER = (33, 102, 172)
-_EQUAL = (247, 247, 247)
-_HIGHER = (178, 24, 43)
-_ONLY_GOLDEN = (0, 150, 60)
-_ONLY_NEW = (255, 0, 255)
-_NOT_FINITE = (0, 0, 0)
+_LOWER, _EQUAL, _HIGHER = (33, 102, 172), (247, 247, 247), (178, 24, 43)
+_ONLY_GOLDEN, _ONLY_NEW, _NOT_FINITE = (0, 150, 60), (255, 0, 255), (0, 0, 0)
 _SCALE_PERCENTILE = 99.9
 _LEAST_SCALE = 0.05
 
@@ -248,9 +236,8 @@ def difference_picture(
     """
     golden, new = load_file(Path(a)), load_file(Path(b))
     if golden.kind != new.kind or golden.shape != new.shape:
-        raise InputError(
-            f"{a} and {b}: no difference to show between {golden.kind} of {golden.shape} and {new.kind} of {new.shape}"
-        )
+        kinds = f"{golden.kind} of {golden.shape} and {new.kind} of {new.shape}"
+        raise InputError(f"{a} and {b}: no difference to show between {kinds}")
     common = sorted(golden.channels.keys() & new.channels.keys())
     if not common:
         raise InputError(f"{a} and {b}: no channel is in both images")
@@ -262,37 +249,25 @@ def difference_picture(
     scale = _LEAST_SCALE
     if signed.any():
         scale = max(float(np.percentile(np.abs(signed[signed != 0]), _SCALE_PERCENTILE)), _LEAST_SCALE)
-    pixels = _diverging(signed / scale)
-    only_golden = only_new = np.zeros(old.shape, np.bool_)
-    if name in ("Y", LEVELS):
-        full_a = old >= (golden.saturation if saturation is None else saturation)
-        full_b = now >= (new.saturation if saturation is None else saturation)
-        only_golden, only_new = full_a & ~full_b, full_b & ~full_a
+    pixels = diverging(signed / scale)
+    limits = _saturation(golden, new, saturation)
+    saturating = name in _SATURATING
+    full_a, full_b = saturating & (old >= limits[0]), saturating & (now >= limits[1])
+    only_golden, only_new = full_a & ~full_b, full_b & ~full_a
     pixels[only_golden], pixels[only_new], pixels[~finite] = _ONLY_GOLDEN, _ONLY_NEW, _NOT_FINITE
-    metadata: dict[str, Any] = {
-        "picture": "difference",
-        "channel": name,
-        "scale": scale,
-        "beyond_scale": int((np.abs(signed) > scale).sum()),
-        "only_golden": int(only_golden.sum()),
-        "only_new": int(only_new.sum()),
-        "colours": {
-            f"{-scale:g} (new − golden) and below": _LOWER,
-            "0": _EQUAL,
-            f"{scale:g} and above": _HIGHER,
-            "saturated only in golden": _ONLY_GOLDEN,
-            "saturated only in new": _ONLY_NEW,
-            "not finite": _NOT_FINITE,
-        },
-    }
-    write_png(path, pixels, metadata=metadata, overwrite=overwrite)
+    counts = {"only_golden": int(only_golden.sum()), "only_new": int(only_new.sum())}
+    shades = {f"{-scale:g} (new − golden) and below": _LOWER, "0": _EQUAL, f"{scale:g} and above": _HIGHER}
+    marks = {"saturated only in golden": _ONLY_GOLDEN, "saturated only in new": _ONLY_NEW, "not finite": _NOT_FINITE}
+    scaled = {"scale": scale, "beyond_scale": int((np.abs(signed) > scale).sum())}
+    facts: dict[str, Any] = {"picture": "difference", "channel": name, **scaled, **counts, "colours": shades | marks}
+    write_png(path, pixels, metadata=facts, overwrite=overwrite)
     return scale
 
 
-def _diverging(relative: Float64) -> UInt8:
-    """Colours (H, W, 3) of differences relative to the scale, −1 to 1; beyond looks like the end."""
+def diverging(shares: NDArray[np.floating[Any]]) -> UInt8:
+    """Colours of shares from −1, blue, over 0, white, to 1, red, and beyond as there; shape of the shares and 3."""
     channels = [
-        np.interp(relative, [-1.0, 0.0, 1.0], [low, middle, high])
+        np.interp(shares, [-1.0, 0.0, 1.0], [low, middle, high])
         for low, middle, high in zip(_LOWER, _EQUAL, _HIGHER, strict=True)
     ]
     return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)

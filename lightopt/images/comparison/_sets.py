@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,24 +58,15 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds 
         for role, path, digest in (("golden", path_a, old[label][1]), ("new", path_b, now[label][1])):
             if digest is not None and path.is_file() and file_sha256(path) != digest.lower():
                 reasons.append(f"{role} file changed since its manifest was written: {path}")
+        compare_images = partial(compare_files, saturation=saturation, black=black)
         try:
-            if label == _PATCHES:
-                comparison = compare_tables(path_a, path_b, thresholds)
-            else:
-                comparison = compare_files(path_a, path_b, thresholds, saturation=saturation, black=black)
+            comparison = (compare_tables if label == _PATCHES else compare_images)(path_a, path_b, thresholds)
         except InputError as error:
             comparison = FileComparison(str(path_a), str(path_b), reasons=error.messages)
         files.append(comparison)
         reasons += [f"{label}: {reason}" for reason in comparison.reasons]
-    return SetComparison(
-        str(a),
-        str(b),
-        files=tuple(files),
-        missing=missing,
-        extra=extra,
-        reasons=tuple(reasons),
-        notes=tuple(_notes(golden.manifest, new.manifest)),
-    )
+    notes = tuple(_notes(golden.manifest, new.manifest))
+    return SetComparison(str(a), str(b), tuple(reasons), tuple(files), missing=missing, extra=extra, notes=notes)
 
 
 def _open(role: str, path: str | Path, problems: list[str]) -> ImageSet | None:
