@@ -3,8 +3,9 @@
 ``python -m benchmarks.calibrating -o out/calibrating --seeds 1`` captures the targets of `lightopt calibrate --plan`
 under a true rig that differs from the rig file, calibrates, and prints how far off the result is. With ``--inspect`` it
 captures the sample part with random defects and inspects it with the rig as filed, as calibrated, and as it truly is;
-with ``--good`` also as calibrated, with an inspection that has learned from so many good parts. ``--hide`` only writes the
-rigs, and ``--bend FILE`` only bends the mesh of a planned board: docs/tutorial/real-rig.md starts with them.
+with ``--good`` also as calibrated, with an inspection that has learned from so many good parts. For the tutorial,
+``--hide`` only writes the rigs, ``--bend FILE`` only bends the mesh of a board, ``--compare`` only prints errors, and
+``--picture FILE`` only draws the targets.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from PIL import Image
 
 from lightopt.config import load_rig
 from lightopt.core.arrays import Float64
@@ -46,10 +48,18 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=1600, help="of the camera's image [px]")
     parser.add_argument("--rays", type=int, default=2, help="along each side of a pixel")
     parser.add_argument("--hide", action="store_true", help="only write the rigs")
+    parser.add_argument("--compare", action="store_true", help="only compare the calibrated rig in the folder")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="only draw the targets that were captured")
     parser.add_argument("--bend", type=Path, metavar="FILE", help="only bend this mesh of a board")
     given = parser.parse_args()
     if given.bend is not None:
         bend(given.bend, given.first)
+        return
+    if given.compare:
+        compare(given.out)
+        return
+    if given.picture is not None:
+        draw(given.out, given.picture)
         return
     for seed in range(given.first, given.first + given.seeds):
         folder = given.out if given.hide else given.out / f"{seed}"
@@ -58,7 +68,7 @@ def main() -> None:
             continue
         calibrate(folder, seed)
         if given.inspect:
-            inspect(folder, seed, given.inspect, good=given.good, rays=given.rays)
+            inspect(folder, seed, given.inspect, good=given.good)
 
 
 def bend(path: Path, seed: int) -> None:
@@ -73,7 +83,8 @@ def bend(path: Path, seed: int) -> None:
 
 
 def hide(folder: Path, seed: int, *, width: int, rays: int) -> None:
-    """Write rig.yaml, the sample rig with even panels that stay where they are, and true.yaml, what the bench has."""
+    """Write rig.yaml, the sample rig with even panels that stay where they are; true.yaml, what the virtual bench has
+    instead; and known.yaml, the rig file of one who knows the truth."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
 
@@ -119,9 +130,10 @@ def hide(folder: Path, seed: int, *, width: int, rays: int) -> None:
         "point_mm": rounded([0.0, *rng.normal(0.0, AXIS_MM, 2)]),
         "direction": [1.0, 0.0, tilt],
     }
-    (folder / "true.yaml").write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-    bench = f"\nvirtual_bench: {{rig: true.yaml, seed: {seed + 1}, rays: {rays}}}\n"
-    (folder / "rig.yaml").write_text(text + bench, encoding="utf-8")
+    true, bench = yaml.safe_dump(document, sort_keys=False), f"seed: {seed + 1}, rays: {rays}}}\n"
+    (folder / "true.yaml").write_text(true, encoding="utf-8")
+    (folder / "known.yaml").write_text(f"{true}virtual_bench: {{{bench}", encoding="utf-8")
+    (folder / "rig.yaml").write_text(f"{text}\nvirtual_bench: {{rig: true.yaml, {bench}", encoding="utf-8")
 
 
 def rounded(values: Any) -> list[float]:
@@ -152,23 +164,38 @@ def calibrate(folder: Path, seed: int) -> None:
     found = calibrate_rig(rig, made)
     write_calibration(found, force=True)
     spent = time.monotonic() - captured
-    true = load_rig(folder / "true.yaml")
-    camera, lights = build_camera(true), build_lights(true)
-    assert found.board is not None
-    focal = found.camera.image_distance / camera.image_distance - 1.0
-    (point, axis), (there, direction) = found.stage.tilt_axis, build_stage(true).tilt_axis
     print(f"{folder.name}: captured in {captured - begun:.0f} s, calibrated in {spent:.0f} s")
+    compare(folder)
+
+
+def compare(folder: Path) -> None:
+    """Print how far the calibrated rig is off."""
+    made, true = (load_rig(folder / name) for name in ("calibration/rig.calibrated.yaml", "true.yaml"))
+    camera, real_camera = build_camera(made), build_camera(true)
+    focal = camera.image_distance / real_camera.image_distance - 1.0
+    (point, axis), (there, direction) = build_stage(made).tilt_axis, build_stage(true).tilt_axis
     print(f"  focal length {100 * focal:+.3f} %, tilt axis {angle(axis, direction):.4f}°,", end=" ")
-    print(f"{np.linalg.norm((point - there)[1:]):.4f} mm; predicted {found.board.predicted_rms:.3f} px")
-    for panel, real in zip(found.lights, lights, strict=True):
+    print(f"{np.linalg.norm((point - there)[1:]):.4f} mm")
+    for panel, real in zip(build_lights(made), build_lights(true), strict=True):
         off, away = panel.centre - real.centre, real.centre / np.linalg.norm(real.centre)
         far = float(off @ away)
         print(
-            f"  {panel.name}: {np.linalg.norm(off - far * away):.3f} mm aside, {far:+.3f} mm in range, "
+            f"  {panel.name}: {np.linalg.norm(off - far * away):.2f} mm aside, {far:+.2f} mm in range, "
             f"{angle(panel.outward, real.outward):.2f}°, gain {100 * (panel.gain / real.gain - 1):+.2f} %"
         )
-    if found.sensor is not None:
-        print(f"  electrons per level {100 * (found.sensor.electrons_per_level.value / 55.0 - 1.0):+.2f} %")
+    electrons, real_electrons = (rig.camera.sensor.electrons_per_level for rig in (made, true))
+    assert electrons is not None
+    assert real_electrons is not None
+    print(f"  electrons per level {100 * (electrons / real_electrons - 1.0):+.2f} %")
+
+
+def draw(folder: Path, path: Path) -> None:
+    """Draw an image of each target side by side."""
+    sheet = Image.new("L", (1216, 300), 255)
+    for number, (name, posture) in enumerate((("board", "-40_226"), ("ball", "-20_10"), ("plate", "-25_10"))):
+        image = Image.open(folder / "calibration" / name / f"posture_{posture}" / "light1.png")
+        sheet.paste(image.convert("L").resize((400, 300)), (408 * number, 0))
+    sheet.save(path, optimize=True)
 
 
 def angle(a: Float64, b: Float64) -> float:
@@ -176,31 +203,55 @@ def angle(a: Float64, b: Float64) -> float:
     return float(np.degrees(np.arccos(np.clip(a @ b, -1.0, 1.0))))
 
 
-def inspect(folder: Path, seed: int, count: int, *, good: int, rays: int) -> None:
+def inspect(folder: Path, seed: int, count: int, *, good: int) -> None:
     """Inspect the sample part with random defects by the filed, the calibrated and the true rig."""
     part = folder / "part.yaml"
     run("defects", folder / "true.yaml", PART, "-o", part, "--seed", seed + 1, "--count", count, "--force")
-    true = folder / "known.yaml"
-    true.write_text(
-        (folder / "true.yaml").read_text(encoding="utf-8") + f"virtual_bench: {{seed: {seed + 1}, rays: {rays}}}\n",
-        encoding="utf-8",
-    )
-    rigs = {"filed": folder / "rig.yaml", "calibrated": folder / "calibration" / "rig.calibrated.yaml", "known": true}
+    rigs = {
+        "filed": folder / "rig.yaml",
+        "calibrated": folder / "calibration" / "rig.calibrated.yaml",
+        "known": folder / "known.yaml",
+    }
     for name, rig in rigs.items():
-        images, out = folder / f"images-{name}", folder / f"inspected-{name}"
+        images = folder / f"images-{name}"
         run("capture", rig, part, "-o", images, "--exposures", "1,1/16", "--force", "--no-check-lights")
-        done = subprocess.run(
-            [sys.executable, "-m", "lightopt", "inspect", rig, part, images, "-o", out, "--evaluate", "--force"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if not (out / "truth.json").is_file():
-            print(f"  {name}: {done.stderr.strip().splitlines()[0]}")
-            continue
-        truth = json.loads((out / "truth.json").read_text(encoding="utf-8"))
-        alarms = truth["false_alarms_per_posture"]
-        print(f"  {name}: found {truth['found']} of {truth['defects']}, {alarms:g} false alarms a posture")
+        judge(name, rig, part, images)
+        if name == "calibrated" and good:
+            sets = [folder / f"good-{k}" for k in range(good)]
+            for k, one in enumerate(sets):
+                options = ("--exposures", "1,1/16", "--force", "--no-check-lights", "--seed", 1000 + k)
+                run("capture", rig, PART, "-o", one, *options)
+            # the least rate that so many parts allow
+            rate = np.ceil(1e3 * (1.0 - 0.05 ** (1.0 / good))) / 1e3
+            learned = folder / "learned"
+            run("inspect", rig, part, *sets, "-o", learned, "--calibrate", "--false-alarms", rate, "--force")
+            judge(f"calibrated, {good} good parts", rig, part, images, "--calibration", learned)
+
+
+def judge(name: str, rig: Path, part: Path, images: Path, *options: object) -> None:
+    """Inspect a set and print what was found."""
+    out = images.parent / f"inspected-{name.replace(', ', '-').replace(' ', '-')}"
+    command = [
+        sys.executable,
+        "-m",
+        "lightopt",
+        "inspect",
+        rig,
+        part,
+        images,
+        "-o",
+        out,
+        "--evaluate",
+        "--force",
+        *options,
+    ]
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
+    if not (out / "truth.json").is_file():
+        print(f"  {name}: {done.stderr.strip().splitlines()[0]}")
+        return
+    truth = json.loads((out / "truth.json").read_text(encoding="utf-8"))
+    alarms = truth["false_alarms_per_posture"]
+    print(f"  {name}: found {truth['found']} of {truth['defects']}, {alarms:g} false alarms a posture")
 
 
 if __name__ == "__main__":
