@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -131,7 +132,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
                 "the plate was fitted to panels as the rig file has them: there is no image set of a ball"
             )
         black = rig.camera.sensor.black_level if sensor is None else sensor.black_level.value
-        known = np.kron(np.eye(len(lights)), _FILED) if ball is None else ball.panels_covariance
+        known = np.asarray(np.kron(np.eye(len(lights)), _FILED), np.float64) if ball is None else ball.panels_covariance
         plate = fit_plate(images.plate(camera, stage, black), lights=lights, panels_covariance=known)
         images.warnings.extend(plate.warnings)
         lights = plate.lights
@@ -238,7 +239,13 @@ class _Images:
             longest = {o.light: o for o in mine if o.saturated.mean() < 0.01}
             for light, o in longest.items():
                 levels = (o.levels.astype(np.float64) - black) / (scale * o.exposure)
-                place = {"posture": posture, "plate": flat, "camera": camera, "stage": stage, "cell": cell}
+                place: dict[str, Any] = {
+                    "posture": posture,
+                    "plate": flat,
+                    "camera": camera,
+                    "stage": stage,
+                    "cell": cell,
+                }
                 try:
                     views.append(plate_cells(levels, ~o.saturated, light=light, **place))
                 except InputError as error:

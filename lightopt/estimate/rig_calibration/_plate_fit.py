@@ -274,10 +274,11 @@ class _Problem:
         def slopes(x: Float64) -> Float64:
             return np.concatenate([self._predicted(x)[1] / self._error[:, None], known])
 
-        found: Any = least_squares(residuals, start, slopes, method="lm", x_scale="jac")
+        how: dict[str, Any] = {"jac": slopes, "method": "lm", "x_scale": "jac"}
+        found = least_squares(residuals, start, **how)
         if again:  # what a move does depends on n
             self._linearise(found.x[0])
-            found = least_squares(residuals, found.x, slopes, method="lm", x_scale="jac")
+            found = least_squares(residuals, found.x, **how)
         mean_square = 2.0 * float(found.cost) / (len(found.fun) - len(start))
         covariance = np.linalg.inv(found.jac.T @ found.jac) * max(1.0, mean_square)
         return _Fit(found.x, covariance, 2.0 * float(found.cost), mean_square)
