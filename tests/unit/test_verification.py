@@ -173,6 +173,7 @@ def test_what_a_calibration_leaves_open_raises_no_alarm(scene, tmp_path, shared_
     gone = images_of(scene, rig_with(scene, **{fault: [far, 0.0, 0.0]}))
     result = verified(scene, gone, limits=limits, deviations=deviations)
     assert {kind.partition("_")[0] for kind, _ in alarms(result)} == {fault.partition("_")[0]}
+    json.dumps(result.as_dict())  # of a camera that has turned, too
     assert result.findings[0].error > 0.05 * result.findings[0].size  # the rig file does not have it exactly
     # a known good set was taken with the same rig
     good = observed(scene, images_of(scene, np.zeros(parameters_of(scene).size)), seed=5)

@@ -130,7 +130,7 @@ def group_finding(group: Group, theta: Float64, covariance: Float64, alternative
 
     theta, covariance: Of all parameters, shapes (K,) and (K, K).
     """
-    unit = np.degrees(1.0) if group.kind.endswith("turn") else 1.0
+    unit = math.degrees(1.0) if group.kind.endswith("turn") else 1.0
     value, spread = unit * theta[group.where], unit**2 * covariance[group.where, group.where]
     if group.kind in ("gain", "exposure"):
         value = np.expm1(value)
