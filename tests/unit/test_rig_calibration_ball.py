@@ -13,7 +13,6 @@ from rig_targets import CAMERA, LIGHTS, POSTURES, RADIUS, STAGE
 from scipy.optimize import minimize
 
 from lightopt.core.errors import InputError
-from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, MirroredPanel, fit_ball
 from lightopt.estimate.rig_calibration._ball_images import measure_ball
 from lightopt.estimate.rig_calibration._mirror_ball import mirror_points, mirrored_image, outline_distances
@@ -144,7 +143,7 @@ def test_light_that_no_view_shows_is_unobservable():
     panels = targets.moved_panels(rng)
     views = targets.ball_views(rng, panels[:3], np.array([3.0, -2.0, 12.0]))
     fit = fit_ball(views, lights=LIGHTS, camera=CAMERA, stage=STAGE, radius=RADIUS, size_error=0.1)
-    assert fit.unobservable == tuple(f"light4: {name}" for name in PANEL_PARAMETERS[:6])
+    assert fit.unobservable == tuple(f"light4 {name}" for name in PANEL_PARAMETERS[:6])
 
 
 def test_one_tilt_is_refused():
@@ -152,24 +151,6 @@ def test_one_tilt_is_refused():
     views = targets.ball_views(rng, LIGHTS, np.array([3.0, -2.0, 12.0]), postures=POSTURES[:4])
     with pytest.raises(InputError, match="another tilt"):
         fit_ball(views, lights=LIGHTS, camera=CAMERA, stage=STAGE, radius=RADIUS)
-
-
-@pytest.mark.slow
-def test_next_posture_helps_more_than_one_that_repeats():
-    _, _, fit = fitted(2)
-    candidates = [Posture(20.0, 0.0), Posture(-40.0, 45.0), Posture(0.0, 0.0)]
-    best = fit.next_posture(candidates)
-    assert best in candidates
-
-    def spread(posture):
-        rng = np.random.default_rng(9)
-        views = targets.ball_views(rng, LIGHTS, fit.centre, postures=(*POSTURES, posture))
-        more = fit_ball(views, lights=LIGHTS, camera=CAMERA, stage=STAGE, radius=RADIUS, size_error=0.1)
-        return float(
-            np.sum(np.square(more.half_widths_95[:, :3] / 10.0) + np.square(more.half_widths_95[:, 3:6] / 0.1))
-        )
-
-    assert spread(best) == pytest.approx(min(spread(posture) for posture in candidates), rel=0.02)
 
 
 def test_errors_of_camera_and_stage_widen_the_intervals():

@@ -12,7 +12,7 @@ import pytest
 from lightopt.config import load_part, load_rig, load_targets
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector
-from lightopt.estimate.rig_calibration import calibrate_rig, write_calibration
+from lightopt.estimate.rig_calibration import calibrate_rig, read_covariance, write_calibration
 from lightopt.estimate.rig_calibration._calibrate import rig_deviations
 from lightopt.scene import Stage, build_camera, build_stage, project
 
@@ -93,7 +93,11 @@ def test_the_calibrated_rig_is_the_measured_one_with_its_comments(rig, folder):
     low, high = measured.calibration.intervals["camera.focal_px"]
     assert low < 55.4 / 4.4e-3 < high
     arrays = np.load(paths[1])
-    assert arrays["board"].shape == (len(arrays["board_names"]),) * 2
+    assert arrays["covariance"].shape == (len(arrays["names"]),) * 2
+    names, covariance = read_covariance(measured)
+    assert names == tuple(name for name in measured.calibration.intervals if not name.startswith("board."))
+    high_less_low = [high - low for low, high in measured.calibration.intervals.values()]
+    np.testing.assert_allclose(2 * 1.96 * np.sqrt(np.diag(covariance)), high_less_low, rtol=1e-3)
     figures = json.loads(paths[2].read_text(encoding="utf-8"))
     assert len(figures["board"]["views"]) == 15
     assert figures["unobservable"] == []

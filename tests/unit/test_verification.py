@@ -15,6 +15,7 @@ from verified import images_of, observed, parameters_of, rig_with, small_scene
 from lightopt.config import load_rig
 from lightopt.core.errors import InputError
 from lightopt.estimate.verification import VerifyLimits, append_history, plan_limits, verify_observations
+from lightopt.estimate.verification._calibrated import calibrated_deviations
 from lightopt.optics import clipped_mean
 from lightopt.scene import project, view_from_part
 
@@ -143,6 +144,61 @@ def test_gain_and_range_of_a_panel_cannot_be_told(scene):
 def test_what_cannot_be_seen_is_said(scene, images):
     # points shine alike in all directions: a panel turned about its centre shows in nothing
     assert "panel of light1 turned" in verified(scene, images).unseen
+
+
+def known_to(scene, tmp_path, bench, names, sd):
+    """Deviations of a rig whose values of these names have an independent standard deviation."""
+    np.savez(tmp_path / "rig.npz", names=np.array(names), covariance=sd**2 * np.eye(len(names)))
+    (tmp_path / "rig.yaml").write_text(f"{bench.rig.read_text()}\ncalibration: {{covariance: rig.npz}}\n")
+    return calibrated_deviations(load_rig(tmp_path / "rig.yaml"), scene, parameters_of(scene))
+
+
+@pytest.mark.parametrize(
+    ("names", "fault", "moved", "far"),
+    [
+        ([f"camera.position_{axis}" for axis in "xyz"], "camera_shift", 0.3, 4.0),
+        ([f"light1 centre {axis} [mm]" for axis in "xyz"], "panel_shift light1", 0.3, 6.0),
+    ],
+)
+def test_what_a_calibration_leaves_open_raises_no_alarm(scene, tmp_path, shared_bench, names, fault, moved, far):
+    deviations = known_to(scene, tmp_path, shared_bench, names, 0.4)
+    limits = VerifyLimits(camera_mm=0.1, camera_deg=0.01, panel_mm=0.1)
+    near = images_of(scene, rig_with(scene, **{fault: [moved, 0.0, 0.0]}))
+    if fault == "camera_shift":
+        assert alarms(verified(scene, near, limits=limits))
+    result = verified(scene, near, limits=limits, deviations=deviations)
+    assert result.within_tolerances
+    assert max(light.explained for light in result.lights) < 1.3
+    # ten standard deviations are no error of the calibration
+    gone = images_of(scene, rig_with(scene, **{fault: [far, 0.0, 0.0]}))
+    result = verified(scene, gone, limits=limits, deviations=deviations)
+    assert {kind.partition("_")[0] for kind, _ in alarms(result)} == {fault.partition("_")[0]}
+    json.dumps(result.as_dict())  # of a camera that has turned, too
+    assert result.findings[0].error > 0.05 * result.findings[0].size  # the rig file does not have it exactly
+    # a known good set was taken with the same rig
+    good = observed(scene, images_of(scene, np.zeros(parameters_of(scene).size)), seed=5)
+    if fault == "camera_shift":
+        assert alarms(verified(scene, near, limits=limits, deviations=deviations, baseline=good))
+
+
+def test_deviations_of_a_camera_are_those_of_its_image(scene, tmp_path, shared_bench):
+    p, point = parameters_of(scene), np.array([[5.0, 3.0, 4.0]])
+    focal = scene.camera.image_distance / scene.camera.pixel_size
+    found = known_to(scene, tmp_path, shared_bench, ["camera.focal_px"], 0.01 * focal)
+    longer = replace(scene, camera=replace(scene.camera, image_distance=1.01 * scene.camera.image_distance))
+    here = project(p.view(scene, scene.postures[0], found[:, 0]).camera, point)[:2]
+    there = project(view_from_part(longer, scene.postures[0]).camera, point)[:2]
+    start = project(view_from_part(scene, scene.postures[0]).camera, point)[:2]
+    move, expected = np.ravel(here) - np.ravel(start), np.ravel(there) - np.ravel(start)
+    assert np.linalg.norm(expected) > 0.05
+    assert np.abs(move - np.copysign(1.0, move @ expected) * expected).max() < 0.05 * np.linalg.norm(expected)
+
+
+def test_a_covariance_that_cannot_be_read_is_refused(scene, tmp_path, shared_bench):
+    known_to(scene, tmp_path, shared_bench, ["camera.focal_px"], 1.0)
+    (tmp_path / "rig.npz").write_bytes(b"none")
+    with pytest.raises(InputError, match=r"rig.npz is no covariance .*; copy it to the rig file, or remove"):
+        calibrated_deviations(load_rig(tmp_path / "rig.yaml"), scene, parameters_of(scene))
 
 
 def test_against_a_known_good_set(scene):

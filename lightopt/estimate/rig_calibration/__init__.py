@@ -22,6 +22,11 @@ from lightopt.estimate.rig_calibration._charuco import (
     board_mesh as board_mesh,
     white_areas as white_areas,
 )
+from lightopt.estimate.rig_calibration._deviations import (
+    displaced as displaced,
+    read_covariance as read_covariance,
+    square_root as square_root,
+)
 from lightopt.estimate.rig_calibration._files import (
     REPORT_NAME as REPORT_NAME,
     figures as figures,

@@ -8,10 +8,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import approx_fprime, least_squares
+from scipy.optimize import least_squares
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
@@ -51,41 +51,30 @@ class MirroredPanel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BallView:
-    """The ball in one posture.
-
-    outline: Image points (column, row) of its outline [px], shape (n, 2), with independent errors
-    outline_error: Their standard deviation [px]
-    panels: Mirrored panels by the name of their light
-    """
+    """The ball in one posture."""
 
     posture: Posture
-    outline: Float64
-    outline_error: float
-    panels: Mapping[str, MirroredPanel]
+    outline: Float64  # image points (column, row) of its outline [px], shape (n, 2), with independent errors
+    outline_error: float  # their standard deviation [px]
+    panels: Mapping[str, MirroredPanel]  # mirrored panels by the name of their light
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BallFit:
     """Panels, and the ball that showed them.
 
-    lights: As they were given, with the fitted pose and size
     centre, radius: Of the ball, stage frame [mm], shape (3,)
-    edge_offset: By how much the outline is measured outside of the ball's [px]
     covariance: Of centre, radius, edge offset, then :data:`PANEL_PARAMETERS` of each light, shape (5 + 8·L, 5 + 8·L)
-    rms: Of the residuals, in the standard deviations that the images claim; about 1
-    unobservable: Parameters that these postures do not show
-    left_out: Postures and lights whose image fits no panel pose
     """
 
-    lights: tuple[PanelLight, ...]
+    lights: tuple[PanelLight, ...]  # as they were given, with the fitted pose and size
     centre: Float64
     radius: float
-    edge_offset: float
+    edge_offset: float  # by how much the outline is measured outside of the ball's [px]
     covariance: Float64
-    rms: float
-    unobservable: tuple[str, ...]
-    left_out: tuple[tuple[Posture, str], ...]
-    _problem: _Problem = field(repr=False)
+    rms: float  # of the residuals, in the standard deviations that the images claim; about 1
+    unobservable: tuple[str, ...]  # parameters that these postures do not show
+    left_out: tuple[tuple[Posture, str], ...]  # postures and lights whose image fits no panel pose
 
     @property
     def panels_covariance(self) -> Float64:
@@ -96,22 +85,6 @@ class BallFit:
     def half_widths_95(self) -> Float64:
         """Of the 95 % intervals of the :data:`PANEL_PARAMETERS` of each light, shape (L, 8)."""
         return NORMAL_95 * np.sqrt(np.diag(self.panels_covariance)).reshape(-1, _EACH)
-
-    def next_posture(self, candidates: Sequence[Posture]) -> Posture:
-        """Of some postures the one whose mirrored panels would narrow the intervals of the panels most."""
-        x = np.concatenate([self.centre, [self.radius, self.edge_offset], _unmoved(self.lights).ravel()])
-        information = np.linalg.inv(self.covariance)
-        weight = 1.0 / np.median([np.sqrt(np.diag(np.linalg.inv(i.whitening))) for i in self._problem.images])
-
-        def error_after(posture: Posture) -> float:
-            view = BallView(posture=posture, outline=np.zeros((0, 2)), outline_error=1.0, panels={})
-            more = replace(self._problem, views=(view,), lights=self.lights)
-            slope = weight * approx_fprime(x, lambda x: more.mirrored(x).ravel(), 1e-6)
-            slope = slope[np.isfinite(slope).all(axis=1)]
-            variances = np.diag(np.linalg.inv(information + slope.T @ slope))[_BALL:].reshape(-1, _EACH)
-            return float(np.sum(variances / np.square(UNOBSERVABLE)))
-
-        return min(candidates, key=error_after)
 
 
 def fit_ball(
@@ -136,7 +109,7 @@ def fit_ball(
     Raises InputError: Where views do not show what is to be fitted
     """
     _check(views, lights)
-    start = np.concatenate([_ball_start(views, camera, stage, radius), _unmoved(lights).ravel()])
+    start = np.concatenate([_ball_start(views, camera, stage, radius), unmoved(lights).ravel()])
     prior = np.tile([*[CENTRE_PRIOR] * 3, *[ROTATION_PRIOR] * 3, 0.0, 0.0], (len(lights), 1))
     prior[:, 6:] = [[size_error or SIZE_PRIOR * side for side in light.size] for light in lights]
     ball_prior = [np.inf, np.inf, np.inf, max(radius_error, LEAST_RADIUS_ERROR), EDGE_PRIOR]
@@ -161,7 +134,7 @@ def fit_ball(
         change = replace(problem, camera=other_camera, stage=other_stage).residuals(found.x) - found.fun
         shift = np.linalg.solve(information, found.jac.T @ change)
         covariance += np.outer(shift, shift)
-    errors = np.sqrt(np.diag(covariance))[_BALL:].reshape(-1, _EACH)
+    errors = np.sqrt(np.diag(covariance))[_BALL:]
     return BallFit(
         lights=problem.posed(found.x),
         centre=found.x[:3],
@@ -170,13 +143,11 @@ def fit_ball(
         covariance=covariance,
         rms=math.sqrt(mean_square),
         unobservable=tuple(
-            f"{light.name}: {name}"
-            for light, row in zip(lights, errors, strict=True)
-            for name, error, limit in zip(PANEL_PARAMETERS, row, UNOBSERVABLE, strict=True)
+            name
+            for name, error, limit in zip(panel_names(lights), errors, UNOBSERVABLE * len(lights), strict=True)
             if error > limit
         ),
         left_out=tuple(left_out),
-        _problem=problem,
     )
 
 
@@ -252,8 +223,13 @@ def posed_panel(light: PanelLight, parameters: Float64) -> PanelLight:
     )
 
 
-def _unmoved(lights: Sequence[PanelLight]) -> Float64:
-    # parameters of panels where they are, shape (L, 8)
+def panel_names(lights: Sequence[PanelLight]) -> list[str]:
+    """Names of the :data:`PANEL_PARAMETERS` of all lights."""
+    return [f"{light.name} {name}" for light in lights for name in PANEL_PARAMETERS]
+
+
+def unmoved(lights: Sequence[PanelLight]) -> Float64:
+    """The :data:`PANEL_PARAMETERS` of panels where they are, shape (L, 8)."""
     return np.array([[0.0] * 6 + [*light.size] for light in lights])
 
 

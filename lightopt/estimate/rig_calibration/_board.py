@@ -16,19 +16,16 @@ class Board:
     Board frame: origin at the grid's centre, x to the right, y up, z out of the printed face.
 
     columns, rows: Points along the two sides
-    pitch: Distance of neighbouring points, the geometric mean of both sides' [mm]; measure it with a caliper
-    pitch_error: Standard error of that, as a share of the pitch
     height: Of the grid's centre above the table at tilt reading 0: the board's thickness [mm]. It alone fixes the
         world's origin along Z
-    height_error: Standard error of that [mm]
     """
 
     columns: int
     rows: int
-    pitch: float
-    pitch_error: float = 1e-4
+    pitch: float  # distance of neighbouring points, the geometric mean of both sides' [mm]; measure it with a caliper
+    pitch_error: float = 1e-4  # standard error of that, as a share of the pitch
     height: float = 0.0
-    height_error: float = 0.01
+    height_error: float = 0.01  # standard error of that [mm]
 
     def __post_init__(self) -> None:
         if self.columns < 2 or self.rows < 2 or not self.pitch > 0.0:
@@ -49,15 +46,12 @@ class Board:
 class BoardView:
     """Points of a board found in one image.
 
-    name: Of the image, for messages
-    posture: Readings of the stage
-    ids: Points' numbers, shape (n,)
     pixels: Where the image shows them (column, row) [px], shape (n, 2); pixel (0, 0) has its centre at (0.5, 0.5)
     """
 
-    name: str
-    posture: Posture
-    ids: Index = field(repr=False)
+    name: str  # of the image, for messages
+    posture: Posture  # readings of the stage
+    ids: Index = field(repr=False)  # points' numbers, shape (n,)
     pixels: Float64 = field(repr=False)
 
     def __post_init__(self) -> None:

@@ -17,10 +17,12 @@ from lightopt.estimate.rig_calibration._board_model import (
     NAMES,
     Sightings,
     sightings,
+    stage_of,
 )
 from lightopt.estimate.rig_calibration._board_start import start_from_views
 from lightopt.estimate.rig_calibration._joint_fit import OPTIONAL, Corners, JointFit, fit_jointly
-from lightopt.estimate.rig_calibration._nominal import RigUncertainty, nominal_prior
+from lightopt.estimate.rig_calibration._measured import NORMAL_95
+from lightopt.estimate.rig_calibration._nominal import nominal_prior
 from lightopt.estimate.rig_calibration._postures import PostureGain, judge_postures
 from lightopt.scene import PinholeCamera, Stage
 
@@ -38,7 +40,6 @@ _QUANTITIES = {  # and their parameters; the camera's position is in its own axe
     "board bow": "board.bow_xx board.bow_xy board.bow_yy",
 }
 _OF_LENS = ("focal length", "distance", "principal point", "lens distortion")
-_NORMAL_95 = 1.959964
 _FAULTY_SHARE, _FAULTY_RATIO = 0.5, 4.0  # outliers in a view; its median residual to that of all
 
 
@@ -46,20 +47,16 @@ _FAULTY_SHARE, _FAULTY_RATIO = 0.5, 4.0  # outliers in a view; its median residu
 class ViewResidual:
     """How well one view fits.
 
-    median: Distance of found from predicted corners [px]
-    rms: The same of the corners that count [px]
-    outliers: Corners that do not count, as they are more than 4 robust standard deviations off
-    faulty: Whether the view as a whole is wrong
     pixels, offsets: Where the corners were found, and found less predicted [px], shape (corners, 2)
     """
 
     name: str
     posture: Posture
     corners: int
-    median: float
-    rms: float
-    outliers: int
-    faulty: bool
+    median: float  # distance of found from predicted corners [px]
+    rms: float  # the same of the corners that count [px]
+    outliers: int  # corners that do not count, as they are more than 4 robust standard deviations off
+    faulty: bool  # whether the view as a whole is wrong
     pixels: Float64 = field(repr=False)
     offsets: Float64 = field(repr=False)
 
@@ -73,16 +70,9 @@ class BoardFit:
     names: Free parameters, in the order of `values` and `covariance`. Rotations are about the axes of the camera (x
         right, y down, z forward) and of the board's frame at posture (0, 0) about the world's
     values: [mm, deg, px], shape (G,); rotations are 0, as they are of the small deviations from this result
-    covariance: [mm, deg, px], shape (G, G)
     board_rotation, board_position: Board to part frame, of shapes (3, 3) and (3,) [mm]
-    freed: Optional parameters that are free, on request or on evidence
-    noise: Standard deviation of a corner along one axis [px]
     common_errors: How many times larger the errors are that neighbouring corners have in common: about 1 for a flat
         board and a lens as fitted. Intervals are as many times wider
-    angle_error_deg: Standard deviation of the errors of the stage's readings
-    residuals: Of each view
-    unobservable: What the images do not determine; it is near nominal
-    predicted_rms: Standard error of a pixel predicted for a point of the board, over all postures [px]
     next_posture: Whose view would lower `predicted_rms` most, and to what; None where no posture shows the board
     """
 
@@ -90,22 +80,22 @@ class BoardFit:
     stage: Stage
     names: tuple[str, ...]
     values: Float64 = field(repr=False)
-    covariance: Float64 = field(repr=False)
+    covariance: Float64 = field(repr=False)  # [mm, deg, px], shape (G, G)
     board_rotation: Float64 = field(repr=False)
     board_position: Float64 = field(repr=False)
-    freed: tuple[str, ...]
-    noise: float
+    freed: tuple[str, ...]  # optional parameters that are free, on request or on evidence
+    noise: float  # standard deviation of a corner along one axis [px]
     common_errors: float
-    angle_error_deg: float
-    residuals: tuple[ViewResidual, ...] = field(repr=False)
-    unobservable: tuple[str, ...]
-    predicted_rms: float
+    angle_error_deg: float  # standard deviation of the errors of the stage's readings
+    residuals: tuple[ViewResidual, ...] = field(repr=False)  # of each view
+    unobservable: tuple[str, ...]  # what the images do not determine; it is near nominal
+    predicted_rms: float  # standard error of a pixel predicted for a point of the board, over all postures [px]
     next_posture: PostureGain | None
 
     @property
     def intervals(self) -> Mapping[str, tuple[float, float]]:
         """95 % interval of each free parameter [mm, deg, px]."""
-        half = _NORMAL_95 * np.sqrt(np.diag(self.covariance))
+        half = NORMAL_95 * np.sqrt(np.diag(self.covariance))
         ends = zip(self.values - half, self.values + half, strict=True)
         return {name: (float(low), float(high)) for name, (low, high) in zip(self.names, ends, strict=True)}
 
@@ -124,7 +114,6 @@ def fit_board(
     free: Collection[str] = (),
     on_evidence: bool = True,
     angle_error_deg: float = 0.02,
-    uncertainty: RigUncertainty | None = None,
     postures: Sequence[Posture] | None = None,
 ) -> BoardFit:
     """Fit camera pose, focal length, principal point, k1, tilt axis, and the board's pose and bow to its corners.
@@ -144,7 +133,7 @@ def fit_board(
     if wrong:
         raise InputError(f"{', '.join(wrong)}: cannot be fitted; expected some of {', '.join(OPTIONAL)}")
     corners = _corners(views, board)
-    prior, origin = nominal_prior(board, camera, stage or Stage(), uncertainty or RigUncertainty(), angle_error_deg)
+    prior, origin = nominal_prior(board, camera, stage or Stage(), angle_error_deg)
     start = start_from_views(np.where(np.isfinite(prior.mean), prior.mean, 0.0), origin, corners.seen, corners.pixels)
     start[0][BOARD_POSITION.stop - 1] = board.height
     tilted = bool(np.ptp(corners.seen.readings[:, 0]) >= _LEAST_TILTED)
@@ -201,15 +190,7 @@ def _rig(fit: JointFit, nominal: PinholeCamera) -> tuple[PinholeCamera, Stage]:
         aspect=float(x[AT["camera.aspect"]]),
         distortion=replace(nominal.distortion, k1=k1, k2=k2, p1=p1, p2=p2, k3=k3),
     )
-    epsilon = x[AT["tilt_axis.elevation"]]
-    stage = Stage(
-        pivot=np.zeros(3),
-        tilt_point=np.array([0.0, x[AT["tilt_axis.position_y"]], x[AT["tilt_axis.position_z"]]]),
-        tilt_direction=np.array([np.cos(epsilon), 0.0, np.sin(epsilon)]),
-        tilt_scale=float(x[AT["tilt_axis.scale"]]),
-        rotary_scale=float(x[AT["rotary_axis.scale"]]),
-    )
-    return camera, stage
+    return camera, stage_of(x)
 
 
 def _residuals(views: Sequence[BoardView], fit: JointFit, seen: Sightings) -> tuple[ViewResidual, ...]:

@@ -21,14 +21,11 @@ _SATURATED, _MOST_SATURATED = 0.995, 0.01  # level, as a share of the full scale
 
 @dataclass(frozen=True, eq=False)
 class BoardImage:
-    """An image of the board.
-
-    pixels: Grey levels, shape (height, width), or with colours (height, width, 3)
-    """
+    """An image of the board."""
 
     name: str
     posture: Posture
-    pixels: Any
+    pixels: Any  # grey levels, shape (height, width), or with colours (height, width, 3)
 
 
 @dataclass(frozen=True, kw_only=True)

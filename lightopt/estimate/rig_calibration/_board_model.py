@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from lightopt.core.arrays import Float64, Index
 from lightopt.core.transforms import rotation_from_vector
 from lightopt.estimate.rig_calibration._board import Board
+from lightopt.scene import Stage
 
 # every parameter of the model, in this order; lengths [mm], angles [rad], image [px]
 NAMES = (
@@ -45,14 +46,10 @@ BOW = slice(AT["board.bow_xx"], AT["board.bow_xx"] + 3)
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """Orientations that the rotation parameters start from, each of shape (3, 3).
+    """Orientations that the rotation parameters start from, each of shape (3, 3)."""
 
-    camera: Rows are the camera's right, down and forward, world frame
-    board: Board frame to world at posture (0, 0)
-    """
-
-    camera: Float64
-    board: Float64
+    camera: Float64  # rows are the camera's right, down and forward, world frame
+    board: Float64  # board frame to world at posture (0, 0)
 
     def moved(self, x: Float64) -> "Origin":
         """With the rotation parameters of `x` in it, so that they are 0 next."""
@@ -65,18 +62,12 @@ class Origin:
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Points of the board that images show, N in K views.
+    """Points of the board that images show, N in K views."""
 
-    points: Board frame [mm], shape (N, 2)
-    half: Half the board's sides [mm], which the bow is measured at
-    view: Number of the view, shape (N,)
-    readings: Tilt and rotation of each view [rad], shape (K, 2)
-    """
-
-    points: Float64
-    half: Float64
-    view: Index
-    readings: Float64
+    points: Float64  # board frame [mm], shape (N, 2)
+    half: Float64  # half the board's sides [mm], which the bow is measured at
+    view: Index  # number of the view, shape (N,)
+    readings: Float64  # tilt and rotation of each view [rad], shape (K, 2)
 
 
 def sightings(board: Board, ids: list[Index], readings: Float64) -> Sightings:
@@ -84,6 +75,18 @@ def sightings(board: Board, ids: list[Index], readings: Float64) -> Sightings:
     points = board.points
     view = np.repeat(np.arange(len(ids)), [len(i) for i in ids])
     return Sightings(points[np.concatenate(ids)], np.abs(points).max(axis=0), view, readings)
+
+
+def stage_of(x: Float64) -> Stage:
+    """The stage with these parameters."""
+    epsilon = x[AT["tilt_axis.elevation"]]
+    return Stage(
+        pivot=np.zeros(3),
+        tilt_point=np.array([0.0, x[AT["tilt_axis.position_y"]], x[AT["tilt_axis.position_z"]]]),
+        tilt_direction=np.array([np.cos(epsilon), 0.0, np.sin(epsilon)]),
+        tilt_scale=float(x[AT["tilt_axis.scale"]]),
+        rotary_scale=float(x[AT["rotary_axis.scale"]]),
+    )
 
 
 def predict(

@@ -9,7 +9,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
-from lightopt.core.transforms import rotation_from_vector, rotation_z
+from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._board_model import (
     AT,
     BOARD_POSITION,
@@ -17,6 +17,7 @@ from lightopt.estimate.rig_calibration._board_model import (
     Origin,
     Sightings,
     predict,
+    stage_of,
 )
 
 _LEAST_POINTS = 6
@@ -41,7 +42,7 @@ def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float6
         if len(flat) < _LEAST_POINTS or np.linalg.matrix_rank(flat) < 2:
             continue
         for turned, shift in _plane_poses(seen.points[mine], rays[mine]):
-            lift, at_zero = _stage(x, seen.readings[view])
+            lift, at_zero = stage_of(x).transform(Posture(*np.degrees(seen.readings[view])))
             world = origin.camera.T
             placed = Origin(origin.camera, lift.T @ world @ turned)
             there = x.copy()
@@ -57,15 +58,6 @@ def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float6
     if best is None:
         raise InputError(f"board: no image shows {_LEAST_POINTS} points that are not on a line")
     return best[1], best[2]
-
-
-def _stage(x: Float64, reading: Float64) -> tuple[Float64, Float64]:
-    # world = R·part + t of a posture
-    tilt, turn = x[[AT["tilt_axis.scale"], AT["rotary_axis.scale"]]] * reading
-    epsilon = x[AT["tilt_axis.elevation"]]
-    lift = rotation_from_vector(tilt * np.array([np.cos(epsilon), 0.0, np.sin(epsilon)]))
-    point = np.array([0.0, x[AT["tilt_axis.position_y"]], x[AT["tilt_axis.position_z"]]])
-    return lift @ rotation_z(turn), point - lift @ point
 
 
 def _plane_poses(points: Float64, rays: Float64) -> list[tuple[Float64, Float64]]:

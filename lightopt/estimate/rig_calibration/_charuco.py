@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from lightopt.config import BoardTargetConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.estimate.rig_calibration._board import Board
@@ -22,16 +23,14 @@ INSTALL = "pip install 'lightopt[opencv]'"
 class CharucoBoard:
     """A printed board; lengths [mm].
 
-    squares: Along x and along y
     square, marker: Side of a square and of the marker in it, with the marker's black border
-    dictionary: Name of the markers, as OpenCV has it
     legacy_pattern: Even number of rows starts with a white square, as boards from before OpenCV 4.6 and of calib.io do
     """
 
-    squares: tuple[int, int]
+    squares: tuple[int, int]  # along x and along y
     square: float
     marker: float
-    dictionary: str = "DICT_4X4_1000"
+    dictionary: str = "DICT_4X4_1000"  # name of the markers, as OpenCV has it
     legacy_pattern: bool = False
 
     def __post_init__(self) -> None:
@@ -56,6 +55,17 @@ class CharucoBoard:
         """The inner corners; `measured` are pitch, pitch_error, height, height_error of :class:`Board`."""
         columns, rows = self.squares
         return Board(columns=columns - 1, rows=rows - 1, **{"pitch": self.square, **measured})
+
+
+def charuco_board(target: BoardTargetConfig) -> CharucoBoard:
+    """The board of a targets file."""
+    return CharucoBoard(
+        squares=target.squares,
+        square=target.square_mm,
+        marker=target.marker_mm,
+        dictionary=target.dictionary,
+        legacy_pattern=target.legacy_pattern,
+    )
 
 
 def opencv() -> Any:

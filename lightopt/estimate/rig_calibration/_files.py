@@ -15,7 +15,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import vector_of_rotation
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS
 from lightopt.estimate.rig_calibration._calibrate import RigCalibration
-from lightopt.estimate.rig_calibration._measured import Measured
+from lightopt.estimate.rig_calibration._measured import NORMAL_95, Measured
 from lightopt.estimate.rig_calibration._plan import RIG_NAME
 from lightopt.images import write_bytes_atomic, write_text_atomic
 from lightopt.lights import PanelLight
@@ -121,12 +121,13 @@ def intervals(found: RigCalibration) -> Iterator[tuple[str, Interval]]:
     """95 % interval of each measured value, by a name that says what it is of."""
     if found.board is not None:
         yield from found.board.intervals.items()
-    if found.ball is not None:
-        values = zip(found.ball.lights, found.ball.half_widths_95, strict=True)
-        for light, half in values:
-            measured = [*light.centre, 0.0, 0.0, 0.0, *light.size]
-            for name, value, width in zip(PANEL_PARAMETERS, measured, half, strict=True):
-                yield f"{light.name} {name}", (value - width, value + width)
+    names, covariance = found.covariance
+    if found.ball is not None or found.plate is not None:
+        half = dict(zip(names, NORMAL_95 * np.sqrt(np.diag(covariance)), strict=True))
+        for light in found.lights:
+            for name, value in zip(PANEL_PARAMETERS, [*light.centre, 0.0, 0.0, 0.0, *light.size], strict=True):
+                width = float(half[f"{light.name} {name}"])
+                yield f"{light.name} {name}", (float(value) - width, float(value) + width)
     if found.plate is not None:
         for light, gain in zip(found.lights, found.plate.gains, strict=True):
             yield f"{light.name} gain", gain.interval_95
@@ -196,16 +197,9 @@ def write_calibration(found: RigCalibration, *, force: bool = False) -> tuple[Pa
 
     Raises InputError: Other results are there, and `force` is False
     """
-    arrays: dict[str, Any] = {}
-    if found.board is not None:
-        arrays |= {"board_names": np.array(found.board.names), "board": found.board.covariance}
-    if found.ball is not None:
-        names = [f"{light.name} {name}" for light in found.ball.lights for name in PANEL_PARAMETERS]
-        arrays |= {"panels_names": np.array(names), "panels": found.ball.panels_covariance}
-    if found.plate is not None:
-        arrays["plate"] = found.plate.covariance
+    names, covariance = found.covariance
     packed = io.BytesIO()
-    np.savez(packed, **arrays)
+    np.savez(packed, names=np.array(names, np.str_), covariance=covariance)
     paths = tuple(found.folder / name for name in (RIG_NAME, COVARIANCE_NAME, FIGURES_NAME))
     text = json.dumps(figures(found), indent=1, ensure_ascii=False) + "\n"
     write_text_atomic(paths[0], calibrated_rig_text(found), overwrite=force)

@@ -50,12 +50,11 @@ class Prior:
     """What is known beforehand, independently of each other.
 
     mean, sd: Of all parameters, shape (P,); infinite where nothing is known, 0 where a parameter is held
-    angle_sd: Of errors of the stage's readings [rad]
     """
 
     mean: Float64
     sd: Float64
-    angle_sd: float
+    angle_sd: float  # of errors of the stage's readings [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,30 +69,21 @@ class Corners:
 class JointFit:
     """The estimate.
 
-    x: All parameters, shape (P,), rotations about `origin`
-    free: Numbers of the G free ones
-    covariance: Of these and of the errors of tilt and rotation [mm, rad, px], shape (G + 2K, G + 2K)
-    angles: Errors of tilt and rotation of each view [rad], shape (K, 2)
-    angle_sd: Standard deviation of such errors, from the prior and from what the fit finds [rad]
-    noise: Standard deviation of a corner along one axis [px]
     common: How many times larger the errors are that neighbouring corners have in common; the covariance holds it
-    residual: Found less predicted [px], shape (N, 2)
-    inlier: Corners that count, shape (N,)
-    extra: Optional parameters that are free
     """
 
-    x: Float64
+    x: Float64  # all parameters, shape (P,), rotations about `origin`
     origin: Origin
     prior: Prior
-    free: Index
-    covariance: Float64
-    angles: Float64
-    angle_sd: float
-    noise: float
+    free: Index  # numbers of the G free ones
+    covariance: Float64  # of these and of the errors of tilt and rotation [mm, rad, px], shape (G + 2K, G + 2K)
+    angles: Float64  # errors of tilt and rotation of each view [rad], shape (K, 2)
+    angle_sd: float  # standard deviation of such errors, from the prior and from what the fit finds [rad]
+    noise: float  # standard deviation of a corner along one axis [px]
     common: float
-    residual: Float64
-    inlier: Bool
-    extra: tuple[str, ...]
+    residual: Float64  # found less predicted [px], shape (N, 2)
+    inlier: Bool  # corners that count, shape (N,)
+    extra: tuple[str, ...]  # optional parameters that are free
 
     @property
     def of_free(self) -> Float64:

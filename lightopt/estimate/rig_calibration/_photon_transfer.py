@@ -39,12 +39,11 @@ class FramePair:
     """Two frames of a still scene under the same light.
 
     first, second: Delivered levels, whole numbers, shape (H, W) [sensor level]
-    exposure: Exposure time, in any unit that is common to all pairs
     """
 
     first: NDArray[Any]
     second: NDArray[Any]
-    exposure: float
+    exposure: float  # exposure time, in any unit that is common to all pairs
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,26 +51,23 @@ class PhotonTransfer:
     """The sensor as the pairs show it; the names are those of :class:`lightopt.optics.Sensor`.
 
     levels_per_electron, electrons_per_level: Conversion gain K [sensor level], and 1/K
-    read_noise_levels: Standard deviation of the noise without light, without rounding [sensor level]
-    black_level: Mean level without light, before clipping at 0 [sensor level]
     saturation_level: Level at which the brightest frames pile up [sensor level]; None where none is saturated
     linearity_error: Largest deviation of the mean level from a straight line in the exposure time [% of the range]; NaN
         where not the exposure was varied but the light
     exposures, means, variances: Of the pairs by exposure: mean level above black and temporal variance without
         rounding, shape (k,) [sensor level, sensor level²]
-    fitted: Pairs that the conversion gain is from, shape (k,)
     """
 
     levels_per_electron: Measured
     electrons_per_level: Measured
-    read_noise_levels: Measured
-    black_level: Measured
+    read_noise_levels: Measured  # standard deviation of the noise without light, without rounding [sensor level]
+    black_level: Measured  # mean level without light, before clipping at 0 [sensor level]
     saturation_level: float | None
     linearity_error: float
     exposures: Float64
     means: Float64
     variances: Float64
-    fitted: Bool
+    fitted: Bool  # pairs that the conversion gain is from, shape (k,)
 
 
 def photon_transfer(pairs: Sequence[FramePair], darks: Sequence[FramePair], *, bit_depth: int) -> PhotonTransfer:

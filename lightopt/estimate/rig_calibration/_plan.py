@@ -11,7 +11,7 @@ import numpy as np
 from lightopt.config import RigConfig, TargetsConfig, load_targets
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.estimate.rig_calibration._charuco import CharucoBoard, board_mesh
+from lightopt.estimate.rig_calibration._charuco import CharucoBoard, board_mesh, charuco_board
 from lightopt.geometry import TriangleMesh, box_mesh, sphere_mesh, stl_bytes
 from lightopt.images import make_folder, write_bytes_atomic, write_text_atomic
 from lightopt.optics import Reflectance
@@ -38,20 +38,14 @@ SIGMA = 0.004  # of the ball
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationPlan:
-    """Files of a calibration folder, and the commands that fill it.
-
-    board: To print; None where there is none
-    targets: What is put on the stage, one sentence each
-    commands: To run one after another
-    images: Number of images that they capture
-    """
+    """Files of a calibration folder, and the commands that fill it."""
 
     folder: Path
     files: tuple[Path, ...]
-    board: CharucoBoard | None
-    targets: tuple[str, ...]
-    commands: tuple[str, ...]
-    images: int
+    board: CharucoBoard | None  # to print; None where there is none
+    targets: tuple[str, ...]  # what is put on the stage, one sentence each
+    commands: tuple[str, ...]  # to run one after another
+    images: int  # number of images that they capture
 
 
 def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> CalibrationPlan:
@@ -79,10 +73,7 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     target: CharucoBoard | None = None
     if targets.board is not None:
         b = targets.board
-        target = CharucoBoard(
-            squares=b.squares, square=b.square_mm, marker=b.marker_mm, dictionary=b.dictionary,
-            legacy_pattern=b.legacy_pattern,
-        )  # fmt: skip
+        target = charuco_board(b)
         postures = _postures(rig, BOARD_TILTS_DEG, BOARD_TURNS)
         mesh = board_mesh(target, margin=0.5 * b.square_mm)
         files += _write_part(folder, BOARD, mesh, b.height_mm, postures, white, force)

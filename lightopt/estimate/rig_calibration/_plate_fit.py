@@ -7,7 +7,7 @@ Only the product of gain and the plate's brightness shows, so the mean gain is 1
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, _unmoved, posed_panel
+from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, panel_names, posed_panel, unmoved
 from lightopt.estimate.rig_calibration._measured import Measured, measured
 from lightopt.lights import PanelLight
 from lightopt.scene import PinholeCamera, Stage, pixel_directions
@@ -33,7 +33,7 @@ FALL_OFF_DECIDED = 9.0  # difference of χ² that decides between fall-off and n
 
 _EACH = len(PANEL_PARAMETERS)
 _COMMON = 4  # n, κ and two coefficients of vignetting
-_STEP = np.array([1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4, 1e-2, 1e-2])
+_STEP = np.array([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3, 0.1, 0.1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,20 +53,14 @@ class Plate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlateView:
-    """Mean levels of cells of the plate's image in one posture under one light.
-
-    points: Where the cells are, world frame [mm], shape (k, 3)
-    normal: Of the plate, world frame, shape (3,)
-    radius: Distance of the cells from the principal point, in halves of the image's diagonal, shape (k,)
-    levels: Linear, black removed [grey level at exposure 1], shape (k,)
-    """
+    """Mean levels of cells of the plate's image in one posture under one light."""
 
     posture: Posture
     light: str
-    points: Float64
-    normal: Float64
-    radius: Float64
-    levels: Float64
+    points: Float64  # where the cells are, world frame [mm], shape (k, 3)
+    normal: Float64  # of the plate, world frame, shape (3,)
+    radius: Float64  # distance of the cells from the principal point, in halves of the image's diagonal, shape (k,)
+    levels: Float64  # linear, black removed [grey level at exposure 1], shape (k,)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,26 +68,26 @@ class PlateFit:
     """The panels' light and the lens's dimming.
 
     lights: As they were given, with gain, fall-off, emission exponent, and pose and size as both ball and plate show
-    gains: By light, their mean 1
-    brightness: Diffuse coefficient R_d of the plate, for the mean gain [grey level]
-    emission_exponent: n, common to all panels; not fitted where the views do not decide it
+    emission_exponent: n, common to all panels; not fitted where the views do not decide it, and 0 where it would be
+        less, with a warning
     fall_off_decided: Whether the plate shows if there is an inverse-square fall-off; else it is as the rig file has it
     vignetting: v₁ and v₂ of the factor ``1 + v₁ρ² + v₂ρ⁴``, ρ from the principal point in halves of the diagonal
-    covariance: Of n, κ of the plate, v₁, v₂, then ``gain·brightness`` of each light, then the panel parameters of each
+    names, covariance: Of n, κ of the plate, v₁, v₂, then the gain of each light, then the panel parameters of each
         light, shape (4 + 9·L, 4 + 9·L)
-    rms: Of the residuals, in the errors claimed
     """
 
     lights: tuple[PanelLight, ...]
-    gains: tuple[Measured, ...]
-    brightness: Measured
+    gains: tuple[Measured, ...]  # by light, their mean 1
+    brightness: Measured  # diffuse coefficient R_d of the plate, for the mean gain [grey level]
     emission_exponent: Measured
     emission_fitted: bool
     fall_off: Literal["inverse_square", "none"]
     fall_off_decided: bool
     vignetting: tuple[Measured, Measured]
+    names: tuple[str, ...]
     covariance: Float64
-    rms: float
+    rms: float  # of the residuals, in the errors claimed
+    warnings: tuple[str, ...]  # what is not as a rig file can hold it
 
 
 def plate_cells(
@@ -174,37 +168,62 @@ def fit_plate(
     given = all(light.inverse_square for light in lights)
     errors = (relative_error, level_error, lambert_error)
     kept, other = (_Problem(views, lights, panels_covariance, errors, falls) for falls in (given, not given))
-    fit, alternative = kept.solve(EXPONENT_PRIOR), other.solve(EXPONENT_PRIOR)
+    filed = float(np.mean([light.emission_exponent for light in lights]))
+    fit, alternative = (one.solve(filed, EXPONENT_PRIOR) for one in (kept, other))
     difference = (fit.chi_squared - alternative.chi_squared) / max(1.0, min(fit.mean_square, alternative.mean_square))
     if difference > FALL_OFF_DECIDED:
         kept, fit = other, alternative
     fitted = bool(np.sqrt(fit.covariance[0, 0]) <= EXPONENT_DECIDED)
-    fit = kept.solve(EXPONENT_PRIOR if fitted else HELD, again=True)
+    fit = kept.solve(filed, EXPONENT_PRIOR if fitted else HELD, again=True)
+    exponent = measured(float(fit.x[0]), float(np.sqrt(fit.covariance[0, 0])))
+    warnings: tuple[str, ...] = ()
+    if exponent.value < 0.0:
+        low, high = exponent.interval_95
+        warnings = (_below_zero(exponent.value, low, high),)
+        # gains and panels are those of an exponent of 0; their errors are not less for that
+        fit = replace(kept.solve(0.0, HELD), covariance=fit.covariance)
+        exponent = Measured(value=0.0, error=exponent.error, interval_95=(0.0, max(0.0, high)))
 
     levels = slice(_COMMON, _COMMON + len(lights))
-    level, of_levels = fit.x[levels], fit.covariance[levels, levels]
+    level = fit.x[levels]
     gains = level / level.mean()
-    slope = (np.eye(len(lights)) - gains[:, None] / len(lights)) / level.mean()  # of level / mean, by the levels
-    gain_errors = np.sqrt(np.diag(slope @ of_levels @ slope.T))
-    common = [
-        measured(float(v), float(e)) for v, e in zip(fit.x[:_COMMON], np.sqrt(np.diag(fit.covariance)), strict=False)
-    ]
-    moves = fit.x[levels.stop :].reshape(-1, _EACH) + _unmoved(lights)
+    to_gains = np.eye(len(fit.x))
+    to_gains[levels, levels] = (np.eye(len(lights)) - gains[:, None] / len(lights)) / level.mean()
+    covariance = to_gains @ fit.covariance @ to_gains.T
+    values = np.concatenate([fit.x[:_COMMON], gains])
+    errors_of = np.sqrt(np.diag(covariance)[: levels.stop])
+    _, _, v1, v2, *of_gains = (measured(float(v), float(e)) for v, e in zip(values, errors_of, strict=True))
+    moves = fit.x[levels.stop :].reshape(-1, _EACH) + unmoved(lights)
     return PlateFit(
         lights=tuple(
-            replace(posed_panel(light, move), gain=float(gain), emission_exponent=max(0.0, common[0].value))
+            replace(posed_panel(light, move), gain=float(gain), emission_exponent=exponent.value)
             for light, move, gain in zip(kept.lights, moves, gains, strict=True)
         ),
-        gains=tuple(measured(float(g), float(e)) for g, e in zip(gains, gain_errors, strict=True)),
-        brightness=measured(float(level.mean()), float(np.sqrt(of_levels.mean()))),
-        emission_exponent=common[0],
+        gains=tuple(of_gains),
+        brightness=measured(float(level.mean()), float(np.sqrt(fit.covariance[levels, levels].mean()))),
+        emission_exponent=exponent,
         emission_fitted=fitted,
         fall_off="inverse_square" if kept.lights[0].inverse_square else "none",
         fall_off_decided=abs(difference) > FALL_OFF_DECIDED,
-        vignetting=(common[2], common[3]),
-        covariance=fit.covariance,
+        vignetting=(v1, v2),
+        names=(
+            *("emission_exponent", "plate.kappa", "camera.vignetting.v2", "camera.vignetting.v4"),
+            *(f"{light.name} gain" for light in lights),
+            *panel_names(lights),
+        ),
+        covariance=covariance,
         rms=float(np.sqrt(fit.mean_square)),
+        warnings=warnings,
     )
+
+
+def _below_zero(value: float, low: float, high: float) -> str:
+    found = (
+        f"plate: emission exponent {value:.2f}, 95 % interval {low:.2f} to {high:.2f}; 0 is taken, the least there is"
+    )
+    if high >= 0.0:
+        return found
+    return f"{found}. The panels are brighter from the side than from ahead, or the plate is not matt"
 
 
 @dataclass(frozen=True)
@@ -216,7 +235,7 @@ class _Fit:
 
 
 class _Problem:
-    """Levels of all cells by n, κ, v₁, v₂, the lights' levels and moves of the panels, which are small: linear."""
+    """Levels of all cells by n, κ, v₁, v₂, the lights' levels and moves of the panels, which are small: quadratic."""
 
     def __init__(
         self,
@@ -236,59 +255,67 @@ class _Problem:
         self._error = np.hypot(errors[1], errors[0] * self._levels)
         self._lambert_error = errors[2]
         self._known = np.linalg.inv(np.linalg.cholesky(panels_covariance))
-        self._exponent = float(np.mean([light.emission_exponent for light in lights]))
-        # moves of the panels that levels are linear about, and what they are linear in
-        self._moves, self._slopes = np.zeros((len(lights), _EACH)), np.zeros((len(self._levels), _EACH))
         self._cosines = self._of_panels(np.zeros(_EACH))
 
-    def solve(self, exponent_error: float, *, again: bool = False) -> _Fit:
+    def solve(self, exponent: float, exponent_error: float, *, again: bool = False) -> _Fit:
+        # n is `exponent` beforehand, with this standard deviation
         count = len(self.lights)
-        self._moves = np.zeros((count, _EACH))
-        self._cosines = self._of_panels(np.zeros(_EACH))
-        flat = _irradiance(*self._cosines, exponent=self._exponent, kappa=0.0)
+        self._linearise(exponent)
+        flat, _, _ = _irradiance(*self._cosines, exponent=exponent)
         totals = (np.bincount(self._owner, values, count) for values in (self._levels, flat))
-        level = np.divide(*totals)
-        start = np.concatenate([[self._exponent, 0.0, 0.0, 0.0], level, np.zeros(_EACH * count)])
-        prior = np.array([exponent_error, self._lambert_error, VIGNETTING_PRIOR, VIGNETTING_PRIOR])
+        start = np.concatenate([[exponent, 0.0, 0.0, 0.0], np.divide(*totals), np.zeros(_EACH * count)])
+        prior = np.diag(1.0 / np.array([exponent_error, self._lambert_error, VIGNETTING_PRIOR, VIGNETTING_PRIOR]))
+        known = np.zeros((_COMMON + _EACH * count, len(start)))
+        known[:_COMMON, :_COMMON], known[_COMMON:, -_EACH * count :] = prior, self._known
 
         def residuals(x: Float64) -> Float64:
-            known = (x - start)[:_COMMON] / prior
-            return np.concatenate(
-                [(self._predicted(x) - self._levels) / self._error, known, self._known @ x[-_EACH * count :]]
-            )
+            return np.concatenate([(self._predicted(x)[0] - self._levels) / self._error, known @ (x - start)])
 
-        found = self._fit(residuals, start)
-        if again:  # what a move does depends on n and on the panels' geometry
-            found = self._fit(residuals, found.x)
-        freedom = len(found.fun) - len(start)
-        mean_square = 2.0 * float(found.cost) / freedom
+        def slopes(x: Float64) -> Float64:
+            return np.concatenate([self._predicted(x)[1] / self._error[:, None], known])
+
+        how: dict[str, Any] = {"jac": slopes, "method": "lm", "x_scale": "jac"}
+        found = least_squares(residuals, start, **how)
+        if again:  # what a move does depends on n
+            self._linearise(found.x[0])
+            found = least_squares(residuals, found.x, **how)
+        mean_square = 2.0 * float(found.cost) / (len(found.fun) - len(start))
         covariance = np.linalg.inv(found.jac.T @ found.jac) * max(1.0, mean_square)
         return _Fit(found.x, covariance, 2.0 * float(found.cost), mean_square)
 
-    def _predicted(self, x: Float64) -> Float64:
+    def _predicted(self, x: Float64) -> tuple[Float64, Float64]:
+        # levels, shape (n,), and their derivatives by all parameters, (n, P)
+        count, each = len(self.lights), np.arange(len(self._levels))
         n, kappa, v1, v2 = x[:_COMMON]
-        count = len(self.lights)
+        moves = x[_COMMON + count :].reshape(count, _EACH)[self._owner]
         dimming = 1.0 + self._square * (v1 + v2 * self._square)
-        moved = 1.0 + np.sum(
-            self._slopes * (x[-_EACH * count :].reshape(count, _EACH) - self._moves)[self._owner], axis=1
-        )
+        moved = 1.0 + np.sum((self._slopes + 0.5 * self._bends * moves) * moves, axis=1)
+        light, by_n, by_kappa = _irradiance(*self._cosines, exponent=n, kappa=kappa)
         level = x[_COMMON : _COMMON + count][self._owner]
-        return level * dimming * moved * _irradiance(*self._cosines, exponent=n, kappa=kappa)
+        slopes = np.zeros((len(each), len(x)))
+        slopes[:, 0], slopes[:, 1] = level * dimming * moved * np.stack([by_n, by_kappa])
+        slopes[:, 2] = level * moved * light * self._square
+        slopes[:, 3] = slopes[:, 2] * self._square
+        slopes[each, _COMMON + self._owner] = dimming * moved * light
+        of_moves = _COMMON + count + _EACH * self._owner[:, None] + np.arange(_EACH)
+        slopes[each[:, None], of_moves] = (level * dimming * light)[:, None] * (self._slopes + self._bends * moves)
+        return level * dimming * moved * light, slopes
 
-    def _of_panels(self, move: Float64) -> tuple[Float64, Float64, Float64]:
-        panels = [
-            posed_panel(light, move + own)
-            for light, own in zip(self.lights, _unmoved(self.lights) + self._moves, strict=True)
+    def _linearise(self, exponent: float) -> None:
+        # For panels where the ball shows them, not where this fit has moved them: there, a rotation δ of a panel acts
+        # through n·δ. Its prior would favour a small δ with a large n, and n would be 0.2 too large. Squares count: δ
+        # dims a panel by n·δ²/2, as much as its gain is uncertain where there is no fall-off.
+        moved = [
+            _irradiance(*self._of_panels(step), exponent=exponent)[0] for step in (*np.diag(_STEP), *np.diag(-_STEP))
         ]
-        return _cosines(panels, self._owner, self._points, self._normals)
+        up, down = np.split(np.array(moved), 2)
+        middle, _, _ = _irradiance(*self._cosines, exponent=exponent)
+        self._slopes, self._bends = (up - down).T / (2.0 * _STEP), (up + down - 2.0 * middle).T / np.square(_STEP)
+        self._slopes, self._bends = self._slopes / middle[:, None], self._bends / middle[:, None]
 
-    def _fit(self, residuals: Callable[[Float64], Float64], x: Float64) -> Any:
-        self._moves = x[_COMMON + len(self.lights) :].reshape(-1, _EACH)
-        self._cosines = self._of_panels(np.zeros(_EACH))
-        moved = [self._of_panels(step) for step in (*np.diag(_STEP), *np.diag(-_STEP))]
-        up, down = np.split(np.array([_irradiance(*cosines, exponent=x[0], kappa=0.0) for cosines in moved]), 2)
-        self._slopes = ((up - down) / (up + down)).T / _STEP
-        return least_squares(residuals, x, method="lm", x_scale="jac")
+    def _of_panels(self, step: Float64) -> tuple[Float64, Float64, Float64]:
+        panels = [posed_panel(light, own + step) for light, own in zip(self.lights, unmoved(self.lights), strict=True)]
+        return _cosines(panels, self._owner, self._points, self._normals)
 
 
 def irradiance(light: PanelLight, points: Float64, normal: Float64, *, exponent: float, kappa: float = 0.0) -> Float64:
@@ -300,7 +327,7 @@ def irradiance(light: PanelLight, points: Float64, normal: Float64, *, exponent:
     kappa: κ of a surface that reflects as cosθ to the power 1 + κ of the angle of incidence
     """
     cosines = _cosines([light], np.zeros(len(points), np.intp), points, np.broadcast_to(normal, points.shape))
-    return _irradiance(*cosines, exponent=exponent, kappa=kappa)
+    return _irradiance(*cosines, exponent=exponent, kappa=kappa)[0]
 
 
 def _cosines(
@@ -324,5 +351,9 @@ def _cosines(
     return lit, emission, incidence
 
 
-def _irradiance(weight: Float64, emission: Float64, incidence: Float64, *, exponent: float, kappa: float) -> Float64:
-    return np.sum(weight * np.exp(exponent * emission + (1.0 + kappa) * incidence), axis=1)
+def _irradiance(
+    weight: Float64, emission: Float64, incidence: Float64, *, exponent: float, kappa: float = 0.0
+) -> tuple[Float64, Float64, Float64]:
+    # and its derivatives by both exponents
+    each = weight * np.exp(exponent * emission + (1.0 + kappa) * incidence)
+    return np.sum(each, axis=1), np.sum(each * emission, axis=1), np.sum(each * incidence, axis=1)

@@ -30,36 +30,26 @@ SAME_BLOCKS, SAME_SHARE, SAME_BLUR = 0.02, 0.005, 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class CoarseImage:
-    """An observation in blocks of side² pixels.
-
-    levels: Mean sensor levels, black level included, shape (h, w).
-    saturated: Blocks with a saturated pixel, same shape.
-    mostly: Blocks of which most pixels are saturated, same shape.
-    top: Level from which a pixel is saturated, less what was subtracted, same shape.
-    count: Frames and pixels that a level is the mean of.
-    """
+    """An observation in blocks of side² pixels."""
 
     source: Observation
-    levels: Float32
-    saturated: Bool
-    mostly: Bool
-    top: Float32
-    count: int
+    levels: Float32  # mean sensor levels, black level included, shape (h, w)
+    saturated: Bool  # blocks with a saturated pixel, same shape
+    mostly: Bool  # blocks of which most pixels are saturated, same shape
+    top: Float32  # level from which a pixel is saturated, less what was subtracted, same shape
+    count: int  # frames and pixels that a level is the mean of
 
 
 @dataclass(frozen=True, kw_only=True)
 class CoarsePrediction:
     """What the model has in a posture; levels at exposure 1 [grey level], arrays of shape (h, w).
 
-    levels: By light.
-    hit: Of the part.
-    clean: Off silhouettes, creases and grazing views.
     points, normals: World frame, shape (h, w, 3).
     """
 
-    levels: dict[str, Float32]
-    hit: Bool
-    clean: Bool
+    levels: dict[str, Float32]  # by light
+    hit: Bool  # of the part
+    clean: Bool  # off silhouettes, creases and grazing views
     points: Float32
     normals: Float32
 

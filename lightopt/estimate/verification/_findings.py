@@ -55,24 +55,19 @@ class Finding:
 
     kind: ``gain``, ``exposure``, ``black``, ``part_shift``, ``part_turn``, ``camera_shift``, ``camera_turn``,
         ``panel_shift``, ``panel_turn``, ``swap``, ``focus``, ``dust_part`` or ``dust_lens``.
-    light: Whose fault it is; empty where it is no light's. For ``swap`` both names.
     size: Share of the brightness, sensor levels, mm, degrees, px, or a number of spots or lights; the length of a shift
         or a rotation.
     parts: Its components by axis, signed, in the same unit; that of a single number has no name.
-    error: Standard error of `size`.
-    limit: Within tolerance up to this size; None for what is reported only.
-    alternatives: What explains the images as well: kinds and lights.
-    note: What its size in words ends with.
     """
 
     kind: str
-    light: str = ""
+    light: str = ""  # whose fault it is; empty where it is no light's. For ``swap`` both names
     size: float
     parts: dict[str, float] = field(default_factory=dict[str, float])
-    error: float = 0.0
-    limit: float | None = None
-    alternatives: tuple[tuple[str, str], ...] = ()
-    note: str = ""
+    error: float = 0.0  # standard error of `size`
+    limit: float | None = None  # within tolerance up to this size; None for what is reported only
+    alternatives: tuple[tuple[str, str], ...] = ()  # what explains the images as well: kinds and lights
+    note: str = ""  # what its size in words ends with
 
     @property
     def exceeds(self) -> bool:
@@ -135,7 +130,7 @@ def group_finding(group: Group, theta: Float64, covariance: Float64, alternative
 
     theta, covariance: Of all parameters, shapes (K,) and (K, K).
     """
-    unit = np.degrees(1.0) if group.kind.endswith("turn") else 1.0
+    unit = math.degrees(1.0) if group.kind.endswith("turn") else 1.0
     value, spread = unit * theta[group.where], unit**2 * covariance[group.where, group.where]
     if group.kind in ("gain", "exposure"):
         value = np.expm1(value)

@@ -31,29 +31,32 @@ FAR_BLOCKS, FAR_RESIDUAL = 4.0, 2.0
 
 @dataclass(frozen=True)
 class Fit:
-    """The faults that explain a set.
-
-    theta: From the rig file, shape (K,); covariance: Of what differs from the baseline, or from the rig file, (K, K).
-    predictions: Of the rig with these faults.
-    left: What they leave.
-    registered: Whether the part was searched for.
-    """
+    """The faults that explain a set."""
 
     images: tuple[CoarseImage, ...]
-    theta: Float64
+    theta: Float64  # from the rig file, with what the rig file may be off, shape (K,)
+    faults: Float64  # from the baseline, or from the rig file, shape (K,); covariance: Of these, (K, K)
     covariance: Float64
     chosen: tuple[Group, ...]
     evidence: Evidence
-    predictions: dict[Posture, CoarsePrediction]
-    left: Agreement
-    registered: bool = False
+    predictions: dict[Posture, CoarsePrediction]  # of the rig with these faults
+    left: Agreement  # what they leave
+    registered: bool = False  # whether the part was searched for
 
 
 def fit_faults(
-    work: Work, images: tuple[CoarseImage, ...], good: Fit | None = None, *, where: str, register: bool
+    work: Work,
+    images: tuple[CoarseImage, ...],
+    good: Fit | None = None,
+    *,
+    deviations: Float64,
+    where: str,
+    register: bool,
 ) -> Fit:
     """Find the faults that explain images, from those of a known good set or from the rig file.
 
+    deviations: Of a calibrated rig from its file, independent ones of one standard deviation each, shape (K, D); a
+        known good set has them, too
     where: The set, for messages.
     register: Whether the part is searched for where it does not lie near its nominal placement.
 
@@ -62,12 +65,13 @@ def fit_faults(
     observations = [image.source for image in images]
     refuse_useless_images(work.scene, observations, caster=work.caster, threads=work.run.threads)
     origin = np.zeros(work.parameters.size) if good is None else good.theta
-    fit = _descend(work, images, good, origin, origin)
+    deviations = deviations if good is None else deviations[:, :0]
+    fit = _descend(work, images, good, deviations, origin, origin)
     far = work.moved_blocks(fit.theta, origin) > FAR_BLOCKS and fit.left.residual > FAR_RESIDUAL * fit.left.noise
     if register and (far or fit.left.share > UNEXPLAINED_SHARE):
         found = register_part(work.scene, observations, caster=work.caster, reduced=True, run=work.run)
         start = work.parameters.at_placement(work.scene, found.placement)
-        other = replace(_descend(work, images, good, origin, start), registered=True)
+        other = replace(_descend(work, images, good, deviations, origin, start), registered=True)
         fit = min(fit, other, key=lambda one: one.left.residual)
     if (evaluable := int(np.count_nonzero(fit.evidence.weight))) < LEAST_ROWS:
         raise InputError(
@@ -83,7 +87,9 @@ def fit_faults(
     return fit
 
 
-def _descend(work: Work, images: tuple[CoarseImage, ...], good: Fit | None, origin: Float64, start: Float64) -> Fit:
+def _descend(
+    work: Work, images: tuple[CoarseImage, ...], good: Fit | None, deviations: Float64, origin: Float64, start: Float64
+) -> Fit:
     p = work.parameters
     limits = np.concatenate([np.full(g.size, g.limit) for g in p.groups])
     report = work.run.stage("comparing with the prediction")
@@ -96,11 +102,11 @@ def _descend(work: Work, images: tuple[CoarseImage, ...], good: Fit | None, orig
         if step and work.moved_blocks(theta, at) > STALE_BLOCKS:
             at, predictions = theta, work.predict(theta)
             model = _model(work, images, good, predictions)
-        evidence = gather(p, model.linearise(theta), theta - origin, model.cell)
+        evidence = gather(p, model.linearise(theta), theta - origin, model.cell, deviations)
         chosen = choose(evidence)
-        _, found, covariance = evidence.solve(chosen)
-        change = np.abs(origin + found - theta)[: len(limits)] / limits
-        theta = origin + found
+        _, faults, covariance = evidence.solve(chosen)
+        before, theta = theta, origin + faults + evidence.deviation(faults)
+        change = np.abs(theta - before)[: len(limits)] / limits
         step += 1
         if change.max() < SETTLED or step == MOST_STEPS:
             break
@@ -108,7 +114,7 @@ def _descend(work: Work, images: tuple[CoarseImage, ...], good: Fit | None, orig
     black = work.scene.sensor.black_level
     known = np.isfinite(mean) & (evidence.weight > 0.0)
     left = agreement(model.measured[known] - black, mean[known] - black, noise[known])
-    return Fit(images, theta, covariance, chosen, evidence, work.predict(theta), left)
+    return Fit(images, theta, faults, covariance, chosen, evidence, work.predict(theta), left)
 
 
 def _model(

@@ -24,19 +24,16 @@ LEAST_BLOCKS = 12  # saturated areas smaller than this have no centre
 class LightComparison:
     """Predicted against captured images of one light, all postures together.
 
-    overlap: Intersection over union of the saturated areas; None where there are none.
     offset_px, offset_deg: How far the highlights lie from where they are predicted, in the image and as the angle
         between the directions that the surface mirrors there: by so much the light seems to be off. None likewise.
-    residual: Root mean square of measured minus predicted, over that of the noise of the means of blocks.
-    explained: The same with the faults that were found in the prediction.
     """
 
     light: str
-    overlap: float | None
+    overlap: float | None  # intersection over union of the saturated areas; None where there are none
     offset_px: float | None
     offset_deg: float | None
-    residual: float
-    explained: float
+    residual: float  # root mean square of measured minus predicted, over that of the noise of the means of blocks
+    explained: float  # the same with the faults that were found in the prediction
 
     def as_dict(self) -> dict[str, Any]:
         return {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self).items()}
@@ -47,19 +44,16 @@ class Compared:
     """An image against its prediction, arrays of shape (h, w).
 
     difference: Measured minus predicted [sensor level], 0 where one of them is saturated or nothing is predicted.
-    noise: Of the means of blocks [sensor level].
     deviation: The difference in standard deviations, of the noise and of what a model is off, of the right part on the
         right rig.
-    expected: Where the prediction is saturated.
-    known: Where there is a difference.
     """
 
     image: CoarseImage
     difference: Float32
-    noise: Float32
+    noise: Float32  # of the means of blocks [sensor level]
     deviation: Float32
-    expected: Bool
-    known: Bool
+    expected: Bool  # where the prediction is saturated
+    known: Bool  # where there is a difference
 
     @property
     def key(self) -> tuple[Posture, str, float]:

@@ -36,16 +36,11 @@ BLUR_PX = 1.5  # blur for the difference
 
 @dataclass(frozen=True)
 class Linearised:
-    """The model at some parameters: n rows, K parameters.
+    """The model at some parameters: n rows, K parameters."""
 
-    residual: Measured minus predicted [standard deviation], shape (n,).
-    slope: Derivatives of what is predicted [standard deviation], shape (n, K).
-    used: Rows that count, shape (n,).
-    """
-
-    residual: Float64
-    slope: Float64
-    used: Bool
+    residual: Float64  # measured minus predicted [standard deviation], shape (n,)
+    slope: Float64  # derivatives of what is predicted [standard deviation], shape (n, K)
+    used: Bool  # rows that count, shape (n,)
 
 
 class Model:

@@ -24,20 +24,18 @@ class VerifyLimits:
     """Greatest departures that are within tolerance; all above 0.
 
     gain, exposure: Shares of the brightness of one light, and of all of them.
-    black: [sensor level]
-    blur_px: Standard deviation of the blur of the image beyond that of the pixel.
     """
 
     gain: float = 0.03
     exposure: float = 0.02
-    black: float = 1.0
+    black: float = 1.0  # [sensor level]
     part_mm: float = 0.05
     part_deg: float = 0.1
     camera_mm: float = 0.15
     camera_deg: float = 0.02
     panel_mm: float = 2.0
     panel_deg: float = 2.0
-    blur_px: float = 1.0
+    blur_px: float = 1.0  # standard deviation of the blur of the image beyond that of the pixel
 
     def __post_init__(self) -> None:
         problems = [
@@ -56,21 +54,16 @@ class VerifyLimits:
 class Group:
     """Parameters of one fault.
 
-    kind: ``gain``, ``exposure``, ``black``, ``part_shift``, …
-    light: Whose fault it is; empty where it is no light's.
     first, size: Place in the vector of parameters.
-    step: For differences [unit of the parameter]; 0 where the derivative has a closed form.
-    prior: Standard deviation of the parameters of a rig with that fault.
-    limit: Within tolerance up to this norm.
     """
 
-    kind: str
-    light: str = ""
+    kind: str  # ``gain``, ``exposure``, ``black``, ``part_shift``, …
+    light: str = ""  # whose fault it is; empty where it is no light's
     first: int
     size: int
-    step: float
-    prior: float
-    limit: float
+    step: float  # for differences [unit of the parameter]; 0 where the derivative has a closed form
+    prior: float  # standard deviation of the parameters of a rig with that fault
+    limit: float  # within tolerance up to this norm
 
     @property
     def where(self) -> slice:
@@ -103,14 +96,11 @@ SIGMA_STEP = 0.01
 
 @dataclass(frozen=True)
 class Parameters:
-    """All parameters of a scene.
-
-    middle: About which the part turns, world frame at posture (0, 0) [mm], shape (3,).
-    """
+    """All parameters of a scene."""
 
     lights: tuple[str, ...]
     groups: tuple[Group, ...]
-    middle: Float64
+    middle: Float64  # about which the part turns, world frame at posture (0, 0) [mm], shape (3,)
 
     @staticmethod
     def of(scene: Scene, limits: VerifyLimits) -> Parameters:

@@ -32,16 +32,18 @@ SAME_SHARE, SAME_EVIDENCE = 0.05, 10.0
 class Evidence:
     """Sums over all rows, which all sets of groups are compared with.
 
-    normal: SᵀWS, shape (K, K); pull: SᵀWr, shape (K,), with r the residuals of the rig without faults.
-    inflation: By how much neighbouring residuals that no fault explains exceed independent ones.
-    weight: Of each row, shape (n,).
+    normal: SᵀWS, shape (K, K); pull: SᵀWr, shape (K,), with r the residuals of the rig without faults. Both without
+        what deviations of a calibrated rig explain as well.
+    deviation_normal, deviation_pull: What :meth:`deviation` is linear in, shapes (K, K) and (K,).
     """
 
     parameters: Parameters
     normal: Float64
     pull: Float64
-    inflation: float
-    weight: Float64
+    inflation: float  # by how much neighbouring residuals that no fault explains exceed independent ones
+    weight: Float64  # of each row, shape (n,)
+    deviation_normal: Float64
+    deviation_pull: Float64
 
     def solve(self, groups: Sequence[Group]) -> tuple[float, Float64, Float64]:
         """Twice the log evidence of some groups, the parameters, shape (K,), and their covariance (K, K)."""
@@ -57,6 +59,10 @@ class Evidence:
         value = float(outer @ found) - float(np.linalg.slogdet(inner)[1]) - PRIOR_ODDS * len(groups)
         return value, theta, covariance
 
+    def deviation(self, theta: Float64) -> Float64:
+        """How the calibrated rig deviates from its file if it has these faults, shape (K,)."""
+        return self.deviation_pull - self.deviation_normal @ theta
+
     def visible(self, group: Group) -> bool:
         """Whether the images would show the group at its limit, all others being as they were."""
         at, p = np.arange(group.first, group.where.stop), self.parameters
@@ -68,8 +74,11 @@ class Evidence:
         return float(np.linalg.eigvalsh(own)[-1]) * group.limit**2 > 2.0 * PRIOR_ODDS
 
 
-def gather(parameters: Parameters, model: Linearised, theta: Float64, cells: Int32) -> Evidence:
-    """Sums of the model linearised at some parameters, with weights by what no fault explains."""
+def gather(parameters: Parameters, model: Linearised, theta: Float64, cells: Int32, deviations: Float64) -> Evidence:
+    """Sums of the model linearised at some parameters, with weights by what no fault explains.
+
+    deviations: Of a calibrated rig from its file, independent ones of one standard deviation each, shape (K, D)
+    """
     slope, target = model.slope, model.residual + np.einsum("ij,j->i", model.slope, theta)
     ridge = np.diag(1.0 / np.square(parameters.priors))
     weight = model.used.astype(np.float64)
@@ -87,7 +96,13 @@ def gather(parameters: Parameters, model: Linearised, theta: Float64, cells: Int
     ratio = np.square(sums[counted]) / expected[counted]
     inflation = max(1.0, float(np.mean(ratio)) if ratio.size else 1.0)
     normal, toward = weighted_sums(slope, weight, target)
-    return Evidence(parameters, normal, toward, inflation, weight)
+    # Deviations are Gaussian beforehand. They are integrated out: what they explain is no evidence for a fault.
+    through = normal @ deviations
+    back = deviations @ np.linalg.inv(inflation * np.eye(deviations.shape[1]) + deviations.T @ through)
+    by_normal, by_pull = back @ through.T, back @ (deviations.T @ toward)
+    return Evidence(
+        parameters, normal - normal @ by_normal, toward - normal @ by_pull, inflation, weight, by_normal, by_pull
+    )
 
 
 def choose(evidence: Evidence) -> tuple[Group, ...]:

@@ -31,14 +31,13 @@ class Spot:
     """A small place that differs.
 
     posture, row, column: A posture that shows it, and where in its image [block].
-    score: In standard deviations; below 0 where it is darker than predicted.
     where: ``part`` (moves with it), ``lens`` (fixed in the image), or ``unknown`` where one posture alone shows it.
     """
 
     posture: Posture
     row: int
     column: int
-    score: float
+    score: float  # in standard deviations; below 0 where it is darker than predicted
     where: str = "unknown"
 
 

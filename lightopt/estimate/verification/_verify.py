@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.arrays import Float32
+from lightopt.core.arrays import Float32, Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, observed_postures, read_observations
+from lightopt.estimate.verification._calibrated import calibrated_deviations
 from lightopt.estimate.verification._coarse import Work
 from lightopt.estimate.verification._findings import (
     SURE,
@@ -44,20 +45,16 @@ _MANY_SPOTS = (
 class Verification:
     """How captured images differ from those predicted, and why.
 
-    findings: Those that exceed their limits first.
-    lights: Predicted against captured.
-    unseen: Faults that these images would not show at their limits, in words.
-    registered: Whether the part was searched for.
     differences: By posture, light and exposure, measured minus predicted in standard deviations of noise and of what a
         model is off, without and with the faults in the prediction, shape (2, h, w).
     """
 
-    findings: tuple[Finding, ...]
-    lights: tuple[LightComparison, ...]
-    unseen: tuple[str, ...]
+    findings: tuple[Finding, ...]  # those that exceed their limits first
+    lights: tuple[LightComparison, ...]  # predicted against captured
+    unseen: tuple[str, ...]  # faults that these images would not show at their limits, in words
     warnings: tuple[str, ...]
     limits: VerifyLimits
-    registered: bool
+    registered: bool  # whether the part was searched for
     differences: Mapping[tuple[Posture, str, float], Float32]
 
     @property
@@ -109,9 +106,16 @@ def verify_set(
     observations = read_observations(image_set, rig, part, threads=run.threads)
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, defects=False)
     good = None if baseline is None else read_observations(baseline, rig, part, threads=run.threads)
-    where = str(image_set.folder)
+    limits = limits or VerifyLimits()
     return verify_observations(
-        scene, observations, baseline=good, limits=limits, register=register, where=where, run=run
+        scene,
+        observations,
+        baseline=good,
+        deviations=calibrated_deviations(rig, scene, Parameters.of(scene, limits)),
+        limits=limits,
+        register=register,
+        where=str(image_set.folder),
+        run=run,
     )
 
 
@@ -120,6 +124,7 @@ def verify_observations(
     observations: Sequence[Observation],
     *,
     baseline: Sequence[Observation] | None = None,
+    deviations: Float64 | None = None,
     limits: VerifyLimits | None = None,
     register: bool = True,
     where: str = "images",
@@ -127,17 +132,23 @@ def verify_observations(
 ) -> Verification:
     """As :func:`verify_set`, of images that are read, and the scene with their postures and lights.
 
+    deviations: By which the rig may differ from its file, of one standard deviation each, as columns of `Parameters`.
     where: The set, for messages.
     """
     limits = limits or VerifyLimits()
     work = Work(scene, Parameters.of(scene, limits), run or RunContext())
     good = None
+    how: dict[str, Any] = {
+        "deviations": np.zeros((work.parameters.size, 0)) if deviations is None else deviations,
+        "register": register,
+    }
     if baseline is not None:
-        blocks = work.blocks(_matching(observations, baseline, where))
-        good = fit_faults(work, blocks, where="the known good set", register=register)
+        good = fit_faults(
+            work, work.blocks(_matching(observations, baseline, where)), where="the known good set", **how
+        )
     images = work.blocks(observations)
     exchanged = exchanged_lights(work.coarse, images, work.predict(np.zeros(work.parameters.size)))
-    fit = fit_faults(work, renamed(images, exchanged), good, where=where, register=register)
+    fit = fit_faults(work, renamed(images, exchanged), good, where=where, **how)
 
     p, theta = work.parameters, fit.theta
     origin = np.zeros(p.size) if good is None else good.theta
@@ -155,11 +166,11 @@ def verify_observations(
     findings = [
         *swap_findings(exchanged),
         *(
-            group_finding(group, theta - origin, fit.covariance, alternatives(fit.evidence, fit.chosen, group))
+            group_finding(group, fit.faults, fit.covariance, alternatives(fit.evidence, fit.chosen, group))
             for group in fit.chosen
         ),
         *dark_findings(own, known_good, limits.black),
-        *focus_findings(float((theta - origin)[blur]), blur_error, limits.blur_px),
+        *focus_findings(float(fit.faults[blur]), blur_error, limits.blur_px),
         *spot_findings(spots, work.side),
     ]
     hidden = [group for group in p.groups if group not in fit.chosen and not fit.evidence.visible(group)]
