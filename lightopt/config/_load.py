@@ -77,7 +77,8 @@ def _load(path: Path, model: type[Config], expected: str) -> Config:
     problems = [*document.problems, *problems]
     if config is None or problems:
         raise _error(path, problems)
-    config._source = Source(path, hashlib.sha256(data).hexdigest(), document.lines, text)
+    entries = tuple(light.entry for light in config.lights) if isinstance(config, RigConfig) else ()
+    config._source = Source(path, hashlib.sha256(data).hexdigest(), document.lines, text, entries)
     return config
 
 
