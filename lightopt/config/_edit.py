@@ -167,7 +167,14 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
     values: Further values to change in the copy, as for :func:`with_values`
     Raises InputError: As of :func:`with_values`
     """
-    changes = dict(values or {})
+    changes: dict[Keys, str | None] = {}
+    for keys, value in (values or {}).items():
+        place = config.source.in_file(keys)
+        if changes.setdefault(place, value) != value:
+            raise InputError(
+                f"{config.source.at(*keys)}: the channels of this light would have different values, and the file has "
+                "one for all; write them as lights of their own"
+            )
     of_rig = (("hardware", "camera", "folder"), ("calibration", "covariance"), ("virtual_bench", "rig"))
     for keys in (("mesh", "file"),) if isinstance(config, PartConfig) else of_rig:
         name: str | None = reduce(lambda value, key: getattr(value, key, None), keys, config)

@@ -75,7 +75,8 @@ def _load(path: Path, model: type[Config], expected: str) -> Config:
         raise _error(path, [*document.problems, *problems]) from None
     if document.problems:
         raise _error(path, document.problems)
-    config._source = Source(path, hashlib.sha256(data).hexdigest(), document.lines, text)
+    entries = tuple(light.entry for light in config.lights) if isinstance(config, RigConfig) else ()
+    config._source = Source(path, hashlib.sha256(data).hexdigest(), document.lines, text, entries)
     return config
 
 

@@ -27,9 +27,18 @@ class Source:
     # line number (1-based) of each path of keys in the file
     lines: Mapping[Keys, int] = field(default_factory=dict[Keys, int], repr=False, compare=False)
     text: str = field(default="", repr=False, compare=False)  # as it was read
+    # index in the file of each light of a rig, where lights of several channels have several; else empty
+    entries: tuple[int, ...] = field(default=(), repr=False, compare=False)
+
+    def in_file(self, keys: Keys) -> Keys:
+        """The path of keys in the file, of one in the configuration."""
+        if len(keys) > 1 and keys[0] == "lights" and isinstance(keys[1], int) and keys[1] < len(self.entries):
+            return ("lights", self.entries[keys[1]], *keys[2:])
+        return keys
 
     def at(self, *keys: str | int) -> str:
         """Beginning of a message about a key: ``rig.yaml:12: lights[2].gain``, with the nearest line that is there."""
+        keys = self.in_file(keys)
         around = (keys[:end] for end in range(len(keys), -1, -1))
         line = next((self.lines[path] for path in around if path in self.lines), None)
         place = str(self.path) if line is None else f"{self.path}:{line}"

@@ -3,6 +3,24 @@
 Kernels of :mod:`lightopt.rendering` add up the light of a kind by the functions of its `_…_emission` module alone.
 """
 
+from lightopt.lights._light_surface import (
+    Element as Element,
+    SinePattern as SinePattern,
+    SurfaceLight as SurfaceLight,
+    cone_elements as cone_elements,
+    element_at as element_at,
+    element_place as element_place,
+    element_weight as element_weight,
+    frame_elements as frame_elements,
+    half_pipe_elements as half_pipe_elements,
+    outlines as outlines,
+    pattern_mean as pattern_mean,
+    pattern_value as pattern_value,
+    plane_elements as plane_elements,
+    sphere_elements as sphere_elements,
+    surface_light as surface_light,
+    surface_mesh as surface_mesh,
+)
 from lightopt.lights._panel import (
     PanelLight as PanelLight,
     panel_corners as panel_corners,

@@ -21,7 +21,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.geometry import TriangleMesh, face_normals, mesh_edges
-from lightopt.lights import PanelLight
+from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.preflight._findings import CheckedScene, Finding
 from lightopt.rendering import highlight_level
 from lightopt.scene import coarse_points, like_panels, point_spacing, points_advice
@@ -38,6 +38,8 @@ def check_points(checked: CheckedScene) -> Iterator[Finding]:
     """The panels' point lights against σ; like panels are reported together."""
     sigma = checked.scene.reflectance.sigma
     for indices in like_panels(checked.scene.lights):
+        if isinstance(checked.scene.lights[indices[0]], SurfaceLight):
+            continue  # integrated whatever σ is
         light = checked.scene.lights[indices[0]]
         names = ", ".join(checked.scene.lights[i].name for i in indices)
         own = checked.rig.lights[indices[0]].points is not None

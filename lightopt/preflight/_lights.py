@@ -7,11 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from lightopt.config import RigConfig
-from lightopt.lights import PanelLight, panel_corners, rectangles_meet, segments_blocked
+from lightopt.core.arrays import Bool, Float64
+from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight, SurfaceLight, outlines, rectangles_meet, segments_blocked, surface_mesh
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, percent
 from lightopt.rendering import panels_in_part
 from lightopt.scene import build_lights, image_area
 
+_ROUNDING_MM = 1e-6
 STEP_DEG = 5.0  # a light's ranges are tried at least this finely where the camera's view is concerned
 
 
@@ -20,7 +23,7 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
     pixels = checked.camera.width * checked.camera.height
     clear = True
     for index, light in enumerate(checked.lights):
-        area = image_area(checked.camera, panel_corners(light))
+        area = _area_in_view(checked, light)
         if area > 0.0:
             clear = False
             text = (
@@ -30,7 +33,7 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
             values = {"light": light.name, "pixels": area, "share": area / pixels}
             yield Finding("warning", "light in view", text, checked.at("lights", index), values)
             continue
-        moved = [p for p in _moved(checked.rig, index, STEP_DEG) if image_area(checked.camera, panel_corners(p)) > 0.0]
+        moved = [p for p in _moved(checked.rig, index, STEP_DEG) if _area_in_view(checked, p) > 0.0]
         if moved:
             clear = False
             yield _at_range(checked, index, "light in view", moved, "comes into the camera's view")
@@ -38,11 +41,23 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
         yield Finding("ok", "light in view", "no panel stands in the camera's view, nor moves into it")
 
 
+def _area_in_view(checked: CheckedRig, light: PanelLight) -> float:
+    # pixels that a light covers [px²]; what is behind another piece of it counts twice
+    if light.elevation > 0.0 and isinstance(light, SurfaceLight) and light.kind == "coaxial":
+        return 0.0  # seen through the beam splitter
+    area = sum(image_area(checked.camera, piece) for piece in outlines(light))
+    return min(area, float(checked.camera.width * checked.camera.height))
+
+
+def _lowest(light: PanelLight) -> float:
+    return float(outlines(light)[..., 2].min())
+
+
 def check_below_horizon(checked: CheckedRig) -> Iterator[Finding]:
     """Panels that reach below the table top."""
     for index, light in enumerate(checked.lights):
-        lowest = float(panel_corners(light)[:, 2].min())
-        if lowest < 0.0:
+        lowest = _lowest(light)
+        if lowest < -_ROUNDING_MM:
             text = (
                 f"a corner of {light.name} is {-lowest:.3g} mm below the table top; raise its elevation of "
                 f"{math.degrees(light.elevation):g}°, or take a smaller panel"
@@ -50,16 +65,17 @@ def check_below_horizon(checked: CheckedRig) -> Iterator[Finding]:
             values = {"light": light.name, "lowest_mm": lowest}
             yield Finding("warning", "light below table", text, checked.at("lights", index), values)
             continue
-        moved = [p for p in _moved(checked.rig, index, 180.0) if panel_corners(p)[:, 2].min() < 0.0]
+        moved = [p for p in _moved(checked.rig, index, 180.0) if _lowest(p) < -_ROUNDING_MM]
         if moved:
-            depth = -min(float(panel_corners(p)[:, 2].min()) for p in moved)
+            depth = -min(_lowest(p) for p in moved)
             text = f"reaches {depth:.3g} mm below the table top"
             yield _at_range(checked, index, "light below table", moved, text)
 
 
 def check_collisions(checked: CheckedRig) -> Iterator[Finding]:
-    """Panels that touch or cross each other."""
-    moved = [[light, *_moved(checked.rig, i, 360.0)] for i, light in enumerate(checked.lights)]
+    """Panels that touch or cross each other; lights of other kinds may surround each other and are left out."""
+    flat = [None if isinstance(light, SurfaceLight) else light for light in checked.lights]
+    moved = [[] if light is None else [light, *_moved(checked.rig, i, 360.0)] for i, light in enumerate(flat)]
     for i, j in _close_pairs(moved):
         a, b = checked.lights[i], checked.lights[j]
         apart = float(np.linalg.norm(a.centre - b.centre))
@@ -101,6 +117,8 @@ def _steps(ends: tuple[float, float], step: float) -> list[float]:
 
 def _close_pairs(moved: list[list[PanelLight]]) -> Iterator[tuple[int, int]]:
     # pairs whose panels could touch anywhere in their ranges, by the spheres around them
+    numbers = [i for i, places in enumerate(moved) if places]
+    moved = [moved[i] for i in numbers]
     centres = [np.mean([p.centre for p in places], axis=0) for places in moved]
     reach = [
         max(float(np.linalg.norm(p.centre - c)) for p in places) + 0.5 * float(np.hypot(*places[0].size))
@@ -108,7 +126,7 @@ def _close_pairs(moved: list[list[PanelLight]]) -> Iterator[tuple[int, int]]:
     ]
     for i, j in itertools.combinations(range(len(moved)), 2):
         if np.linalg.norm(centres[j] - centres[i]) <= reach[i] + reach[j]:
-            yield i, j
+            yield numbers[i], numbers[j]
 
 
 def _at_range(checked: CheckedRig, index: int, topic: str, moved: list[PanelLight], what: str) -> Finding:
@@ -134,7 +152,10 @@ def _span(angles: list[float]) -> str:
 def check_hidden_part(checked: CheckedScene) -> Iterator[Finding]:
     """How much of the part's image a panel hides, standing between camera and part."""
     for sample, (at, light) in itertools.product(checked.samples, enumerate(checked.scene.lights)):
-        hidden = segments_blocked(sample.view.lights[at], sample.view.camera.position, sample.hits.points)
+        own = sample.view.lights[at]
+        if isinstance(own, SurfaceLight) and own.kind == "coaxial":
+            continue  # seen through the beam splitter
+        hidden = _hidden_by(own, sample.view.camera.position, sample.hits.points)
         count = int(np.count_nonzero(hidden))
         if not count:
             continue
@@ -145,6 +166,18 @@ def check_hidden_part(checked: CheckedScene) -> Iterator[Finding]:
         )
         values = {"light": light.name, "posture": sample.posture.as_dict(), "pixels": pixels, "share": share}
         yield Finding("warning", "light in view", text, checked.rig.source.at("lights", at), values)
+
+
+def _hidden_by(light: PanelLight, start: Float64, ends: Float64) -> Bool:
+    # whether the way from one point to others passes through a light, shape (k,)
+    if not isinstance(light, SurfaceLight):
+        return segments_blocked(light, start, ends)
+    vertices, faces = surface_mesh(light)
+    caster = RayCaster(vertices, faces)
+    towards = start - ends
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    index = np.arange(len(ends), dtype=np.int32)
+    return caster.occluded(ends, towards, start[None], point_index=index, target_index=np.zeros_like(index))
 
 
 def check_lights_in_part(checked: CheckedScene) -> Iterator[Finding]:

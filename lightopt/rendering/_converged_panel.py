@@ -17,7 +17,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.core.vectors import Vector
 from lightopt.geometry import RayCaster
-from lightopt.lights import PanelLight, panel_grid, panel_numbers
+from lightopt.lights import PanelLight, SurfaceLight, panel_grid, panel_numbers
 from lightopt.optics import Reflectance
 from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
 from lightopt.rendering._penumbra import shade_penumbra
@@ -25,6 +25,7 @@ from lightopt.rendering._penumbra_cells import ConvergedLight
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
 from lightopt.rendering._point_lights import clear_targets, shade_points, visible_counts
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._surface_light import shade_surface_light
 from lightopt.rendering._whole_panel import whole_panel
 from lightopt.scene import Scene
 
@@ -78,12 +79,27 @@ class PanelVisibility:
 
 
 def panel_to_shade(panel: PanelLight, caster: RayCaster) -> PanelLight | ConvergedPanel:
-    """A panel with the points that its file has, or converged where these are ``auto``.
+    """A panel with the points that its file has, or converged where these are ``auto``; other lights as they are.
 
     panel: Part frame
     caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for
     """
-    return converged_panel(panel, centre=caster.centre, radius=caster.radius) if panel.points == "auto" else panel
+    if panel.points != "auto" or isinstance(panel, SurfaceLight):
+        return panel
+    return converged_panel(panel, centre=caster.centre, radius=caster.radius)
+
+
+def shade_light(
+    surface: SurfacePoints, light: PanelLight, *, reflectance: Reflectance, caster: RayCaster | None
+) -> tuple[Float64, Float64]:
+    """Diffuse and specular light of a panel of points or of another light, per unit of R_d and R_s, shapes (k,).
+
+    light: Part frame, as from :func:`panel_to_shade`
+    """
+    if isinstance(light, SurfaceLight):
+        return shade_surface_light(surface, light, reflectance=reflectance, caster=caster)
+    assert light.points != "auto"
+    return shade_points(surface, light, points=light.points, sigma=reflectance.sigma, caster=caster)
 
 
 def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> ConvergedPanel:
@@ -156,8 +172,7 @@ def shade_isolated(
         sample, shape = 2 * np.arange(len(surface)), (1, 2 * len(surface))
         d, s, _ = shade_converged(surface, shaded, sample=sample, shape=shape, reflectance=reflectance, caster=blocker)
     else:
-        assert panel.points != "auto"
-        d, s = shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=blocker)
+        d, s = shade_light(surface, shaded, reflectance=reflectance, caster=blocker)
     return reflectance.R_d * d + reflectance.R_s * s
 
 
@@ -290,7 +305,9 @@ def probe_targets(light: PanelLight) -> Float64:
 
 
 def shadow_targets(light: PanelLight) -> Float64:
-    """Where shadow rays to a panel go: its points, or the probes of the converged panel; shape (t, 3) [mm]."""
+    """Where shadow rays to a light go: its points, or the probes of the converged panel; shape (t, 3) [mm]."""
+    if isinstance(light, SurfaceLight):
+        return light.targets
     return probe_targets(light) if light.points == "auto" else panel_grid(light, light.points)
 
 
@@ -337,11 +354,15 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
     """
     origin = np.zeros((1, 3))
     view = scene.camera.position / np.linalg.norm(scene.camera.position)
-    half = view + light.centre / np.linalg.norm(light.centre)
+    middle = light.targets.mean(axis=0) if isinstance(light, SurfaceLight) else light.centre
+    half = view + middle / np.linalg.norm(middle)
     if (length := float(np.linalg.norm(half))) < 1e-9:
         return 0.0  # the light is opposite the camera
     normal = half[None] / length
     surface = SurfacePoints(origin, normal, normal, view[None], np.ones(1, np.bool_))
+    if isinstance(light, SurfaceLight):
+        _, specular = shade_light(surface, light, reflectance=scene.reflectance, caster=None)
+        return float(scene.reflectance.R_s * specular[0])
     whole = replace(light, points="auto")
     panel = converged_panel(whole, centre=origin[0], radius=1.0)
     _, specular, _ = shade_converged(

@@ -6,7 +6,6 @@ taken in 4 × 4 cells, each seen or hidden as its centre is.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, dot, minus, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import PanelNumbers, attenuated, panel_grid, panel_numbers, panel_point
+from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_grid, panel_numbers, panel_point
 from lightopt.optics import specular_cosine
 from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes
 from lightopt.rendering._panel_quadrature import (
@@ -27,31 +26,9 @@ from lightopt.rendering._panel_quadrature import (
     rectangle_specular,
 )
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._variant_numbers import VariantNumbers, leaning
 
 CELLS = 4  # cells along a side of a panel of which a part hides some
-
-
-class VariantNumbers(NamedTuple):
-    """The variants of a surface in the form that kernels take.
-
-    lean: Normals in the points' frames, shape (t, 3)
-    R_d, R_s: Of each, shape (t,)
-    inverse: 1/(2σ²) [rad⁻²], shape (t,)
-    most: Exponent from which the lobe is negligible for the view that it is brightest in, shape (t,)
-    """
-
-    lean: Float64
-    R_d: Float64
-    R_s: Float64
-    inverse: Float64
-    most: Float64
-
-
-@kernel
-def leaning(lean: Float64, t: int, n: Vector, r: Vector, a: Vector) -> Vector:
-    """Normal of variant t in the frame of the vectors n (the point's normal), r (its reference) and a = n × r."""
-    c0, c1, c2 = lean[t, 0], lean[t, 1], lean[t, 2]
-    return Vector(c0 * n.x + c1 * r.x + c2 * a.x, c0 * n.y + c1 * r.y + c2 * a.y, c0 * n.z + c1 * r.z + c2 * a.z)
 
 
 def panel_variants(
@@ -114,7 +91,7 @@ def _levels(
         p, n, v, r = (vector_at(points, i), vector_at(normals, i), vector_at(views, i), vector_at(references, i))
         a = cross(n, r)
         towards = _light_vector(p, panel, panel_nodes, cells[i], whole)
-        half, spread = half_vector_cone(p, v, panel)
+        half, spread = half_vector_cone(p, v, panel.centre, half_diagonal(panel))
         light = minus(panel.centre, p)
         for t in range(len(lean)):
             turned = leaning(lean, t, n, r, a)

@@ -15,8 +15,7 @@ from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
 from lightopt.optics import Reflectance
-from lightopt.rendering._converged_panel import ConvergedPanel, PanelVisibility, shade_changed_points
-from lightopt.rendering._point_lights import shade_points
+from lightopt.rendering._converged_panel import ConvergedPanel, PanelVisibility, shade_changed_points, shade_light
 from lightopt.rendering._surface import SurfacePoints
 
 
@@ -64,8 +63,7 @@ class DefectSamples:
                 caster=caster,
             )
         else:
-            assert panel.points != "auto"
-            diffuse, specular = shade_points(self.surface, panel, points=panel.points, sigma=r.sigma, caster=caster)
+            diffuse, specular = shade_light(self.surface, panel, reflectance=r, caster=caster)
         return r.R_d * diffuse, r.R_s * specular
 
 

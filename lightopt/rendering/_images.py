@@ -25,11 +25,11 @@ from lightopt.rendering._converged_panel import (
     PanelVisibility,
     panel_to_shade,
     shade_converged,
+    shade_light,
     shadow_targets,
 )
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._penumbra_squares import SIDES
-from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_samples
 from lightopt.scene import PartView, Scene, lens_share, screen_window, view_from_part
 
@@ -393,9 +393,7 @@ class _PostureJob:
         caster, reflectance = self.shadow_caster, self.scene.reflectance
         if isinstance(panel, ConvergedPanel):
             return shade_converged(surface, panel, sample=sample, shape=grid, reflectance=reflectance, caster=caster)
-        assert panel.points != "auto"
-        d, s = shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=caster)
-        return d, s, None
+        return *shade_light(surface, panel, reflectance=reflectance, caster=caster), None
 
     def _means(self, values: Float64, hits: Hits, grid: tuple[int, int], own: slice) -> Float64:
         # over the samples of each pixel; 0 where a ray misses the part

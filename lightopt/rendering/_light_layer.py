@@ -16,7 +16,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.core.vectors import Vector, divided, dot, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import PanelLight, PanelNumbers, panel_grid, panel_numbers, panel_point
+from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, panel_grid, panel_numbers, panel_point
 from lightopt.rendering._converged_panel import converged_panel
 from lightopt.rendering._panel_quadrature import (
     WHOLE_PANEL,
@@ -27,6 +27,7 @@ from lightopt.rendering._panel_quadrature import (
 )
 from lightopt.rendering._point_lights import point_terms
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._surface_light import least_deflection, light_of_elements
 
 _CHUNK = 8192
 
@@ -58,6 +59,8 @@ class LightLayer:
 
     def specular(self, sigma: float, *, threads: int | None = None) -> Float64:
         """Specular light per unit of R_s for a lobe of width σ [rad], shape (n,) (paper, equations 3 and 4)."""
+        if isinstance(self.light, SurfaceLight):
+            return light_of_elements(self.surface, self.light, sigma, threads=threads)[1]
         inverse = 0.5 / sigma**2
         panel = panel_numbers(self.light)
         s = self.surface
@@ -81,6 +84,18 @@ def light_layer(
     light: Part frame; with its own number of points
     caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for
     """
+    if isinstance(light, SurfaceLight):
+        # diffuse light is the same for every σ
+        diffuse, _ = light_of_elements(surface, light, 0.1, threads=threads)
+        none = np.zeros((0, 3))
+        return LightLayer(
+            surface=surface,
+            light=light,
+            diffuse=diffuse,
+            deflection=least_deflection(surface, light),
+            grid=none,
+            nodes=0,
+        )
     panel = panel_numbers(light)
     if light.points == "auto":
         converged = converged_panel(light, centre=caster.centre, radius=caster.radius)

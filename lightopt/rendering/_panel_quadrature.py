@@ -185,7 +185,7 @@ def rectangle_specular(
         least = k * (hx * hx + hy * hy)
         if round_ == _LINEARISATIONS - 1 or least > 50.0 * NEGLIGIBLE_EXPONENT:
             break
-        ns, nt = _least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, area)
+        ns, nt = least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, area)
         if abs(ns - s) < 1e-6 and abs(nt - t) < 1e-6:
             break
         s, t = ns, nt
@@ -193,6 +193,27 @@ def rectangle_specular(
         return 0.0
     gs = inverse_two_sigma_squared * (jxs * hx + jys * hy)
     gt = inverse_two_sigma_squared * (jxt * hx + jyt * hy)
+    window = lobe_window(a, b, c, gs, gt, s, t, least, area)
+    if window.s0 >= window.s1 or window.t0 >= window.t1:
+        return 0.0
+    least_s = math.ceil(panel_nodes * (window.s1 - window.s0)) + 1
+    least_t = math.ceil(panel_nodes * (window.t1 - window.t0)) + 1
+    count_s = max(node_count(a, gs, window.s0 - s, window.s1 - s), least_s)
+    count_t = max(node_count(c, gt, window.t0 - t, window.t1 - t), least_t)
+    if _horizon(p, n, panel, window).lowest > 0.0:
+        return _lobe_above_horizon(p, n, v, n_dot_v, panel, window, inverse_two_sigma_squared, count_s, count_t)
+    return _integrals(p, n, v, n_dot_v, panel, window, inverse_two_sigma_squared, count_s, count_t)[1]
+
+
+@kernel
+def lobe_window(
+    a: float, b: float, c: float, gs: float, gt: float, s: float, t: float, least: float, area: Rectangle
+) -> Rectangle:
+    """Where on an area the lobe is not negligible, from its exponent's quadratic form; empty where nowhere.
+
+    a, b, c: The form's matrix [[a, b], [b, c]], half of it counting, in the coordinates (s, t)
+    gs, gt, least: Half its gradient and its value at (s, t)
+    """
     window = area
     determinant = a * c - b * b
     if not (determinant <= 1e-12 * a * c or a <= 0.0 or c <= 0.0):
@@ -206,15 +227,7 @@ def rectangle_specular(
             max(area.t0, centre_t - half_t),
             min(area.t1, centre_t + half_t),
         )
-        if window.s0 >= window.s1 or window.t0 >= window.t1:
-            return 0.0
-    least_s = math.ceil(panel_nodes * (window.s1 - window.s0)) + 1
-    least_t = math.ceil(panel_nodes * (window.t1 - window.t0)) + 1
-    count_s = max(_node_count(a, gs, window.s0 - s, window.s1 - s), least_s)
-    count_t = max(_node_count(c, gt, window.t0 - t, window.t1 - t), least_t)
-    if _horizon(p, n, panel, window).lowest > 0.0:
-        return _lobe_above_horizon(p, n, v, n_dot_v, panel, window, inverse_two_sigma_squared, count_s, count_t)
-    return _integrals(p, n, v, n_dot_v, panel, window, inverse_two_sigma_squared, count_s, count_t)[1]
+    return window
 
 
 @kernel
@@ -259,25 +272,25 @@ def _lobe_above_horizon(
 @kernel
 def out_of_reach(p: Vector, n: Vector, v: Vector, panel: PanelNumbers, inverse_two_sigma_squared: float) -> bool:
     """Whether the lobe is surely negligible all over the panel: a quick test that looks at its centre alone."""
-    half, spread = half_vector_cone(p, v, panel)
+    half, spread = half_vector_cone(p, v, panel.centre, half_diagonal(panel))
     # the chord is never more than the angle
     nearest = max(0.0, length(minus(n, half)) - spread)
     return (spread < math.pi) & (nearest * nearest * inverse_two_sigma_squared > NEGLIGIBLE_EXPONENT)
 
 
 @kernel
-def half_vector_cone(p: Vector, v: Vector, panel: PanelNumbers) -> tuple[Vector, float]:
-    """Unit half vector of the panel's centre, and how far those of its other points are from it, at most [rad].
+def half_vector_cone(p: Vector, v: Vector, centre: Vector, reach: float) -> tuple[Vector, float]:
+    """Unit half vector of a light's centre, and how far those of points within reach [mm] are from it, at most [rad].
 
     While L turns by α, H turns by no more than α / (2·cos(half the angle between L and V)). Where nothing is known, the
     angle is π, and the vector may be of another length. No branches: many points are tested at once.
     """
-    light = minus(panel.centre, p)
+    light = minus(centre, p)
     r = length(light)
     half = plus(divided(light, r), v)
     size = length(half)
     # L turns by α ≤ 2·tan(α/2), sinα = reach / r; cosine of half the angle to V, and when L has turned away by α
-    sine = half_diagonal(panel) / r
+    sine = reach / r
     usable = (sine < 0.9) & (size >= 1e-3)
     sine, size = min(sine, 0.9), max(size, 1e-3)
     half_cosine = math.sqrt(0.5 + 0.5 * math.sqrt(1.0 - sine * sine))
@@ -308,9 +321,18 @@ def mirror_point(p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNu
 def _half_vector_map(
     p: Vector, n: Vector, v: Vector, panel: PanelNumbers, s: float, t: float
 ) -> tuple[float, float, float, float, float, float]:
-    # components of H in the tangent plane of N at panel coordinates (s, t), and their derivatives along s and t,
-    # scaled so that |h| is the angle δ and not its sine
-    light = minus(panel_point(panel, s, t), p)
+    return half_vector_map(p, n, v, panel_point(panel, s, t), panel.across, panel.along)
+
+
+@kernel
+def half_vector_map(
+    p: Vector, n: Vector, v: Vector, place: Vector, along_s: Vector, along_t: Vector
+) -> tuple[float, float, float, float, float, float]:
+    """Components of H in the tangent plane of N, and their derivatives along s and t; so that |h| is δ, not its sine.
+
+    place, along_s, along_t: Of the light [mm], and how it moves with s and t
+    """
+    light = minus(place, p)
     r = length(light)
     light = divided(light, r)
     half = plus(light, v)
@@ -329,8 +351,8 @@ def _half_vector_map(
     scale = 1.0
     if sine > 1e-6:
         scale = math.atan2(sine, dot(half, n)) / sine
-    across = _half_vector_step(panel.across, r, light, size, half)
-    along = _half_vector_step(panel.along, r, light, size, half)
+    across = _half_vector_step(along_s, r, light, size, half)
+    along = _half_vector_step(along_t, r, light, size, half)
     return (
         scale * ha,
         scale * hb,
@@ -349,10 +371,10 @@ def _half_vector_step(side: Vector, r: float, light: Vector, size: float, half: 
 
 
 @kernel
-def _least_in_box(
+def least_in_box(
     a: float, b: float, c: float, gs: float, gt: float, s: float, t: float, area: Rectangle
 ) -> tuple[float, float]:
-    # least value of ½(a·s² + 2b·s·t + c·t²) + gs·s + gt·t on a box, one coordinate after the other: it is convex
+    """Where ½(a·s² + 2b·s·t + c·t²) + gs·s + gt·t is least in a box, one coordinate after the other: it is convex."""
     if a <= 0.0 or c <= 0.0:
         return s, t
     for _ in range(_BOX_STEPS):
@@ -362,9 +384,11 @@ def _least_in_box(
 
 
 @kernel
-def _node_count(curvature: float, gradient: float, low: float, high: float) -> int:
-    # nodes that integrate exp(−q), q = curvature·x² + 2·gradient·x on [low, high], to 2e-4 of the integral: found by
-    # trying; one more, since the exponent is only nearly quadratic
+def node_count(curvature: float, gradient: float, low: float, high: float) -> int:
+    """Nodes that integrate exp(−q), q = curvature·x² + 2·gradient·x on [low, high], to 2e-4 of the integral.
+
+    They were found by trying; one more, since the exponent is only nearly quadratic.
+    """
     at_low = curvature * low * low + 2.0 * gradient * low
     at_high = curvature * high * high + 2.0 * gradient * high
     spread = max(at_low, at_high, 0.0)

@@ -12,7 +12,7 @@ from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.core.vectors import dot, minus, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import PanelLight
+from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.rendering._converged_panel import shadow_targets
 from lightopt.rendering._point_lights import visible_counts
 from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
@@ -204,7 +204,9 @@ def panel_visibility(
         clear[where], above[where] = seen, facing
     # below the horizon of the interpolated normal there is no light, whatever is in the way
     # the terminator, where that horizon runs across the panel, moves with the least error of a normal
-    mixed = ((clear > 0) & (clear < above)) | ((above > 0) & (above < len(targets)))
+    mixed = (clear > 0) & (clear < above)
+    if not isinstance(light, SurfaceLight):  # a large light reaches below most horizons
+        mixed |= (above > 0) & (above < len(targets))
     hidden = (clear == 0) & (above > 0) & ~mixed
     lit = (clear > 0) & ~mixed
     visibility = np.where(lit, WHOLE, UNLIT).astype(np.uint8)

@@ -8,7 +8,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster, points_inside
-from lightopt.lights import panel_grid
+from lightopt.lights import SurfaceLight, panel_grid
 from lightopt.rendering._surface import trace_hits
 from lightopt.scene import PartView, Scene, pixel_footprint, screen_window, unit_hint, view_from_part
 
@@ -47,14 +47,15 @@ def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
     found: list[PanelInPart] = []
     for posture in scene.postures:
         for light in view_from_part(scene, posture).lights:
-            inside = int(np.count_nonzero(points_inside(panel_grid(light, PANEL_POINTS), scene.mesh)))
+            points = light.targets if isinstance(light, SurfaceLight) else panel_grid(light, PANEL_POINTS)
+            inside = int(np.count_nonzero(points_inside(points, scene.mesh)))
             if inside:
                 text = (
-                    f"posture {posture}: {inside} of {PANEL_POINTS} points all over {light.name}'s panel are "
+                    f"posture {posture}: {inside} of {len(points)} points all over {light.name}'s panel are "
                     "inside the part; check the mesh's units, its placement, and the light's distance of "
                     f"{light.distance:g} mm"
                 )
-                share = inside / PANEL_POINTS
+                share = inside / len(points)
                 found.append(PanelInPart(light=light.name, posture=posture, share=share, text=text))
     return tuple(found)
 

@@ -18,7 +18,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.core.vectors import Vector, cross, dot, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import PanelLight, PanelNumbers, attenuated, panel_grid, panel_numbers
+from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, attenuated, panel_grid, panel_numbers
 from lightopt.optics import (
     MIN_COS_VIEW,
     NARROW_CHORD_SQUARED,
@@ -29,9 +29,11 @@ from lightopt.optics import (
     specular_lobe,
 )
 from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes, probe_targets
-from lightopt.rendering._converged_variants import VariantNumbers, panel_variants
+from lightopt.rendering._converged_variants import panel_variants
 from lightopt.rendering._point_lights import PAIRS_AT_ONCE, add_points, clear_targets
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._surface_light import surface_light_variants
+from lightopt.rendering._variant_numbers import VariantNumbers
 
 # surface points under a converged panel that are shaded at once: some 0.1 s, the longest that Ctrl-C waits
 CONVERGED_AT_ONCE = 1 << 13
@@ -122,6 +124,10 @@ def shade_variants(
 
     if isinstance(panel, ConvergedPanel) and (points := panel.points_for(float(variants.sigma.min()))):
         panel = replace(panel.light, points=points, normalisation="mean")
+    if isinstance(panel, SurfaceLight):
+        numbers = _with_plain(variants, reflectance, panel.total_weight)
+        levels = surface_light_variants(surface, references, panel, numbers, caster)
+        return VariantLevels(good=levels[0], varied=levels[1:].astype(dtype))
     if isinstance(panel, ConvergedPanel):
         step = CONVERGED_AT_ONCE
     else:
@@ -185,6 +191,18 @@ def _most_exponents(R_s: Float64, weight: float, least_cosine: float) -> Float64
     return np.log(np.maximum(R_s * weight / least_cosine / NEGLIGIBLE_LEVEL, 1.0))
 
 
+def _with_plain(variants: SurfaceVariants, reflectance: Reflectance, weight: float) -> VariantNumbers:
+    # the surface as it is comes first; coefficients times the light's weight
+    R_s = weight * np.concatenate([[reflectance.R_s], variants.R_s])
+    return VariantNumbers(
+        lean=np.concatenate([[[1.0, 0.0, 0.0]], variants.lean]),
+        R_d=weight * np.concatenate([[reflectance.R_d], variants.R_d]),
+        R_s=R_s,
+        inverse=0.5 / np.concatenate([[reflectance.sigma], variants.sigma]) ** 2,
+        most=_most_exponents(R_s, 1.0, 1.0),
+    )
+
+
 def _converged_variants(
     surface: SurfacePoints,
     references: Float64,
@@ -199,16 +217,7 @@ def _converged_variants(
         clear = np.ones((len(surface), len(targets)), np.bool_)
     else:
         clear = panel_probes(surface, targets, caster)
-    total = converged.light.total_weight
-    # the surface as it is comes first
-    R_s = total * np.concatenate([[reflectance.R_s], variants.R_s])
-    numbers = VariantNumbers(
-        lean=np.concatenate([[[1.0, 0.0, 0.0]], variants.lean]),
-        R_d=total * np.concatenate([[reflectance.R_d], variants.R_d]),
-        R_s=R_s,
-        inverse=0.5 / np.concatenate([[reflectance.sigma], variants.sigma]) ** 2,
-        most=_most_exponents(R_s, 1.0, 1.0),
-    )
+    numbers = _with_plain(variants, reflectance, converged.light.total_weight)
     levels = panel_variants(surface, references, converged, clear, caster, numbers)
     good, varied = levels[:, 0], np.ascontiguousarray(levels[:, 1:].T, dtype)
     return VariantLevels(good=good, varied=varied)

@@ -8,13 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lightopt.config import CameraConfig, PartConfig, RigConfig, load_part, load_rig, points_problem, standing_at
+from lightopt.config import CameraConfig, PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
-from lightopt.lights import PanelLight, place_light, pose_light
 from lightopt.optics import Reflectance, Sensor
 from lightopt.scene._camera import (
     Distortion,
@@ -26,6 +25,7 @@ from lightopt.scene._camera import (
     pose_camera,
 )
 from lightopt.scene._defects import outside_stage_range, place_defects
+from lightopt.scene._lights import build_lights
 from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._scene import Placement, Scene, view_from_part
 from lightopt.scene._stage import Stage
@@ -154,56 +154,6 @@ def build_sensor(camera: CameraConfig) -> Sensor:
     """The sensor of a rig's camera."""
     own = camera.sensor.model_dump()
     return Sensor(**own | {"saturation_level": own["saturation_level"] or 2 ** own["bit_depth"] - 1})
-
-
-def build_lights(
-    rig: RigConfig, names: Sequence[str] | None = None, points: int | Literal["auto"] | None = None
-) -> tuple[PanelLight, ...]:
-    """The rig's panels, world frame.
-
-    names: Of the lights to keep; all by default
-    points: Point lights per panel, instead of the rig's
-    Raises InputError: A name that the rig does not have
-    """
-    known = [light.name for light in rig.lights]
-    unknown = [name for name in names or () if name not in known]
-    if unknown:
-        raise InputError(*(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown))
-    lights: list[PanelLight] = []
-    for light in (light for light in rig.lights if names is None or light.name in names):
-        if points is not None and (problem := points_problem(points)):
-            raise InputError(f"points of {light.name}: {problem}")
-        shared = rig.light_source
-        own = {key: getattr(light, key) for key in type(shared).model_fields if getattr(light, key) is not None}
-        source = shared.model_copy(update=own)
-        where: dict[str, Any] = {
-            "elevation": math.radians(light.elevation_deg),
-            "azimuth": math.radians(light.azimuth_deg),
-        }
-        panel: dict[str, Any] = {
-            "name": light.name,
-            "size": source.size_mm,
-            "points": source.points if points is None else points,
-            "normalisation": source.normalisation,
-            "gain": light.gain,
-            "inverse_square": source.falloff == "inverse_square",
-            "emission_exponent": source.emission_exponent,
-            "reference_distance": source.reference_distance_mm,
-        }
-        if light.pose is None:
-            lights.append(place_light(distance=light.distance_mm, **where, **panel))
-            continue
-        measured = standing_at(light.pose.centre_mm)
-        lights.append(
-            pose_light(
-                centre=np.array(light.pose.centre_mm, np.float64),
-                rotation=rotation_from_vector(np.radians(light.pose.rotation_vector_deg)),
-                start=(math.radians(measured["elevation_deg"]), math.radians(measured["azimuth_deg"])),
-                **where,
-                **panel,
-            )
-        )
-    return tuple(lights)
 
 
 def part_postures(part: PartConfig) -> tuple[Posture, ...]:

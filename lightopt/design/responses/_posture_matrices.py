@@ -193,7 +193,7 @@ def _matrix_facts(problem: Problem, detection: DetectionModel | None) -> dict[st
         **defects,
         "camera": rig.camera.model_dump(mode="json", exclude={"sensor"}),
         "sensor": {"bit_depth": scene.sensor.bit_depth, "black_level": scene.sensor.black_level},
-        "light_source": rig.light_source.model_dump(mode="json"),
+        "light_source": None if rig.light_source is None else rig.light_source.model_dump(mode="json"),
         "lights": [light.model_dump(mode="json", exclude=moving) for light in rig.lights],
         "angles_deg": [list(map(list, angles)) for angles in problem.candidates.angles],
         "stage": rig.stage.model_dump(mode="json", exclude={"elevation_range_deg", "rotation_range_deg"}),

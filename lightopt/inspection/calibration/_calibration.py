@@ -150,7 +150,7 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
     chosen = {name: getattr(options, name) for name in names}
     of_rig = {
         "camera": rig.camera.model_dump(mode="json"),
-        "light_source": rig.light_source.model_dump(mode="json"),
+        "light_source": None if rig.light_source is None else rig.light_source.model_dump(mode="json"),
         "lights": [light.model_dump(mode="json", exclude=ranges) for light in rig.lights],
         "stage": rig.stage.model_dump(mode="json", exclude={"elevation_range_deg", "rotation_range_deg"}),
     }

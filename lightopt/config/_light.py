@@ -1,0 +1,265 @@
+"""The lights of a rig file: panels, and lights of other shapes with one channel or several."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator, model_validator
+
+from lightopt.config import _fields as fields
+from lightopt.config._pose import PanelPoseConfig, with_pose
+
+LightKind = Literal[
+    "panel", "bar", "ring", "low_angle_ring", "dome", "flat_dome", "tunnel", "coaxial", "spot", "led_array", "display"
+]
+
+# keys of each kind but panel, beside those of where it stands: needed ones, and others
+_KEYS_OF_KIND: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "bar": (("size_mm",), ()),
+    "ring": (("inner_radius_mm", "outer_radius_mm"), ("ring_tilt_deg", "segments")),
+    "low_angle_ring": (("radius_mm", "height_mm"), ("segments",)),
+    "dome": (("radius_mm",), ("camera_hole_mm", "lower_elevation_deg", "leak", "segments")),
+    "flat_dome": (("size_mm",), ("camera_hole_mm",)),
+    "tunnel": (("radius_mm", "length_mm"), ("slot_mm",)),
+    "coaxial": (("size_mm",), ("transmission", "reflection")),
+    "spot": (("half_angle_deg",), ()),
+    "led_array": (("size_mm", "rows", "columns", "led_mm"), ()),
+    "display": (("size_mm",), ("pattern",)),
+}
+_PLACE_KEYS = ("name", "kind", "distance_mm", "elevation_deg", "azimuth_deg", "gain")
+_RANGE_KEYS = ("elevation_range_deg", "azimuth_range_deg")
+
+MOST_CHANNELS = 256
+
+_Distance = Annotated[
+    float, Field(ge=0, le=1e6), fields.expecting("a length between 0.001 and 1000000 (a number); a dome may be at 0")
+]
+_Segments = Annotated[int, Field(ge=1, le=MOST_CHANNELS), fields.expecting(f"a whole number from 1 to {MOST_CHANNELS}")]
+_Share = Annotated[float, Field(ge=0, le=1), fields.expecting("a number from 0 to 1")]
+
+_Normalisation = Literal["mean", "sum"]
+_Falloff = Literal["none", "inverse_square"]
+_Exponent = Annotated[float, Field(ge=0, le=1000), fields.expecting("a number from 0 to 1000")]
+_AUTO_SUM = "sum cannot be used with points: auto, a continuous panel; use mean"
+
+
+class SinePatternConfig(fields.Frozen):
+    """Stripes of a display that move by steps of a period: one image for each step and direction."""
+
+    kind: Literal["sine"] = "sine"
+    """Kind of pattern: sine, of levels from black to full."""
+    period_mm: fields.Length
+    """Length of a period on the display [mm]."""
+    phases: Annotated[int, Field(ge=3, le=64), fields.expecting("a whole number from 3 to 64: fewer give no phase")] = 4
+    """Images of each direction, each moved by period / phases."""
+    directions: Annotated[tuple[Literal["u", "v"], ...], Field(strict=False, min_length=1, max_length=2)] = ("u", "v")
+    """Directions that the stripes change along: u along the azimuth, v along the elevation."""
+
+
+def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
+    """Complaints about keys that a kind of light lacks, does not have, or that exclude each other."""
+    needed, others = _KEYS_OF_KIND[kind]
+    for key in needed:
+        if raw.get(key) is None:
+            yield (), raw, fields.absent(f'missing key "{key}", which a light of kind {kind} needs', key)
+    known = set(LightConfig.model_fields)
+    for key in raw:
+        if key in known and key not in (*_PLACE_KEYS, *_RANGE_KEYS, *needed, *others):
+            yield (key,), raw[key], fields.complaint(f"a light of kind {kind} has no such key; leave it out")
+    numbers = {key: value for key, value in raw.items() if isinstance(value, (int, float))}
+    several = any(numbers.get(key, 1) > 1 for key in ("segments", "rows", "columns")) or raw.get("pattern") is not None
+    for key in _RANGE_KEYS:
+        if several and raw.get(key) is not None:
+            yield (key,), raw[key], fields.complaint("a light of several channels is fixed; leave the range out")
+    if numbers.get("rows", 1) * numbers.get("columns", 1) > MOST_CHANNELS:
+        yield ("rows",), raw["rows"], fields.complaint(f"expected at most {MOST_CHANNELS} LEDs in all")
+    if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
+        yield ("inner_radius_mm",), raw["inner_radius_mm"], fields.complaint("expected less than outer_radius_mm")
+    size = [side for side in fields.entries(raw.get("size_mm")) if isinstance(side, (int, float))]
+    widest = {"dome": numbers.get("radius_mm"), "flat_dome": min(size, default=None)}.get(kind)
+    if widest is not None and numbers.get("camera_hole_mm", 0.0) >= widest:
+        yield ("camera_hole_mm",), raw["camera_hole_mm"], fields.complaint(f"expected less than {widest:g}")
+    if numbers.get("slot_mm", 0.0) >= 2.0 * numbers.get("radius_mm", 1e9):
+        yield ("slot_mm",), raw["slot_mm"], fields.complaint("expected less than the tunnel's diameter")
+
+
+class LightSourceConfig(fields.Frozen):
+    """A rectangular panel of light, and the point lights that stand for it."""
+
+    size_mm: fields.Size
+    """Size of the panel along the azimuth and along the elevation [mm]."""
+    points: fields.Points
+    """Point lights of the panel: a square number (1, 4, 9, 16, ...), or auto for the converged panel."""
+    normalisation: _Normalisation = Field(default="mean", validate_default=True)
+    """mean: the points share the output of the panel; sum: each point counts in full, so brightness grows with the
+    number of points."""
+    falloff: _Falloff = "none"
+    """none: brightness does not depend on the distance; inverse_square: it does, and is unchanged at
+    reference_distance_mm."""
+    reference_distance_mm: fields.Length | None = None
+    """inverse_square: distance at which brightness is unchanged [mm]; of the panel's centre to the origin if absent, so
+    that a panel moved away is not dimmer there."""
+    emission_exponent: _Exponent = 0.0
+    """Exponent n of the panel's emission, cosⁿ of the angle to its axis; 0 is uniform."""
+
+    @field_validator("normalisation")
+    @classmethod
+    def _finite(cls, normalisation: str, info: ValidationInfo) -> str:
+        if normalisation == "sum" and info.data.get("points") == "auto":
+            raise fields.complaint(_AUTO_SUM)
+        return normalisation
+
+
+class LightConfig(fields.Frozen):
+    """One light, which faces the origin or has a measured pose; a panel may have any key of light_source, too."""
+
+    name: fields.FileName
+    """Name of the light; it becomes a file name and differs from the others. Lights of several channels are named
+    name-1, name-2, ..."""
+    kind: LightKind = "panel"
+    """Kind of light. All kinds but panel shine by Lambert's law and fall off with the square of the distance."""
+    distance_mm: _Distance
+    """Distance from the origin to the centre of the panel, ring, dome (of its sphere) or other light [mm]; 0 for a dome
+    if absent."""
+    elevation_deg: fields.Elevation
+    """Elevation of the light's centre above the table plane [deg]; 90 is straight above, which lights other than panels
+    have if absent."""
+    azimuth_deg: fields.Azimuth
+    """Azimuth of the light's centre about Z, from X [deg]; 270 if absent of lights other than panels."""
+    pose: PanelPoseConfig | None = None
+    """Measured pose, in place of distance_mm, elevation_deg and azimuth_deg. Where the light has ranges, it moves about
+    the origin from there."""
+    elevation_range_deg: fields.ElevationRange | None = None
+    """Elevations [low, high] that the light can be moved to [deg]; fixed if absent."""
+    azimuth_range_deg: fields.AzimuthRange | None = None
+    """Azimuths [low, high] that the light can be moved to [deg]; fixed if absent."""
+    gain: fields.Coefficient = 1.0
+    """Factor on the brightness of this light."""
+    size_mm: fields.Size | None = None
+    """Size along azimuth and elevation [mm]; for a panel as light_source if absent."""
+    points: fields.Points | None = None
+    """Point lights of this panel, a square or auto; as light_source if absent."""
+    normalisation: _Normalisation | None = None
+    """mean or sum for this light; as light_source if absent."""
+    falloff: _Falloff | None = None
+    """none or inverse_square for this light; as light_source if absent."""
+    reference_distance_mm: fields.Length | None = None
+    """Distance at which this light's brightness is unchanged [mm]; as light_source."""
+    emission_exponent: _Exponent | None = None
+    """Emission exponent of this light; as light_source if absent."""
+
+    segments: _Segments | None = None
+    """ring, low_angle_ring, dome: channels that it is divided into, from the light's azimuth on; 1 if absent."""
+    radius_mm: fields.Length | None = None
+    """low_angle_ring, dome, tunnel: radius [mm]."""
+    inner_radius_mm: fields.Length | None = None
+    """ring: radius of the inner edge [mm]."""
+    outer_radius_mm: fields.Length | None = None
+    """ring: radius of the outer edge [mm]."""
+    ring_tilt_deg: Annotated[float, Field(ge=0, lt=90)] | None = None
+    """ring: how far its surface leans towards the axis [deg]; 0 if absent."""
+    height_mm: fields.Length | None = None
+    """low_angle_ring: height of the ring along its axis [mm]."""
+    length_mm: fields.Length | None = None
+    """tunnel: length along the azimuth [mm]."""
+    camera_hole_mm: fields.Length | None = None
+    """dome, flat_dome: diameter of the hole that the camera looks through [mm]; none if absent."""
+    slot_mm: fields.Length | None = None
+    """tunnel: width of the slot that the camera looks through [mm]; none if absent."""
+    lower_elevation_deg: Annotated[float, Field(ge=0, lt=90)] | None = None
+    """dome: elevation of its lower edge, seen from the centre of its sphere [deg]; 0 if absent."""
+    leak: _Share | None = None
+    """dome: share of a segment's light that the wall scatters all over the dome; 0 if absent."""
+    half_angle_deg: Annotated[float, Field(gt=0, lt=60)] | None = None
+    """spot: half the angle that its disc takes up, seen from the origin [deg]."""
+    rows: _Segments | None = None
+    """led_array: LEDs along the elevation; each is a channel."""
+    columns: _Segments | None = None
+    """led_array: LEDs along the azimuth."""
+    led_mm: fields.Length | None = None
+    """led_array: side of an LED's square [mm]."""
+    transmission: _Share | None = None
+    """coaxial: share of the light that the beam splitter lets pass; 0.5 if absent."""
+    reflection: _Share | None = None
+    """coaxial: share of the light that the beam splitter reflects; 0.5 if absent."""
+    pattern: SinePatternConfig | None = None
+    """display: stripes, each image of which is a channel; a uniform display if absent."""
+
+    _channel: int = PrivateAttr(default=0)
+    _entry: int = PrivateAttr(default=0)
+
+    @property
+    def channel(self) -> int:
+        """Number of the channel among those of its entry in the file, from 0."""
+        return self._channel
+
+    @property
+    def entry(self) -> int:
+        """Index of its entry among the lights of the file."""
+        return self._entry
+
+    @property
+    def channels(self) -> int:
+        """Number of channels of the light: images that it makes."""
+        if self.kind == "led_array":
+            assert self.rows is not None
+            assert self.columns is not None
+            return self.rows * self.columns
+        if self.pattern is not None:
+            return self.pattern.phases * len(self.pattern.directions)
+        return self.segments or 1
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _placed(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
+        raw = fields.mapping(value)
+        kind = raw.get("kind", "panel")
+        if kind in _KEYS_OF_KIND:
+            filled = {"elevation_deg": 90.0, "azimuth_deg": 270.0} | ({"distance_mm": 0.0} if kind == "dome" else {})
+            shaped = {**raw, **{key: v for key, v in filled.items() if key not in raw}}
+            return fields.with_complaints(shaped, handler, _wrong_keys(str(kind), raw))
+        of_others = {key for keys in _KEYS_OF_KIND.values() for key in (*keys[0], *keys[1])} - {"size_mm"}
+        complaints: list[fields.Complaint] = [
+            ((key,), raw[key], fields.complaint("a panel has no such key; give the kind of light that has it"))
+            for key in sorted(of_others & set(raw))
+        ]
+        if raw.get("distance_mm") == 0:
+            complaints.append((("distance_mm",), 0, fields.complaint("a panel cannot stand at the origin")))
+        if complaints:
+            return fields.with_complaints(value, handler, complaints)
+        return with_pose(value, handler, point="centre_mm", what="the panel's centre")
+
+    @field_validator("elevation_range_deg", "azimuth_range_deg")
+    @classmethod
+    def _holds_the_light(cls, ends: tuple[float, float] | None, info: ValidationInfo) -> tuple[float, float] | None:
+        angle = str(info.field_name).replace("_range", "")
+        now = info.data.get(angle)
+        if ends is not None and now is not None and not ends[0] <= now <= ends[1]:
+            raise fields.complaint(
+                f"the light is at {angle} {now:g}, outside [{ends[0]:g}, {ends[1]:g}]; "
+                "widen the range or move the light into it"
+            )
+        return ends
+
+
+def auto_sums(lights: Sequence[object], shared: LightSourceConfig | None) -> Iterator[fields.Complaint]:
+    """Complaints about lights whose points and normalisation, their own or the shared ones, exclude each other."""
+    for i, light in enumerate(lights):
+        own = {key: fields.value_of(light, key) for key in ("points", "normalisation")}
+        if shared is None or own == {"points": None, "normalisation": None}:
+            continue
+        both = {key: getattr(shared, key) if value is None else value for key, value in own.items()}
+        if both == {"points": "auto", "normalisation": "sum"}:
+            key = "normalisation" if own["normalisation"] is not None else "points"
+            yield (i, key), own[key], fields.complaint(_AUTO_SUM)
+
+
+def expanded(lights: Sequence[LightConfig]) -> tuple[LightConfig, ...]:
+    """The channels of all lights, each as a light of its own name."""
+    found: list[LightConfig] = []
+    for entry, light in enumerate(lights):
+        for channel in range(light.channels):
+            name = light.name if light.channels == 1 else f"{light.name}-{channel + 1}"
+            one = light.model_copy(update={"name": name})
+            one._channel, one._entry = channel, entry
+            found.append(one)
+    return tuple(found)

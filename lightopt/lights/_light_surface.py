@@ -1,0 +1,390 @@
+"""The surfaces that lights shine from, other than the panel: cut into elements whose edges are lines of (u, v).
+
+Each element is a piece of a plane, of a cone (also of a cylinder, or of a ring in a plane) or of a sphere. All of them
+shine with the same radiance on one side (Lambert's law), so that the light of an element at a point is
+
+    ∫ L · cosα / r² · dA,    dA = |∂x/∂u × ∂x/∂v| du dv
+
+times what the surface reflects; α is the angle at the element, r the distance. Frames of lights are as
+:class:`~lightopt.lights.PanelLight` has them: `across`, `along` and `outward`, which points away from the part.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from lightopt.core.arrays import Float64, Int32
+from lightopt.core.kernels import kernel
+from lightopt.core.vectors import Vector, cross, dot, length, minus, plus, scaled
+from lightopt.lights._panel import PanelLight, panel_corners
+
+PLANE, CONE, SPHERE, FRAME = 0, 1, 2, 3
+
+_NODES = 8  # Gauss–Legendre nodes a side of an element, for its area, centre and brightness
+
+
+class Element(NamedTuple):
+    """A piece of a light's surface, u in [u0, u1] and v in [v0, v1].
+
+    shape: PLANE: origin + u·a + v·b; u, v [mm]
+        CONE: origin + (radius + v·widening)·(cos u·a + sin u·b) + v·rise·c, widening² + rise² = 1; u [rad], v [mm]
+        SPHERE: origin + radius·(cos v·(cos u·a + sin u·b) + sin v·c); u, v [rad]
+        FRAME: from the circle origin + radius·(cos u·a + sin u·b) at v = 0 straight out to the line
+        origin + widening·(a + tan u·b) at v = 1; u [rad]
+    origin: [mm]; a, b, c: orthogonal unit vectors, right-handed
+    side: 1 where it shines along ∂x/∂u × ∂x/∂v, −1 on the other side
+    radiance: At exposure 1, per unit of what the surface reflects
+    wave_u, wave_v, phase, contrast: Of a sine pattern on a plane, which multiplies the radiance by
+        ½·(1 + contrast·cos(wave_u·u + wave_v·v + phase)); contrast 0 is no pattern, of full radiance [rad/mm, rad]
+    centre, reach: Sphere around the element [mm]
+    """
+
+    shape: int
+    origin: Vector
+    a: Vector
+    b: Vector
+    c: Vector
+    u0: float
+    u1: float
+    v0: float
+    v1: float
+    radius: float
+    widening: float
+    rise: float
+    side: float
+    radiance: float
+    wave_u: float
+    wave_v: float
+    phase: float
+    contrast: float
+    centre: Vector
+    reach: float
+
+
+ELEMENT_NUMBERS = 30  # numbers of an element in a row of an array
+
+
+@kernel
+def element_at(rows: Float64, i: int) -> Element:
+    """An element of a light, from row i of an array of shape (e, ELEMENT_NUMBERS)."""
+    r = rows[i]
+    return Element(
+        int(r[0]),
+        Vector(r[1], r[2], r[3]),
+        Vector(r[4], r[5], r[6]),
+        Vector(r[7], r[8], r[9]),
+        Vector(r[10], r[11], r[12]),
+        r[13],
+        r[14],
+        r[15],
+        r[16],
+        r[17],
+        r[18],
+        r[19],
+        r[20],
+        r[21],
+        r[22],
+        r[23],
+        r[24],
+        r[25],
+        Vector(r[26], r[27], r[28]),
+        r[29],
+    )
+
+
+@kernel
+def element_place(e: Element, u: float, v: float) -> tuple[Vector, Vector, Vector]:
+    """A point of an element [mm], and its derivatives along u and v."""
+    if e.shape == PLANE:
+        return plus(e.origin, plus(scaled(e.a, u), scaled(e.b, v))), e.a, e.b
+    around = plus(scaled(e.a, math.cos(u)), scaled(e.b, math.sin(u)))
+    turned = plus(scaled(e.b, math.cos(u)), scaled(e.a, -math.sin(u)))
+    if e.shape == FRAME:
+        outer = scaled(plus(e.a, scaled(e.b, math.tan(u))), e.widening)
+        out = minus(outer, scaled(around, e.radius))
+        along_edge = scaled(e.b, e.widening * (1.0 + math.tan(u) ** 2))
+        place = plus(e.origin, plus(scaled(around, e.radius), scaled(out, v)))
+        return place, plus(scaled(turned, (1.0 - v) * e.radius), scaled(along_edge, v)), out
+    if e.shape == CONE:
+        rho = e.radius + v * e.widening
+        place = plus(e.origin, plus(scaled(around, rho), scaled(e.c, v * e.rise)))
+        return place, scaled(turned, rho), plus(scaled(around, e.widening), scaled(e.c, e.rise))
+    rho, height = e.radius * math.cos(v), e.radius * math.sin(v)
+    place = plus(e.origin, plus(scaled(around, rho), scaled(e.c, height)))
+    return place, scaled(turned, rho), plus(scaled(around, -height), scaled(e.c, rho))
+
+
+@kernel
+def element_weight(e: Element, towards: Vector, along_u: Vector, along_v: Vector) -> float:
+    """Radiance · cosα / r² · dA per du dv of a place of an element; 0 on the side that does not shine.
+
+    towards: From the surface to the place [mm]
+    along_u, along_v: From :func:`element_place`
+    """
+    r2 = dot(towards, towards)
+    # |∂u × ∂v|·cosα is the product of the cross product with the direction to the surface
+    facing = -e.side * dot(cross(along_u, along_v), towards)
+    return e.radiance * max(0.0, facing) / (r2 * math.sqrt(r2))
+
+
+@kernel
+def pattern_value(e: Element, u: float, v: float) -> float:
+    """Factor on the radiance at a place of an element."""
+    if e.contrast == 0.0:
+        return 1.0
+    return 0.5 * (1.0 + e.contrast * math.cos(e.wave_u * u + e.wave_v * v + e.phase))
+
+
+@kernel
+def pattern_mean(e: Element) -> float:
+    """Mean factor on the radiance of an element."""
+    if e.contrast == 0.0:
+        return 1.0
+    middle = e.wave_u * 0.5 * (e.u0 + e.u1) + e.wave_v * 0.5 * (e.v0 + e.v1) + e.phase
+    damped = _sinc(0.5 * e.wave_u * (e.u1 - e.u0)) * _sinc(0.5 * e.wave_v * (e.v1 - e.v0))
+    return 0.5 * (1.0 + e.contrast * damped * math.cos(middle))
+
+
+@kernel
+def _sinc(x: float) -> float:
+    return math.sin(x) / x if abs(x) > 1e-9 else 1.0
+
+
+@kernel
+def light_at(rows: Float64, points: Float64) -> Float64:
+    """∫ cosα/r² dA of all elements of radiance 1 at some points, shape (k,), by 8 × 8 midpoints of each element."""
+    found = np.zeros(len(points))
+    for k in range(len(points)):
+        p = Vector(points[k, 0], points[k, 1], points[k, 2])
+        for i in range(len(rows)):
+            e = element_at(rows, i)
+            du, dv = (e.u1 - e.u0) / _NODES, (e.v1 - e.v0) / _NODES
+            for m in range(_NODES):
+                for n in range(_NODES):
+                    q, along_u, along_v = element_place(e, e.u0 + (m + 0.5) * du, e.v0 + (n + 0.5) * dv)
+                    found[k] += element_weight(e, minus(q, p), along_u, along_v) / e.radiance * du * dv
+    return found
+
+
+@kernel
+def _bound(rows: Float64) -> None:
+    # set the sphere around each element
+    for i in range(len(rows)):
+        e = element_at(rows, i)
+        centre, _, _ = element_place(e, 0.5 * (e.u0 + e.u1), 0.5 * (e.v0 + e.v1))
+        reach = 0.0
+        for m in range(_NODES + 1):
+            for n in range(_NODES + 1):
+                u, v = e.u0 + (e.u1 - e.u0) * m / _NODES, e.v0 + (e.v1 - e.v0) * n / _NODES
+                reach = max(reach, length(minus(element_place(e, u, v)[0], centre)))
+        rows[i, 26], rows[i, 27], rows[i, 28], rows[i, 29] = centre.x, centre.y, centre.z, reach
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceLight(PanelLight):
+    """A light of another shape than the panel, or one channel of it, in whichever frame its vectors are given.
+
+    What it has of a panel is the frame that it stands in, with the size of the rectangle around it.
+
+    kind: Of the light, as in the rig file
+    elements: Of its surface, shape (e, ELEMENT_NUMBERS)
+    """
+
+    kind: str
+    elements: Float64
+
+    def moved(self, rotation: Float64, translation: Float64) -> SurfaceLight:
+        """The light after x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
+        panel = PanelLight.moved(self, rotation, translation)
+        assert isinstance(panel, SurfaceLight)
+        return replace(panel, elements=_moved(self.elements, rotation, translation))
+
+    @property
+    def targets(self) -> Float64:
+        """Middle of each element [mm], shape (e, 3)."""
+        return np.ascontiguousarray(self.elements[:, 26:29])
+
+
+def _moved(elements: Float64, rotation: Float64, translation: Float64) -> Float64:
+    moved = elements.copy()
+    for first in (1, 4, 7, 10, 26):
+        moved[:, first : first + 3] = elements[:, first : first + 3] @ rotation.T
+    for first in (1, 26):
+        moved[:, first : first + 3] += translation
+    return moved
+
+
+def element_corners(light: SurfaceLight) -> Float64:
+    """Corners of each element in order around it [mm], shape (e, 4, 3), frame of the light's vectors."""
+    corners = np.empty((len(light.elements), 4, 3))
+    for i in range(len(corners)):
+        e = element_at(light.elements, i)
+        for k, (u, v) in enumerate(((e.u0, e.v0), (e.u1, e.v0), (e.u1, e.v1), (e.u0, e.v1))):
+            corners[i, k] = element_place(e, u, v)[0]
+    return corners
+
+
+def surface_mesh(light: SurfaceLight) -> tuple[Float64, Int32]:
+    """Triangles of a light: vertices [mm], shape (n, 3), frame of its vectors; faces, shape (f, 3)."""
+    side = _NODES + 1
+    vertices = np.empty((len(light.elements), side, side, 3))
+    for number in range(len(vertices)):
+        e = element_at(light.elements, number)
+        for i, u in enumerate(np.linspace(e.u0, e.u1, side).tolist()):
+            for j, v in enumerate(np.linspace(e.v0, e.v1, side).tolist()):
+                vertices[number, i, j] = element_place(e, u, v)[0]
+    corner = np.arange(vertices[..., 0].size, dtype=np.int32).reshape(-1, side, side)
+    a, b, c, d = corner[:, :-1, :-1], corner[:, 1:, :-1], corner[:, 1:, 1:], corner[:, :-1, 1:]
+    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    return vertices.reshape(-1, 3), np.ascontiguousarray(faces)
+
+
+def outlines(light: PanelLight) -> Float64:
+    """Corners of the flat pieces that a light is made of, in order around each [mm], shape (pieces, 4, 3)."""
+    return element_corners(light) if isinstance(light, SurfaceLight) else panel_corners(light)[None]
+
+
+@dataclass(frozen=True)
+class SinePattern:
+    """Stripes on a plane light, by their wave numbers across and along [rad/mm], phase [rad] and contrast."""
+
+    across: float
+    along: float
+    phase: float
+    contrast: float
+
+
+def plane_elements(
+    size: tuple[float, float],
+    cells: tuple[int, int],
+    *,
+    centre: tuple[float, float] = (0.0, 0.0),
+    pattern: SinePattern | None = None,
+) -> Float64:
+    """Elements of a rectangle in the light's plane, shape (e, ELEMENT_NUMBERS).
+
+    size: Along `across` and `along` [mm]
+    cells: Elements along these
+    centre: Of the rectangle in the light's plane [mm]
+    """
+    u = centre[0] + size[0] * (np.linspace(0.0, 1.0, cells[0] + 1) - 0.5)
+    v = centre[1] + size[1] * (np.linspace(0.0, 1.0, cells[1] + 1) - 0.5)
+    waves = (0.0, 0.0, 0.0, 0.0) if pattern is None else tuple(vars(pattern).values())
+    # across × along is outward, and light goes the other way
+    return _grid(u, v, shape=PLANE, side=-1.0, waves=waves)
+
+
+def cone_elements(
+    start: tuple[float, float], end: tuple[float, float], turn: tuple[float, float], cells: tuple[int, int]
+) -> Float64:
+    """Elements of a surface of revolution about the light's axis that shines towards the axis, or along it.
+
+    start, end: Radius and height along `outward` of its profile's inner or upper end, and of its outer or lower end
+        [mm]: it shines on the side that is then on the right
+    turn: Azimuths about the axis that it begins and ends at, from `across` [rad]
+    cells: Elements around and along the profile
+    """
+    long = math.hypot(end[0] - start[0], end[1] - start[1])
+    widening, rise = (end[0] - start[0]) / long, (end[1] - start[1]) / long
+    u, v = np.linspace(*turn, cells[0] + 1), np.linspace(0.0, long, cells[1] + 1)
+    # ∂u × ∂v goes with rise·radial − widening·outward
+    return _grid(u, v, shape=CONE, side=1.0, height=start[1], radius=start[0], widening=widening, rise=rise)
+
+
+def frame_elements(size: tuple[float, float], hole: float) -> Float64:
+    """Elements of a rectangle in the light's plane around a round hole.
+
+    size: Along `across` and `along` [mm]
+    hole: Diameter of the hole [mm], less than either side
+    """
+    sides: list[Float64] = []
+    for quarter in range(4):
+        near, far = (0.5 * size[(quarter + k) % 2] for k in range(2))
+        corner = math.atan2(far, near)
+        u, v = np.linspace(-corner, corner, 7), np.linspace(0.0, 1.0, 3)
+        rows = _grid(u, v, shape=FRAME, side=1.0, radius=0.5 * hole, widening=near)
+        cosine, sine = (round(f(0.5 * math.pi * quarter)) for f in (math.cos, math.sin))
+        rows[:, 4:10] = cosine, sine, 0.0, -sine, cosine, 0.0
+        sides.append(rows)
+    return np.concatenate(sides)
+
+
+def half_pipe_elements(radius: float, length: float, slot: float) -> Float64:
+    """Elements of the half of a cylinder about `across` on the side of `outward`, less a slot along its top.
+
+    radius, length: [mm]
+    slot: Width of the slot [mm], less than the diameter
+    """
+    open_ = math.asin(0.5 * slot / radius)
+    halves = ((0.0, 0.5 * math.pi - open_), (0.5 * math.pi + open_, math.pi))
+    turns = halves if slot > 0.0 else ((0.0, math.pi),)
+    around = 12 // len(turns)
+    ends = ((radius, 0.5 * length), (radius, -0.5 * length))
+    rows = np.concatenate([cone_elements(*ends, turn, (around, 4)) for turn in turns])
+    # about across instead of outward
+    rows[:, 1:4] = 0.5 * length, 0.0, 0.0
+    rows[:, 4:13] = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]).ravel()
+    return rows
+
+
+def sphere_elements(
+    radius: float, turn: tuple[float, float], height: tuple[float, float], cells: tuple[int, int]
+) -> Float64:
+    """Elements of a sphere about the light's centre that shine inwards.
+
+    turn: Azimuths about the axis that it begins and ends at, from `across` [rad]
+    height: Elevations above the plane of `across` and `along`, on the side of `outward` [rad]
+    cells: Elements around and up
+    """
+    u, v = np.linspace(*turn, cells[0] + 1), np.linspace(*height, cells[1] + 1)
+    return _grid(u, v, shape=SPHERE, side=-1.0, radius=radius)
+
+
+def _grid(
+    u: Float64,
+    v: Float64,
+    *,
+    shape: int,
+    side: float,
+    height: float = 0.0,
+    radius: float = 0.0,
+    widening: float = 0.0,
+    rise: float = 0.0,
+    waves: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
+) -> Float64:
+    rows = np.zeros(((len(u) - 1) * (len(v) - 1), ELEMENT_NUMBERS))
+    k = 0
+    for i in range(len(u) - 1):
+        for j in range(len(v) - 1):
+            rows[k, 0], rows[k, 3] = shape, height
+            rows[k, 4:13] = np.eye(3).ravel()
+            rows[k, 13:22] = u[i], u[i + 1], v[j], v[j + 1], radius, widening, rise, side, 1.0
+            rows[k, 22:26] = waves
+            k += 1
+    return rows
+
+
+def surface_light(panel: PanelLight, *, kind: str, elements: Float64, whole: Float64 | None = None) -> SurfaceLight:
+    """A light of a shape, or a channel of it, where a panel would stand.
+
+    Its radiance is such that all of the light, wholly in view of a surface at the origin that faces each of its
+    points, gives it as much light as a panel of the same gain, so that segments add up to the whole light.
+
+    panel: With the frame, name and gain of the light; world frame
+    elements: Of this channel, in the frame of the panel about its centre; their radiances relative to the whole light
+    whole: Those of the whole light; as `elements` if None
+    """
+    everything = elements if whole is None else whole
+    # the origin of the world, seen from the light
+    rotation = np.stack([panel.across, panel.along, panel.outward], axis=1)
+    total = float(light_at(everything, (-panel.centre @ rotation)[None])[0])
+    own = elements.copy()
+    own[:, 21] /= total
+    _bound(own)
+    fields = {key: value for key, value in vars(panel).items() if key not in ("points", "normalisation")}
+    fields |= {"points": "auto", "inverse_square": True, "emission_exponent": 1.0}
+    return SurfaceLight(**fields, kind=kind, elements=_moved(own, rotation, panel.centre))

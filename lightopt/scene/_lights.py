@@ -1,0 +1,208 @@
+"""From a rig's file to its lights: panels where they stand, and the surfaces of lights of other kinds."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from lightopt.config import LightConfig, RigConfig, points_problem, standing_at
+from lightopt.core.arrays import Float64
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import rotation_from_vector
+from lightopt.lights import (
+    PanelLight,
+    SinePattern,
+    cone_elements,
+    frame_elements,
+    half_pipe_elements,
+    place_light,
+    plane_elements,
+    pose_light,
+    sphere_elements,
+    surface_light,
+)
+
+# elements of whole lights: each is seen or hidden as its middle is, so that they decide how finely shadows are known
+AROUND, UP_DOME, ACROSS, ALONG = 24, 4, 8, 6
+LEAST_AROUND = 4  # elements around of a segment
+
+_RADIANCE = 21  # number of an element's radiance in its row
+
+
+def build_lights(
+    rig: RigConfig, names: Sequence[str] | None = None, points: int | Literal["auto"] | None = None
+) -> tuple[PanelLight, ...]:
+    """The rig's lights, world frame; each channel of a light is one.
+
+    names: Of the lights to keep; all by default
+    points: Point lights per panel, instead of the rig's
+    Raises InputError: A name that the rig does not have
+    """
+    known = [light.name for light in rig.lights]
+    unknown = [name for name in names or () if name not in known]
+    if unknown:
+        raise InputError(*(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown))
+    chosen = [light for light in rig.lights if names is None or light.name in names]
+    return tuple(_panel(rig, one, points) if one.kind == "panel" else _surface_light(one) for one in chosen)
+
+
+def _where(light: LightConfig) -> dict[str, Any]:
+    return {"elevation": math.radians(light.elevation_deg), "azimuth": math.radians(light.azimuth_deg)}
+
+
+def _panel(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | None) -> PanelLight:
+    if points is not None and (problem := points_problem(points)):
+        raise InputError(f"points of {light.name}: {problem}")
+    shared = rig.light_source
+    assert shared is not None
+    own = {key: getattr(light, key) for key in type(shared).model_fields if getattr(light, key) is not None}
+    source = shared.model_copy(update=own)
+    panel: dict[str, Any] = {
+        "name": light.name,
+        "size": source.size_mm,
+        "points": source.points if points is None else points,
+        "normalisation": source.normalisation,
+        "gain": light.gain,
+        "inverse_square": source.falloff == "inverse_square",
+        "emission_exponent": source.emission_exponent,
+        "reference_distance": source.reference_distance_mm,
+    }
+    if light.pose is None:
+        return place_light(distance=light.distance_mm, **_where(light), **panel)
+    measured = standing_at(light.pose.centre_mm)
+    return pose_light(
+        centre=np.array(light.pose.centre_mm, np.float64),
+        rotation=rotation_from_vector(np.radians(light.pose.rotation_vector_deg)),
+        start=(math.radians(measured["elevation_deg"]), math.radians(measured["azimuth_deg"])),
+        **_where(light),
+        **panel,
+    )
+
+
+def _surface_light(light: LightConfig) -> PanelLight:
+    own, whole, size = _elements(light)
+    gain = light.gain
+    if light.kind == "coaxial":
+        gain *= _or(light.transmission, 0.5) * _or(light.reflection, 0.5)
+    panel = place_light(
+        distance=light.distance_mm, **_where(light), name=light.name, size=size, points="auto", gain=gain
+    )
+    return surface_light(panel, kind=light.kind, elements=own, whole=whole)
+
+
+def _or(value: float | None, default: float) -> float:
+    return default if value is None else value
+
+
+def _elements(light: LightConfig) -> tuple[Float64, Float64 | None, tuple[float, float]]:
+    # elements of a channel and of the whole light where that has others, and the sides of the rectangle around it
+    size = light.size_mm or (0.0, 0.0)
+    match light.kind:
+        case "ring":
+            assert light.inner_radius_mm is not None
+            assert light.outer_radius_mm is not None
+            lean = math.radians(_or(light.ring_tilt_deg, 0.0))
+            height = (light.outer_radius_mm - light.inner_radius_mm) * math.tan(lean)
+            profile = (light.inner_radius_mm, 0.5 * height), (light.outer_radius_mm, -0.5 * height)
+            return *_around(light, profile), _square(light.outer_radius_mm)
+        case "low_angle_ring":
+            assert light.radius_mm is not None
+            assert light.height_mm is not None
+            profile = (light.radius_mm, 0.5 * light.height_mm), (light.radius_mm, -0.5 * light.height_mm)
+            return *_around(light, profile), _square(light.radius_mm)
+        case "spot":
+            assert light.half_angle_deg is not None
+            radius = light.distance_mm * math.tan(math.radians(light.half_angle_deg))
+            return cone_elements((0.0, 0.0), (radius, 0.0), (0.0, 2.0 * math.pi), (4, 1)), None, _square(radius)
+        case "dome":
+            return _dome(light)
+        case "tunnel":
+            assert light.radius_mm is not None
+            assert light.length_mm is not None
+            elements = half_pipe_elements(light.radius_mm, light.length_mm, _or(light.slot_mm, 0.0))
+            return elements, None, (light.length_mm, 2.0 * light.radius_mm)
+        case "flat_dome" if light.camera_hole_mm is not None:
+            return frame_elements(size, light.camera_hole_mm), None, size
+        case "led_array":
+            return *_led(light, size), size
+        case "display" if light.pattern is not None:
+            return *_display(light, size), size
+        case _:
+            return plane_elements(size, _cells(size)), None, size
+
+
+def _square(radius: float) -> tuple[float, float]:
+    return 2.0 * radius, 2.0 * radius
+
+
+def _cells(size: tuple[float, float]) -> tuple[int, int]:
+    # elements of a rectangle, not much longer than wide
+    ratio = size[0] / size[1]
+    return (
+        (ACROSS, max(1, min(ALONG, round(ACROSS / ratio)))) if ratio >= 1.0 else (max(1, round(ALONG * ratio)), ALONG)
+    )
+
+
+def _turn(light: LightConfig) -> tuple[tuple[float, float], int]:
+    # azimuths of a segment, and how many elements it has around
+    segments = light.segments or 1
+    step = 2.0 * math.pi / segments
+    return (light.channel * step, (light.channel + 1) * step), max(LEAST_AROUND, AROUND // segments)
+
+
+def _around(
+    light: LightConfig, profile: tuple[tuple[float, float], tuple[float, float]]
+) -> tuple[Float64, Float64 | None]:
+    turn, around = _turn(light)
+    own = cone_elements(*profile, turn, (around, 1))
+    segments = light.segments or 1
+    return own, None if segments == 1 else cone_elements(*profile, (0.0, 2.0 * math.pi), (around * segments, 1))
+
+
+def _dome(light: LightConfig) -> tuple[Float64, Float64 | None, tuple[float, float]]:
+    assert light.radius_mm is not None
+    turn, around = _turn(light)
+    hole = math.acos(min(1.0, 0.5 * _or(light.camera_hole_mm, 0.0) / light.radius_mm))
+    up = math.radians(_or(light.lower_elevation_deg, 0.0)), hole
+    own = sphere_elements(light.radius_mm, turn, up, (around, UP_DOME))
+    size, segments = _square(light.radius_mm), light.segments or 1
+    if segments == 1:
+        return own, None, size
+    whole = sphere_elements(light.radius_mm, (0.0, 2.0 * math.pi), up, (around * segments, UP_DOME))
+    leak = _or(light.leak, 0.0)
+    if leak == 0.0:
+        return own, whole, size
+    # what leaks comes from all of the dome; the segment's own elements shine the more
+    everywhere = whole.copy()
+    everywhere[:, _RADIANCE] = leak / segments
+    first = len(own) * light.channel
+    everywhere[first : first + len(own), _RADIANCE] += 1.0 - leak
+    return everywhere, whole, size
+
+
+def _led(light: LightConfig, size: tuple[float, float]) -> tuple[Float64, Float64]:
+    assert light.rows is not None
+    assert light.columns is not None
+    assert light.led_mm is not None
+    counts, side = (light.columns, light.rows), light.led_mm
+    leds = [
+        plane_elements((side, side), (1, 1), centre=(_offset(size[0], i, counts[0]), _offset(size[1], j, counts[1])))
+        for j in range(light.rows)
+        for i in range(light.columns)
+    ]
+    return leds[light.channel], np.concatenate(leds)
+
+
+def _offset(size: float, index: int, count: int) -> float:
+    return size * ((index + 0.5) / count - 0.5)
+
+
+def _display(light: LightConfig, size: tuple[float, float]) -> tuple[Float64, Float64]:
+    pattern = light.pattern
+    assert pattern is not None
+    direction, step = divmod(light.channel, pattern.phases)
+    wave = 2.0 * math.pi / pattern.period_mm
+    u, v = (wave, 0.0) if pattern.directions[direction] == "u" else (0.0, wave)
+    stripes = SinePattern(across=u, along=v, phase=-2.0 * math.pi * step / pattern.phases, contrast=1.0)
+    return plane_elements(size, (ACROSS, ALONG), pattern=stripes), plane_elements(size, (ACROSS, ALONG))
