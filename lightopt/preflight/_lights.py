@@ -12,7 +12,7 @@ from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight, outlines, rectangles_meet, segments_blocked, surface_mesh
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, percent
 from lightopt.rendering import panels_in_part
-from lightopt.scene import build_lights, image_area
+from lightopt.scene import build_lights, light_area
 
 _ROUNDING_MM = 1e-6
 STEP_DEG = 5.0  # a light's ranges are tried at least this finely where the camera's view is concerned
@@ -23,7 +23,7 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
     pixels = checked.camera.width * checked.camera.height
     clear = True
     for index, light in enumerate(checked.lights):
-        area = _area_in_view(checked, light)
+        area = light_area(checked.camera, light)
         if area > 0.0:
             clear = False
             text = (
@@ -33,20 +33,12 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
             values = {"light": light.name, "pixels": area, "share": area / pixels}
             yield Finding("warning", "light in view", text, checked.at("lights", index), values)
             continue
-        moved = [p for p in _moved(checked.rig, index, STEP_DEG) if _area_in_view(checked, p) > 0.0]
+        moved = [p for p in _moved(checked.rig, index, STEP_DEG) if light_area(checked.camera, p) > 0.0]
         if moved:
             clear = False
             yield _at_range(checked, index, "light in view", moved, "comes into the camera's view")
     if clear:
         yield Finding("ok", "light in view", "no panel stands in the camera's view, nor moves into it")
-
-
-def _area_in_view(checked: CheckedRig, light: PanelLight) -> float:
-    # pixels that a light covers [px²]; what is behind another piece of it counts twice
-    if light.elevation > 0.0 and isinstance(light, SurfaceLight) and light.kind == "coaxial":
-        return 0.0  # seen through the beam splitter
-    area = sum(image_area(checked.camera, piece) for piece in outlines(light))
-    return min(area, float(checked.camera.width * checked.camera.height))
 
 
 def _lowest(light: PanelLight) -> float:

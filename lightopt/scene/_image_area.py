@@ -3,6 +3,7 @@
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.lights import PanelLight, SurfaceLight, outlines
 from lightopt.scene._camera import PinholeCamera, pixel_directions, project
 
 _NEAR_MM = 1e-3
@@ -24,6 +25,17 @@ def image_area(camera: PinholeCamera, polygon: Float64) -> float:
     if len(local) and not camera.distortion.is_zero:
         return _bent_area(camera, local)
     return camera.aspect * _area(local[:, :2] / local[:, 2:] * scale)
+
+
+def light_area(camera: PinholeCamera, light: PanelLight) -> float:
+    """How much of the image a light covers [px²], at most all of it; none of one behind a beam splitter.
+
+    What is behind another piece of the light counts twice.
+    """
+    if isinstance(light, SurfaceLight) and light.kind == "coaxial":
+        return 0.0
+    area = sum(image_area(camera, piece) for piece in outlines(light))
+    return min(area, float(camera.width * camera.height))
 
 
 def _view_at_depth_1(camera: PinholeCamera) -> tuple[float, float, float, float]:

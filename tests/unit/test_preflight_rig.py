@@ -16,8 +16,9 @@ from lightopt.core.errors import InputError
 from lightopt.lights import PanelLight, panel_corners, place_light, rectangles_meet, segments_blocked
 from lightopt.preflight import check_rig
 from lightopt.preflight._findings import CheckResult, Finding
-from lightopt.scene import image_area, pixel_directions, place_camera
+from lightopt.scene import pixel_directions, place_camera
 from lightopt.scene._camera import Distortion
+from lightopt.scene._image_area import image_area
 
 SAMPLE = Path(__file__).parents[2] / "configs" / "rigs" / "four-panel.yaml"
 
