@@ -8,7 +8,7 @@ are divided, each piece with a ray of its own.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,18 +17,10 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import (
-    RADIANCE,
-    Element,
-    SurfaceLight,
-    element_at,
-    element_place,
-    element_weight,
-)
+from lightopt.lights import RADIANCE, Element, SurfaceLight, element_at, element_place, element_weight
 from lightopt.optics import MIN_COS_VIEW, Reflectance, specular_cosine, specular_lobe
 from lightopt.rendering._panel_quadrature import (
     NODES,
-    WEIGHTS,
     Rectangle,
     half_vector_cone,
     half_vector_map,
@@ -39,7 +31,6 @@ from lightopt.rendering._panel_quadrature import (
 from lightopt.rendering._pattern_weights import pattern_weights
 from lightopt.rendering._point_lights import facing_targets
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._variant_numbers import VariantNumbers, leaning
 
 DIFFUSE_NODES = 3  # a side of an element
 LEAST_NODES, MOST_NODES = 2, 48  # a side of the lobe's window
@@ -54,11 +45,11 @@ STEPS = 6  # Newton steps to where the lobe is brightest
 NEAR = 0.02  # of an element's sides: steps that are less end the search
 
 _CHUNK = 8192  # surface points that a thread works on at once
-_AT_ONCE = 1 << 21  # surface points times elements times terms of patterns that are shaded at once
+AT_ONCE = 1 << 21  # surface points times elements times terms of patterns that are shaded at once
 
 
 @kernel
-def _diffuse_nodes(e: Element, terms: Float64) -> tuple[Float64, Float64, Float64]:
+def diffuse_nodes(e: Element, terms: Float64) -> tuple[Float64, Float64, Float64]:
     # places of an element [mm], and their light: radiance · area · unit vector of where they shine; shape (nodes², 3);
     # and their weights for each term of the pattern, shape (b, nodes²)
     count = DIFFUSE_NODES
@@ -83,7 +74,7 @@ def _diffuse_nodes(e: Element, terms: Float64) -> tuple[Float64, Float64, Float6
 
 
 @kernel
-def _diffuse(p: Vector, n: Vector, places: Float64, light: Float64, weights: Float64, found: Float64) -> None:
+def diffuse_of_element(p: Vector, n: Vector, places: Float64, light: Float64, weights: Float64, found: Float64) -> None:
     # light of an element per unit of R_d, for each term of the pattern: Σ weight · light · cosα · (N·L) / r²
     found[:] = 0.0
     for k in range(len(places)):
@@ -189,7 +180,7 @@ def specular_of_element(
 
 
 @kernel
-def _whole(e: Element) -> Rectangle:
+def whole_element(e: Element) -> Rectangle:
     return Rectangle(e.u0, e.u1, e.v0, e.v1)
 
 
@@ -219,18 +210,18 @@ def _add_elements(
     found = np.empty(len(terms))
     for m in range(len(elements)):
         e = element_at(elements, m)
-        places, light, weights = _diffuse_nodes(e, terms)
+        places, light, weights = diffuse_nodes(e, terms)
         for i in range(len(points)):
             p, n = vector_at(points, i), vector_at(normals, i)
             if dot(n, minus(e.centre, p)) <= -e.reach:
                 continue
             if clear[m, i]:
-                _diffuse(p, n, places, light, weights, found)
+                diffuse_of_element(p, n, places, light, weights, found)
                 for c in range(len(shares)):
                     for b in range(len(terms)):
                         diffuse[c, i] += shares[c, m, b] * found[b]
             found[:] = 0.0
-            specular_of_element(p, n, vector_at(views, i), e, _whole(e), terms, inverse, most, found)
+            specular_of_element(p, n, vector_at(views, i), e, whole_element(e), terms, inverse, most, found)
             for b in range(len(terms)):
                 specular[m, b, i] = found[b]
 
@@ -330,7 +321,7 @@ def shade_surface_lights(
     caster: For shadows; None for none
     """
     channels = _channels(lights)
-    step = max(1, _AT_ONCE // (len(channels.elements) * len(channels.terms)))
+    step = max(1, AT_ONCE // (len(channels.elements) * len(channels.terms)))
     shape = len(lights), len(surface)
     diffuse, specular = np.zeros(shape), np.zeros(shape)
     for start in range(0, len(surface), step):
@@ -349,7 +340,7 @@ def _shade_chunk(
     inverse = 0.5 / reflectance.sigma**2
     # where the lobe's exponent is more, an element adds nothing to a level, at any angle of view
     most = math.log(max(1.0, weight * reflectance.R_s / (MIN_COS_VIEW * LEAST_LEVEL)))
-    clear, hidden = _visibility(surface, elements, caster)
+    clear, hidden = elements_seen(surface, elements, caster)
     size = len(surface)
     diffuse, specular = np.zeros((len(shares), size)), np.zeros((len(elements), len(terms), size))
     geometry = surface.points, surface.normals, surface.views
@@ -368,7 +359,7 @@ def _shade_chunk(
     return weight * diffuse, weight * levels
 
 
-def _visibility(surface: SurfacePoints, elements: Float64, caster: RayCaster | None) -> tuple[Bool, Bool]:
+def elements_seen(surface: SurfacePoints, elements: Float64, caster: RayCaster | None) -> tuple[Bool, Bool]:
     # whether nothing is on the way to the middle of each element, and whether the part is, shape (e, k). What is below
     # a point's own horizon is no light of this element's nodes
     targets = np.ascontiguousarray(elements[:, 22:25])
@@ -380,9 +371,7 @@ def _visibility(surface: SurfacePoints, elements: Float64, caster: RayCaster | N
     return surface.front & ~hidden, hidden
 
 
-def _free_pieces(
-    surface: SurfacePoints, elements: Float64, caster: RayCaster, element: Index, point: Index
-) -> Bool:
+def _free_pieces(surface: SurfacePoints, elements: Float64, caster: RayCaster, element: Index, point: Index) -> Bool:
     # which pieces of an element a point sees, shape (pairs, PIECES²)
     number = PIECES * PIECES
     targets = _piece_targets(elements)
@@ -392,62 +381,6 @@ def _free_pieces(
         surface.points, surface.facets, targets, point_index=point_index, target_index=target_index
     )
     return ~blocked.reshape(-1, number)
-
-
-@kernel
-def _variant_levels(
-    points: Float64,
-    normals: Float64,
-    references: Float64,
-    views: Float64,
-    elements: Float64,
-    terms: Float64,
-    clear: Bool,
-    variants: VariantNumbers,
-    levels: Float64,
-) -> None:
-    # levels of the variants of each point, shape (t, k)
-    lean, R_d, R_s, inverse, most = variants
-    d, s = np.empty(len(terms)), np.empty(len(terms))
-    for m in range(len(elements)):
-        e = element_at(elements, m)
-        places, light, weights = _diffuse_nodes(e, terms)
-        for i in range(len(points)):
-            if not clear[m, i]:
-                continue
-            p, n, v, r = vector_at(points, i), vector_at(normals, i), vector_at(views, i), vector_at(references, i)
-            a = cross(n, r)
-            for t in range(len(lean)):
-                turned = leaning(lean, t, n, r, a)
-                if dot(turned, minus(e.centre, p)) <= -e.reach:
-                    continue
-                _diffuse(p, turned, places, light, weights, d)
-                s[:] = 0.0
-                specular_of_element(p, turned, v, e, _whole(e), terms, inverse[t], most[t], s)
-                for b in range(len(terms)):
-                    levels[t, i] += terms[b, 0] * (R_d[t] * d[b] + R_s[t] * s[b])
-
-
-def surface_light_variants(
-    surface: SurfacePoints, references: Float64, light: SurfaceLight, variants: VariantNumbers, caster: RayCaster | None
-) -> Float64:
-    """Levels of variants of a surface under a light, shape (t, k); elements are seen or hidden as wholes.
-
-    surface, references: As :func:`lightopt.rendering.shade_variants` takes them
-    variants: With coefficients times the light's weight
-    """
-    elements, terms = light.elements, light.pattern
-    levels = np.zeros((len(variants.lean), len(surface)))
-    step = max(1, _AT_ONCE // len(light.elements))
-    for start in range(0, len(surface), step):
-        end_if_stopped()
-        part = slice(start, start + step)
-        some, own = surface.take(part), np.zeros((len(variants.lean), len(surface.points[part])))
-        clear, _ = _visibility(replace(some, normals=some.facets), elements, caster)
-        geometry = some.points, some.normals, references[part], some.views
-        _variant_levels(*geometry, elements, terms, clear, variants, own)
-        levels[:, part] = own
-    return levels
 
 
 def light_of_elements(
