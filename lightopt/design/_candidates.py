@@ -12,9 +12,9 @@ from lightopt.config import LightConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError, counted
 from lightopt.design.search._combinations import CombinationSpace, Rows
-from lightopt.lights import PanelLight, panel_corners, rectangles_meet
+from lightopt.lights import PanelLight, outlines
 from lightopt.rendering import panels_in_part
-from lightopt.scene import PinholeCamera, Scene, build_camera, build_lights, image_area
+from lightopt.scene import PinholeCamera, Scene, area_in_view, build_camera, build_lights, lights_meet
 
 Angles = tuple[float, float]  # elevation and azimuth [°]
 Reason = tuple[str, str, float | None]  # text, kind and amount of an `ExcludedPosition`
@@ -211,12 +211,11 @@ def _span(amounts: Sequence[float], form: str) -> str:
 
 
 def _reason(panel: PanelLight, camera: PinholeCamera, scene: Scene | None) -> Reason | None:
-    corners = panel_corners(panel)
-    pixels = image_area(camera, corners)
+    pixels = area_in_view(camera, panel)
     if pixels > 0.0:
         covered = max(1, round(pixels))
         return f"stands in the camera's view, over {counted(covered, 'pixel')}", "view", float(covered)
-    lowest = float(corners[:, 2].min())
+    lowest = float(outlines(panel)[..., 2].min())
     if lowest < 0.0:
         return f"reaches {-lowest:.3g} mm below the table top", "table", -lowest
     inside = () if scene is None else panels_in_part(replace(scene, lights=(panel,)))
@@ -234,7 +233,7 @@ def _clashes(possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tu
             for a, centre in enumerate(centres[0]):
                 apart = np.linalg.norm(centres[1] - centre, axis=1)
                 for b in map(int, np.flatnonzero(apart <= radii)):
-                    clash[a, b] = rectangles_meet(possible[i][a][1], possible[j][b][1])
+                    clash[a, b] = lights_meet(possible[i][a][1], possible[j][b][1])
         if clash.any():
             clashes[i, j] = clash
     return clashes
