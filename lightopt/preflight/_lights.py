@@ -26,7 +26,7 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
             clear = False
             text = (
                 f"{light.name} stands in the camera's view and covers {area:,.0f} px ({percent(area / pixels)} of "
-                "the image): images are black where it hides the part. Move it, or the camera"
+                "the image), where the part is black: move it, or the camera"
             )
             values = {"light": light.name, "pixels": area, "share": area / pixels}
             yield Finding("warning", "light in view", text, checked.at("lights", index), values)
