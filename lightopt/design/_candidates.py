@@ -12,9 +12,9 @@ from lightopt.config import LightConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError, counted
 from lightopt.design.search._combinations import CombinationSpace, Rows
-from lightopt.lights import PanelLight, SurfaceLight, outlines, rectangles_meet
+from lightopt.lights import PanelLight, outlines
 from lightopt.rendering import panels_in_part
-from lightopt.scene import PinholeCamera, Scene, build_camera, build_lights, light_area
+from lightopt.scene import PinholeCamera, Scene, area_in_view, build_camera, build_lights, lights_meet
 
 Angles = tuple[float, float]  # elevation and azimuth [°]
 Reason = tuple[str, str, float | None]  # text, kind and amount of an `ExcludedPosition`
@@ -145,7 +145,7 @@ def find_candidates(
             else:
                 left_out.append(ExcludedPosition(panel.name, *at, *reason))
         possible.append(free)
-    clashes = _clashes(possible)
+    clashes = _clashes(rig, possible)
     always_colliding = _always_colliding(possible, clashes)
     for index, k, other in ((i, k, other) for i, some in always_colliding.items() for k, other in sorted(some.items())):
         reason = f"collides with {rig.lights[other].name} in all of its positions"
@@ -241,7 +241,7 @@ def _span(amounts: Sequence[float], form: str) -> str:
 
 
 def _reason(panel: PanelLight, camera: PinholeCamera, scene: Scene | None) -> Reason | None:
-    pixels = light_area(camera, panel)
+    pixels = area_in_view(camera, panel)
     if pixels > 0.0:
         covered = max(1, round(pixels))
         return f"stands in the camera's view, over {counted(covered, 'pixel')}", "view", float(covered)
@@ -252,11 +252,11 @@ def _reason(panel: PanelLight, camera: PinholeCamera, scene: Scene | None) -> Re
     return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 
-def _clashes(possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tuple[int, int], Bool]:
+def _clashes(rig: RigConfig, possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tuple[int, int], Bool]:
     clashes: dict[tuple[int, int], Bool] = {}
-    # lights of other kinds may surround each other
-    flat = [i for i, some in enumerate(possible) if some and not isinstance(some[0][1], SurfaceLight)]
-    for i, j in itertools.combinations(flat, 2):
+    for i, j in itertools.combinations(range(len(possible)), 2):
+        if rig.lights[i].entry == rig.lights[j].entry:
+            continue  # channels of one light
         clash = np.zeros((len(possible[i]), len(possible[j])), np.bool_)
         if clash.size:
             # spheres around the panels exclude most pairs at once
@@ -265,7 +265,7 @@ def _clashes(possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tu
             for a, centre in enumerate(centres[0]):
                 apart = np.linalg.norm(centres[1] - centre, axis=1)
                 for b in map(int, np.flatnonzero(apart <= radii)):
-                    clash[a, b] = rectangles_meet(possible[i][a][1], possible[j][b][1])
+                    clash[a, b] = lights_meet(possible[i][a][1], possible[j][b][1])
         if clash.any():
             clashes[i, j] = clash
     return clashes

@@ -199,6 +199,7 @@ def _state_problem(
     check_editable(rig)
     objectives = _objectives(rig, part, options, run)
     scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
+    scene = replace(scene, camera=replace(scene.camera, obstructions=None))  # no position in the view is a candidate
     thresholds = LevelThresholds.of_sensor(scene.sensor, shade_share=options.shade_below)
     postures, names = [posture.as_dict() for posture in scene.postures], [objective.name for objective in objectives]
     provenance = run_provenance(rig, part, options, plan, {"objectives": names, "postures": postures})

@@ -26,7 +26,6 @@ from lightopt.lights._panel import (
     place_light as place_light,
     pose_light as pose_light,
     rectangles_meet as rectangles_meet,
-    segments_blocked as segments_blocked,
 )
 from lightopt.lights._panel_emission import (
     PanelNumbers as PanelNumbers,

@@ -177,6 +177,11 @@ class SurfaceLight(PanelLight):
         return replace(panel, elements=_moved(self.elements, rotation, translation))
 
     @property
+    def is_flat(self) -> bool:
+        """Whether it lies in a plane, within the rectangle around it."""
+        return bool(np.isin(self.elements[:, 0], (PLANE, FRAME)).all())
+
+    @property
     def targets(self) -> Float64:
         """Middle of each element [mm], shape (e, 3)."""
         return np.ascontiguousarray(self.elements[:, 22:25])
@@ -191,34 +196,42 @@ def _moved(elements: Float64, rotation: Float64, translation: Float64) -> Float6
     return moved
 
 
-def element_corners(light: SurfaceLight) -> Float64:
-    """Corners of each element in order around it [mm], shape (e, 4, 3), frame of the light's vectors."""
-    corners = np.empty((len(light.elements), 4, 3))
-    for i in range(len(corners)):
-        e = element_at(light.elements, i)
-        for k, (u, v) in enumerate(((e.u0, e.v0), (e.u1, e.v0), (e.u1, e.v1), (e.u0, e.v1))):
-            corners[i, k] = element_place(e, u, v)[0]
-    return corners
+@kernel
+def _grid_places(rows: Float64, steps: int) -> Float64:
+    # places of elements at so many steps along u and v [mm], shape (e, steps + 1, steps + 1, 3)
+    places = np.empty((len(rows), steps + 1, steps + 1, 3))
+    for k in range(len(rows)):
+        e = element_at(rows, k)
+        for i in range(steps + 1):
+            for j in range(steps + 1):
+                u, v = e.u0 + (e.u1 - e.u0) * i / steps, e.v0 + (e.v1 - e.v0) * j / steps
+                q, _, _ = element_place(e, u, v)
+                places[k, i, j, 0], places[k, i, j, 1], places[k, i, j, 2] = q.x, q.y, q.z
+    return places
 
 
-def surface_mesh(light: SurfaceLight) -> tuple[Float64, Int32]:
-    """Triangles of a light: vertices [mm], shape (n, 3), frame of its vectors; faces, shape (f, 3)."""
+def surface_mesh(light: PanelLight) -> tuple[Float64, Int32]:
+    """Triangles of a light, whose normals point to where it shines.
+
+    Returns vertices, faces: [mm], shape (n, 3), frame of the light's vectors; shape (f, 3)
+    """
+    if not isinstance(light, SurfaceLight):
+        return panel_corners(light), np.array([[0, 2, 1], [0, 3, 2]], np.int32)
     side = _NODES + 1
-    vertices = np.empty((len(light.elements), side, side, 3))
-    for number in range(len(vertices)):
-        e = element_at(light.elements, number)
-        for i, u in enumerate(np.linspace(e.u0, e.u1, side).tolist()):
-            for j, v in enumerate(np.linspace(e.v0, e.v1, side).tolist()):
-                vertices[number, i, j] = element_place(e, u, v)[0]
+    vertices = _grid_places(light.elements, _NODES)
     corner = np.arange(vertices[..., 0].size, dtype=np.int32).reshape(-1, side, side)
     a, b, c, d = corner[:, :-1, :-1], corner[:, 1:, :-1], corner[:, 1:, 1:], corner[:, :-1, 1:]
-    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
-    return vertices.reshape(-1, 3), np.ascontiguousarray(faces)
+    back = light.elements[:, None, None, None, 20] < 0.0
+    faces = [np.where(back, np.stack(t[::-1], axis=-1), np.stack(t, axis=-1)) for t in ((a, b, c), (a, c, d))]
+    return vertices.reshape(-1, 3), np.concatenate([some.reshape(-1, 3) for some in faces])
 
 
 def outlines(light: PanelLight) -> Float64:
     """Corners of the flat pieces that a light is made of, in order around each [mm], shape (pieces, 4, 3)."""
-    return element_corners(light) if isinstance(light, SurfaceLight) else panel_corners(light)[None]
+    if not isinstance(light, SurfaceLight):
+        return panel_corners(light)[None]
+    corners = _grid_places(light.elements, 1)
+    return np.stack([corners[:, 0, 0], corners[:, 1, 0], corners[:, 1, 1], corners[:, 0, 1]], axis=1)
 
 
 def plane_elements(

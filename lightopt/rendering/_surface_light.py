@@ -39,7 +39,7 @@ FLANK, FAR, FAR_NODES = 4.5, 9.0, 2
 MOST_PATTERN_NODES = 40
 PIECES = 4  # along a side of an element of which some may be hidden
 LEAST_LEVEL = 1e-3  # what the lobe of an element adds at most where it is left out [grey level]
-MOST_R_S = 1e8  # R_s of fits, where that is not known [grey level]
+MOST_R_S_SIGMA_2 = 1e3  # R_s·σ² of fits, where R_s is not known [grey level]
 NEGLIGIBLE_LEVEL = 0.02  # elements whose highlight is less are not divided [grey level]
 STEPS = 6  # Newton steps to where the lobe is brightest
 NEAR = 0.02  # of an element's sides: steps that are less end the search
@@ -384,10 +384,15 @@ def _free_pieces(surface: SurfacePoints, elements: Float64, caster: RayCaster, e
 
 
 def light_of_elements(
-    surface: SurfacePoints, light: SurfaceLight, sigma: float, *, threads: int | None = None
+    surface: SurfacePoints, light: SurfaceLight, sigma: float | None, *, threads: int | None = None
 ) -> tuple[Float64, Float64]:
-    """Diffuse and specular light at points that see all of a light, per unit of R_d and R_s; shapes (k,)."""
-    reflectance = Reflectance(R_d=1.0, R_s=MOST_R_S, sigma=sigma)
+    """Diffuse and specular light at points that see all of a light, per unit of R_d and R_s; shapes (k,).
+
+    sigma: Width of the lobe [rad]; None for diffuse light alone
+    """
+    reflectance = Reflectance(R_d=1.0, R_s=0.0, sigma=1e-3)
+    if sigma is not None:
+        reflectance = Reflectance(R_d=1.0, R_s=MOST_R_S_SIGMA_2 / sigma**2, sigma=sigma)
 
     def chunk(start: int) -> tuple[Float64, Float64]:
         some = surface.take(slice(start, start + _CHUNK))
