@@ -30,7 +30,7 @@ def compare_lighting(
     step: float = system_option(10.0, metavar="DEG", help="Step of the angles within the lights' ranges."),
     min_images: int = system_option(2, metavar="K", min=1, help="Number of images that must show a defect."),
     false_alarms: float = system_option(0.05, metavar="N", help="False alarms per posture, the same for all systems."),
-    patches: int = system_option(4000, metavar="N", min=1, help="Target number of visible surface patches."),
+    patches: int = system_option(2000, metavar="N", min=1, help="Target number of visible surface patches."),
     points: common.Points = None,
     report: bool = output_option(True, "--report/--no-report", help="Write a report for each system as well."),
     force: common.Force = False,
@@ -45,22 +45,23 @@ def compare_lighting(
     system that cannot be used, such as a light in the camera's view, is listed with the reason.
 
     Writes report.html, comparison.csv and comparison.json, and the design of each system to a folder of its name. The
-    rig files of presets are copied to presets/.
+    rig files of presets are copied to presets/, with the pixels and the sensor of the first RIG.
 
     Example: lightopt compare-lighting part.yaml rig.yaml --preset dome-quadrants,coaxial -o compared
     """
     from lightopt import comparison
+    from lightopt.config import load_rig
     from lightopt.design import OptimizeOptions, PlanOptions
 
     if preset == "list":
         echo(", ".join(comparison.PRESETS))
         return
     names = [] if preset is None else [name.strip() for name in preset.split(",")]
-    files = [*(rigs or []), *comparison.preset_files(names, out / "presets", force=force)]
-    if exposures is not None and choose_postures is None and posture is None:
-        chosen_exposures = common.parse_exposures(exposures)
-    else:
-        chosen_exposures = () if exposures is None else common.parse_exposures(exposures)
+    files = rigs or []
+    if names:
+        camera_of = load_rig(files[0]) if files else None
+        files = [*files, *comparison.preset_files(names, out / "presets", camera_of=camera_of, force=force)]
+    chosen_exposures = () if exposures is None else common.parse_exposures(exposures)
     if posture is not None and choose_postures is not None:
         raise InputError("--posture: cannot be combined with --choose-postures; omit one or the other")
     options = OptimizeOptions(

@@ -17,7 +17,7 @@ from lightopt.comparison._results import (
     comparison_document,
 )
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.core.errors import CheckFailed, InputError
+from lightopt.core.errors import CheckFailed, InputError, counted
 from lightopt.core.run_context import RunContext
 from lightopt.design import (
     BlindReason,
@@ -26,6 +26,7 @@ from lightopt.design import (
     OptimizeOptions,
     PlanOptions,
     blind_text,
+    deciding_text,
     finish_design,
     optimize,
     write_design,
@@ -69,8 +70,12 @@ def compare_lighting(
     warnings: dict[str, None] = {}
     for name, rig in loaded.items():
         own = run.apart(name)
+        fewer = min(options.min_images, len(rig.lights))
+        if fewer < options.min_images:
+            warnings[f"{name}: it has {counted(fewer, 'light')}, so that {deciding_text(fewer)}"] = None
         try:
-            result = optimize(rig, part, folder / name, options=options, plan=plan, force=force, run=own)
+            request = replace(options, min_images=fewer)
+            result = optimize(rig, part, folder / name, options=request, plan=plan, force=force, run=own)
             output = write_design(result, blind_pictures(result), force=force, run=own)
             finish_design(output, design_report(output) if options.report else None)
         except CheckFailed as error:
@@ -170,12 +175,17 @@ def _found(output: DesignOutput) -> tuple[float, float, Mapping[str, float]]:
 def _reasons(result: DesignResult) -> dict[str, float]:
     if result.blind is None:
         return {}
-    _, chosen, _ = result.blind.parts[0]
-    shares: dict[str, float] = {}
-    for code, share in chosen.by_reason().items():
-        saturated = code >= BlindReason.SATURATED
-        reason = "saturated" if saturated else blind_text(code, result.blind.lights)
-        shares[reason] = shares.get(reason, 0.0) + share
+    # the evidence of postures adds up in a plan; without one, each decides by itself
+    together = result.plan.chosen is not None or result.plan.brackets is not None
+    parts = result.blind.parts[:1] if together else result.blind.parts[1:]
+    seen, shares = 0.0, dict[str, float]()
+    for _, chosen, _ in parts:
+        lost = chosen.by_reason()
+        seen += chosen.counted * (1.0 - lost.pop(BlindReason.CAMERA, 0.0))  # no light changes what the camera sees
+        for code, share in lost.items():
+            reason = "saturated" if code >= BlindReason.SATURATED else blind_text(code, result.blind.lights)
+            shares[reason] = shares.get(reason, 0.0) + share * chosen.counted
+    shares = {reason: share / max(seen, 1e-9) for reason, share in shares.items()}
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 

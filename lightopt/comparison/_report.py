@@ -110,7 +110,10 @@ def _reasons_table(comparison: LightingComparison) -> Table:
         [one.name, *(share_text(one.reasons.get(reason, 0.0), one.grain) for reason in reasons), "; ".join(one.moved)]
         for one in comparison.systems
     ]
-    caption = f"Shares of {BLIND_SHARES_OF}. Moved: lights whose best place is not that of their file."
+    caption = (
+        f"Shares of {BLIND_SHARES_OF}, of what the camera sees. Moved: lights whose best place is not that of their "
+        "file."
+    )
     return Table(header=["system", *reasons, "moved"], rows=rows, caption=caption)
 
 
