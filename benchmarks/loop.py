@@ -227,26 +227,35 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
                 for seed in range(sets_needed(options.false_alarms))
             ]
             calibrations = {k: calibrate(rig, nominal, good, options=one) for k, one in inspections.items()}
-        counts = {k: _Counts(Prediction(rig, nominal, k, options, calibrations.get(k))) for k in MIN_IMAGES}
-        cache = PredictionCache()
-        for seed, path in enumerate(placed, 1):
-            part = load_part(path)
-            made = as_made(path, options.lobe)
-            image_set = take(rig, made, folder / f"{name}-{objective}-{seed}", seed, rays=options.rays)
-            for min_images, own in counts.items():
-                result = inspect_set(
-                    rig,
-                    part,
-                    image_set,
-                    options=inspections[min_images],
-                    cache=cache,
-                    calibration=calibrations.get(min_images),
-                )
-                known = place_defects(result.nominal, rig, part)
-                own.add(known, evaluate_set(image_set, result, known=known))
-            print(f"{name}, {objective}, seed {seed}: done", flush=True)
-        for min_images, own in counts.items():
-            yield from own.tallies(name, objective, min_images)
+        predictions = {k: Prediction(rig, nominal, k, options, calibrations.get(k)) for k in MIN_IMAGES}
+        found = count_found(folder, f"{name}-{objective}", rig, placed, predictions, options, calibrations)
+        yield from (replace(one, part=name, objective=objective) for one in found)
+
+
+def count_found(
+    folder: Path,
+    name: str,
+    rig: RigConfig,
+    placed: list[Path],
+    predictions: dict[int, Prediction],
+    options: argparse.Namespace,
+    calibrations: dict[int, Calibration] | None = None,
+) -> Iterator[Tally]:
+    """Capture and inspect parts with defects, with each number of images that must show one."""
+    counts = {k: _Counts(prediction) for k, prediction in predictions.items()}
+    cache = PredictionCache()
+    for seed, path in enumerate(placed, 1):
+        part = load_part(path)
+        image_set = take(rig, as_made(path, options.lobe), folder / f"{name}-{seed}", seed, rays=options.rays)
+        for k, own in counts.items():
+            inspection = InspectOptions(fusion=None, min_images=k, false_alarms=options.false_alarms)
+            known_good = (calibrations or {}).get(k)
+            result = inspect_set(rig, part, image_set, options=inspection, cache=cache, calibration=known_good)
+            known = place_defects(result.nominal, rig, part)
+            own.add(known, evaluate_set(image_set, result, known=known))
+        print(f"{name}, seed {seed}: done", flush=True)
+    for k, own in counts.items():
+        yield from own.tallies(name, "", k)
 
 
 class _Counts:
