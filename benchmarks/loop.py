@@ -38,6 +38,7 @@ from lightopt.core.arrays import Bool
 from lightopt.defects import BUILT_IN_CATALOGUE, DEFAULT_FALSE_ALARMS, PlacedDefect, tangent_references
 from lightopt.design import DetectionModel, ImageEvaluator, planned_catalogue, unpack_flags
 from lightopt.design._problem import images_that_decide
+from lightopt.design.responses._evidence import spare_units
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import (
     Calibration,
@@ -155,7 +156,10 @@ class Prediction:
         self.axes = scene.placement.rotation
         self.patches = evaluator.patches
         self.areas = self.table.patches.areas[self.patches]
-        counts = evaluator.counts(posture, scene.lights)
+        (matrix,) = evaluator.matrices(posture, [[panel] for panel in scene.lights])
+        assert matrix.visibility is not None
+        spare = spare_units(matrix.levels, scene.sensor, evaluator.detection.min_images)
+        counts = replace(matrix.visibility, spare=spare).most_units(evaluator.needed)
         self.found: Bool = unpack_flags(counts[-1], len(self.defects)) > 0
 
     def planned(self, kind: str) -> float:
