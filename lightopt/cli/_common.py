@@ -141,10 +141,14 @@ def load_inputs(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | N
     return loaded, None if part is None else load_part(part)
 
 
-def add_sheets(folder: Path, *, exposures: Sequence[float], title: str, force: bool, quiet: bool) -> None:
+def add_sheets(
+    folder: Path, rig: RigConfig, *, exposures: tuple[float, ...], title: str, force: bool, quiet: bool
+) -> None:
     """Add a contact sheet per exposure to an image set, and print where they are."""
     from lightopt.report import add_contact_sheets
 
+    shown = dict.fromkeys(one for light in rig.lights for one in rig.exposures(light.name, exposures))
+    exposures = tuple(shown)
     sheets = add_contact_sheets(folder, exposures=exposures, title=title, overwrite=force)
     for exposure, path in zip(exposures, sheets, strict=True):
         if not quiet:

@@ -61,4 +61,4 @@ def render(
         echo(f"{done.folder / 'manifest.json'}")
     if sheet:
         title = f"{loaded_part.name} on {loaded_rig.name}"
-        common.add_sheets(out, exposures=options.exposures, title=title, force=force, quiet=quiet)
+        common.add_sheets(out, loaded_rig, exposures=options.exposures, title=title, force=force, quiet=quiet)

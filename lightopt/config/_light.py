@@ -3,7 +3,16 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator, model_validator
+from pydantic import (
+    Field,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from lightopt.config import _fields as fields
 from lightopt.config._pose import PanelPoseConfig, with_pose
@@ -63,7 +72,7 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
             yield (), raw, fields.absent(f'missing key "{key}", which a light of kind {kind} needs', key)
     known = set(LightConfig.model_fields)
     for key in raw:
-        if key in known and key not in (*_PLACE_KEYS, *_RANGE_KEYS, *needed, *others):
+        if key in known and raw[key] is not None and key not in (*_PLACE_KEYS, *_RANGE_KEYS, *needed, *others):
             yield (key,), raw[key], fields.complaint(f"a light of kind {kind} has no such key; leave it out")
     numbers = {key: value for key, value in raw.items() if isinstance(value, (int, float))}
     several = any(numbers.get(key, 1) > 1 for key in ("segments", "rows", "columns")) or raw.get("pattern") is not None
@@ -186,6 +195,33 @@ class LightConfig(fields.Frozen):
 
     _channel: int = PrivateAttr(default=0)
     _entry: int = PrivateAttr(default=0)
+    _mixture: tuple[tuple["LightConfig", float], ...] = PrivateAttr(default=())
+    _exposures: tuple[float, ...] | None = PrivateAttr(default=None)
+
+    @property
+    def mixture(self) -> tuple[tuple["LightConfig", float], ...]:
+        """Lights that are on together and their weights, for an image of a programme; none otherwise."""
+        return self._mixture
+
+    @property
+    def exposures(self) -> tuple[float, ...] | None:
+        """Exposures that the programme gives this image; None for those of the command."""
+        return self._exposures
+
+    def mixed(
+        self, name: str, lights: Sequence[tuple["LightConfig", float]], exposures: tuple[float, ...] | None
+    ) -> "LightConfig":
+        """An image of several lights with weights, as a light of its own that stands where this one does."""
+        image = self.model_copy(update={"name": name})
+        image._mixture, image._exposures = tuple(lights), exposures
+        return image
+
+    @model_serializer(mode="wrap")
+    def _with_mixture(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # what depends on the image depends on its weights
+        own: dict[str, Any] = handler(self)
+        parts = [{"light": light.model_dump(mode="json"), "weight": weight} for light, weight in self._mixture]
+        return own | {"mixture": parts} if parts else own
 
     @property
     def channel(self) -> int:
@@ -220,7 +256,7 @@ class LightConfig(fields.Frozen):
         of_others = {key for keys in _KEYS_OF_KIND.values() for key in (*keys[0], *keys[1])} - {"size_mm"}
         complaints: list[fields.Complaint] = [
             ((key,), raw[key], fields.complaint("a panel has no such key; give the kind of light that has it"))
-            for key in sorted(of_others & set(raw))
+            for key in sorted(of_others & {key for key, given in raw.items() if given is not None})
         ]
         if raw.get("distance_mm") == 0:
             complaints.append((("distance_mm",), 0, fields.complaint("a panel cannot stand at the origin")))

@@ -13,6 +13,7 @@ from lightopt.lights._light_surface import (
     element_weight as element_weight,
     frame_elements as frame_elements,
     half_pipe_elements as half_pipe_elements,
+    mixed_light as mixed_light,
     outlines as outlines,
     pattern_mean as pattern_mean,
     pattern_value as pattern_value,

@@ -12,6 +12,7 @@ times what the surface reflects; α is the angle at the element, r the distance.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -66,6 +67,7 @@ class Element(NamedTuple):
 
 
 ELEMENT_NUMBERS = 30  # numbers of an element in a row of an array
+_RADIANCE = 21  # of them
 
 
 @kernel
@@ -383,8 +385,17 @@ def surface_light(panel: PanelLight, *, kind: str, elements: Float64, whole: Flo
     rotation = np.stack([panel.across, panel.along, panel.outward], axis=1)
     total = float(light_at(everything, (-panel.centre @ rotation)[None])[0])
     own = elements.copy()
-    own[:, 21] /= total
+    own[:, _RADIANCE] /= total
     _bound(own)
     fields = {key: value for key, value in vars(panel).items() if key not in ("points", "normalisation")}
     fields |= {"points": "auto", "inverse_square": True, "emission_exponent": 1.0}
     return SurfaceLight(**fields, kind=kind, elements=_moved(own, rotation, panel.centre))
+
+
+def mixed_light(name: str, parts: Sequence[tuple[SurfaceLight, float]]) -> SurfaceLight:
+    """A light of several that are on together, each with a weight above 0, where the first one stands."""
+    gain = sum(weight * light.gain for light, weight in parts)
+    elements = [light.elements.copy() for light, _ in parts]
+    for own, (light, weight) in zip(elements, parts, strict=True):
+        own[:, _RADIANCE] *= weight * light.gain / gain
+    return replace(parts[0][0], name=name, gain=gain, elements=np.concatenate(elements))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -13,9 +14,11 @@ from lightopt.core.transforms import rotation_from_vector
 from lightopt.lights import (
     PanelLight,
     SinePattern,
+    SurfaceLight,
     cone_elements,
     frame_elements,
     half_pipe_elements,
+    mixed_light,
     place_light,
     plane_elements,
     pose_light,
@@ -33,7 +36,7 @@ _RADIANCE = 21  # number of an element's radiance in its row
 def build_lights(
     rig: RigConfig, names: Sequence[str] | None = None, points: int | Literal["auto"] | None = None
 ) -> tuple[PanelLight, ...]:
-    """The rig's lights, world frame; each channel of a light is one.
+    """The rig's lights, world frame; each channel of a light is one, or each image of the rig's programme.
 
     names: Of the lights to keep; all by default
     points: Point lights per panel, instead of the rig's
@@ -44,7 +47,18 @@ def build_lights(
     if unknown:
         raise InputError(*(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown))
     chosen = [light for light in rig.lights if names is None or light.name in names]
-    return tuple(_panel(rig, one, points) if one.kind == "panel" else _surface_light(one) for one in chosen)
+    return tuple(_light(rig, one, points) for one in chosen)
+
+
+def _light(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | None) -> PanelLight:
+    if not light.mixture:
+        return _panel(rig, light, points) if light.kind == "panel" else _surface_light(light)
+    parts = [(_light(rig, one, points), weight) for one, weight in light.mixture]
+    first, weight = parts[0]
+    if not isinstance(first, SurfaceLight):
+        # panels are alone
+        return replace(first, name=light.name, gain=weight * first.gain)
+    return mixed_light(light.name, [(one, weight) for one, weight in parts if isinstance(one, SurfaceLight)])
 
 
 def _where(light: LightConfig) -> dict[str, Any]:
