@@ -58,10 +58,33 @@ class SinePatternConfig(fields.Frozen):
     """Kind of pattern: sine, of levels from black to full."""
     period_mm: fields.Length
     """Length of a period on the display [mm]."""
+    second_period_mm: fields.Length | None = None
+    """Length of the period of as many further images of each direction, longer than period_mm [mm]: both phases
+    together give the place on the display; no such images if absent."""
     phases: Annotated[int, Field(ge=3, le=64), fields.expecting("a whole number from 3 to 64: fewer give no phase")] = 4
     """Images of each direction, each moved by period / phases."""
     directions: Annotated[tuple[Literal["u", "v"], ...], Field(strict=False, min_length=1, max_length=2)] = ("u", "v")
     """Directions that the stripes change along: u along the azimuth, v along the elevation."""
+
+    @field_validator("second_period_mm")
+    @classmethod
+    def _longer(cls, second: float | None, info: ValidationInfo) -> float | None:
+        if second is not None and second <= info.data.get("period_mm", 0.0):
+            raise fields.complaint(f"expected more than period_mm, {info.data['period_mm']:g}")
+        return second
+
+    @property
+    def periods_mm(self) -> tuple[float, ...]:
+        """One period, or both [mm]."""
+        return (self.period_mm,) if self.second_period_mm is None else (self.period_mm, self.second_period_mm)
+
+    @property
+    def unambiguous_mm(self) -> float:
+        """Length on the display after which the phases repeat, as far as noise lets them differ [mm]."""
+        if self.second_period_mm is None:
+            return self.period_mm
+        beat = self.period_mm * self.second_period_mm / (self.second_period_mm - self.period_mm)
+        return max(self.second_period_mm, beat)
 
 
 def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
@@ -84,6 +107,15 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
     if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
         yield ("inner_radius_mm",), raw["inner_radius_mm"], fields.complaint("expected less than outer_radius_mm")
     size = [side for side in fields.entries(raw.get("size_mm")) if isinstance(side, (int, float))]
+    pattern = fields.mapping(raw.get("pattern"))
+    lengths = [one for key in ("period_mm", "second_period_mm") if isinstance(one := pattern.get(key), (int, float))]
+    if len(lengths) == 2 and 0 < lengths[0] < lengths[1] and len(size) == 2:
+        unambiguous = SinePatternConfig(period_mm=lengths[0], second_period_mm=lengths[1]).unambiguous_mm
+        if unambiguous < max(size) + lengths[0]:
+            reason = f"the phases repeat after {unambiguous:.4g} mm; expected at least the display's longer side and a"
+            reason += f" period, {max(size) + lengths[0]:g} mm: a longer second period, or one closer to period_mm"
+            where = ("pattern", "second_period_mm")
+            yield where, lengths[1], fields.complaint(reason)
     widest = {"dome": numbers.get("radius_mm"), "flat_dome": min(size, default=None)}.get(kind)
     if widest is not None and numbers.get("camera_hole_mm", 0.0) >= widest:
         yield ("camera_hole_mm",), raw["camera_hole_mm"], fields.complaint(f"expected less than {widest:g}")
@@ -241,7 +273,7 @@ class LightConfig(fields.Frozen):
             assert self.columns is not None
             return self.rows * self.columns
         if self.pattern is not None:
-            return self.pattern.phases * len(self.pattern.directions)
+            return self.pattern.phases * len(self.pattern.directions) * len(self.pattern.periods_mm)
         return self.segments or 1
 
     @model_validator(mode="wrap")

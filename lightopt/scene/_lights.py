@@ -215,8 +215,9 @@ def _offset(size: float, index: int, count: int) -> float:
 def _display(light: LightConfig, size: tuple[float, float]) -> tuple[Float64, Float64]:
     pattern = light.pattern
     assert pattern is not None
-    direction, step = divmod(light.channel, pattern.phases)
-    wave = 2.0 * math.pi / pattern.period_mm
+    block, step = divmod(light.channel, pattern.phases)
+    direction, period = divmod(block, len(pattern.periods_mm))
+    wave = 2.0 * math.pi / pattern.periods_mm[period]
     u, v = (wave, 0.0) if pattern.directions[direction] == "u" else (0.0, wave)
     stripes = SinePattern(across=u, along=v, phase=-2.0 * math.pi * step / pattern.phases, contrast=1.0)
     return plane_elements(size, (ACROSS, ALONG), pattern=stripes), plane_elements(size, (ACROSS, ALONG))

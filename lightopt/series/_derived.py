@@ -1,0 +1,224 @@
+"""Images derived from the images of one light in a posture: by its kind and its pattern.
+
+Levels are those of the longest exposure that is not saturated; pixels saturated in every exposure are NaN.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from lightopt.config import LightConfig, PartConfig, RigConfig, input_hashes
+from lightopt.core.arrays import Float64
+from lightopt.core.errors import counted
+from lightopt.core.provenance import provenance
+from lightopt.core.transforms import Posture
+from lightopt.images import ImageEntry, ImageSet, ResultFolder, posture_folder, write_exr, write_png
+from lightopt.rendering import cast_rays_at, render_posture
+from lightopt.scene import build_scene
+from lightopt.series._stripes import absolute_place, demodulate, phase_gradient
+
+DERIVED_FOLDER = "derived"
+DARK_SHARE = 0.1  # pixels of moving stripes count as dark below this share of their brightest level on a good part
+_PREVIEW_PERCENTILES = 1.0, 99.0  # values that a preview shows as black and as white
+
+Channels = dict[str, Float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DerivedImages:
+    """Images derived from those of a light in a posture.
+
+    channels: By name, shape (H, W) each; NaN where unknown
+    saturated: Number of pixels that are saturated in an image of the light at every exposure
+    """
+
+    light: str
+    posture: Posture
+    channels: Channels
+    saturated: int
+
+
+@dataclass(frozen=True)
+class _Series:
+    light: LightConfig  # its first channel
+    images: Float64  # of all channels, shape (K, H, W) [grey level at exposure 1]
+    least: float  # a sensor level at the longest exposure [grey level]
+    good: Callable[[], Float64]  # the same of a good part
+
+
+def derive_images(rig: RigConfig, part: PartConfig, image_set: ImageSet) -> Iterator[DerivedImages]:
+    """Derived images of all lights and postures of a set that have any; see docs/how-to/image-series.md."""
+    groups: dict[int, dict[int, tuple[str, float, LightConfig]]] = {}
+    for light in rig.lights:
+        parts = light.mixture or ((light, 1.0),)
+        if len(parts) == 1:
+            channel, weight = parts[0]
+            groups.setdefault(channel.entry, {}).setdefault(channel.channel, (light.name, weight, channel))
+    for posture in dict.fromkeys(entry.posture for entry in image_set.images):
+        for group in groups.values():
+            entries = {
+                name: [e for e in image_set.images if (e.light, e.posture) == (name, posture)]
+                for name, _, _ in group.values()
+            }
+            first = next(iter(group.values()))[2]
+            if len(group) == first.channels and all(entries.values()):
+                channels = [group[k] for k in range(first.channels)]
+                yield from _derive(rig, part, image_set, posture, channels, entries)
+
+
+def _derive(
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    posture: Posture,
+    group: list[tuple[str, float, LightConfig]],
+    entries: Mapping[str, list[ImageEntry]],
+) -> Iterator[DerivedImages]:
+    merged = {name: longest_unsaturated(image_set, entries[name]) for name, _, _ in group}
+    images = np.stack([merged[name][0] / weight for name, weight, _ in group])
+    first, several = group[0][2], len(group) > 1
+    exposure = max(e.held_exposure for own in entries.values() for e in own)
+    least = image_set.manifest.full_scale / (image_set.manifest.max_level * exposure)
+    good = partial(_good_levels, rig, part, posture, tuple(merged))
+    channels: Channels = {}
+    for name, levels in merged.items():
+        if len(entries[name]) > 1:
+            label = name if several else "longest_unsaturated"
+            channels |= {label: levels[0], f"{label}.exposure": levels[1]}
+    if (recipe := _RECIPES.get(_recipe(first))) is not None:
+        channels |= recipe(_Series(first, images, least, good))
+    if channels:
+        name = first.name.removesuffix("-1") if several else group[0][0]
+        saturated = int(np.isnan(images).any(axis=0).sum())
+        yield DerivedImages(light=name, posture=posture, channels=channels, saturated=saturated)
+
+
+def longest_unsaturated(image_set: ImageSet, entries: list[ImageEntry]) -> tuple[Float64, Float64]:
+    """Levels of each pixel at its longest exposure that is not saturated, and that exposure; NaN where all are.
+
+    entries: Exposures of one light in one posture
+    Returns: [grey level at exposure 1] and relative exposure, shape (H, W) each
+    """
+    levels = exposure = np.zeros(0)
+    for number, entry in enumerate(sorted(entries, key=lambda e: e.held_exposure)):
+        image = image_set.load(entry)
+        if not number:
+            levels = exposure = np.full(image.levels.shape, np.nan)
+        levels = np.where(image.saturated, levels, image.levels)
+        exposure = np.where(image.saturated, exposure, entry.held_exposure)
+    return levels, exposure
+
+
+def _good_levels(rig: RigConfig, part: PartConfig, posture: Posture, names: tuple[str, ...]) -> Float64:
+    scene = build_scene(rig, part, postures=(posture,), lights=names, defects=False)
+    images = render_posture(scene, posture, caster=cast_rays_at(scene))
+    levels = {image.light: image.level for image in images.lights}
+    return np.stack([levels[name].astype(np.float64) for name in names])
+
+
+def _recipe(light: LightConfig) -> str:
+    if light.pattern is not None:
+        return light.pattern.kind
+    return "quadrants" if light.segments == 4 else light.kind
+
+
+def _stripes(series: _Series) -> Channels:
+    pattern, size = series.light.pattern, series.light.size_mm
+    assert pattern is not None
+    assert size is not None
+    periods, found = pattern.periods_mm, Channels()
+    blocks = series.images.reshape(len(pattern.directions), len(periods), pattern.phases, *series.images.shape[1:])
+    for direction, block in zip(pattern.directions, blocks, strict=True):
+        first = demodulate(block[0])
+        clear = first.amplitude >= series.least
+        phase = np.where(clear, first.phase, np.nan)
+        right, down = phase_gradient(phase)
+        found |= {
+            f"{direction}.phase": phase,
+            f"{direction}.modulation": first.modulation,
+            f"{direction}.mean": first.mean,
+            f"{direction}.curvature.x": right,
+            f"{direction}.curvature.y": down,
+        }
+        if len(periods) == 2:
+            second = demodulate(block[1])
+            far = np.where(clear & (second.amplitude >= series.least), second.phase, np.nan)
+            along = size["uv".index(direction)]
+            found[f"{direction}.place_mm"] = absolute_place(phase, far, (periods[0], periods[1]), along)
+    return found
+
+
+def _moving(series: _Series) -> Channels:
+    good = series.good()
+    dark = good < DARK_SHARE * good.max(axis=0)
+    most = np.where(dark, series.images, -np.inf).max(axis=0)
+    field = np.where(dark.any(axis=0), most, np.nan)
+    return {"max_minus_min": np.ptp(series.images, axis=0), "dark_field": field}
+
+
+def _array(series: _Series) -> Channels:
+    unknown = np.isnan(series.images).any(axis=0) | (series.images.max(axis=0) < series.least)
+    brightest = np.argmax(np.nan_to_num(series.images), axis=0) + 1.0
+    return {"max_minus_min": np.ptp(series.images, axis=0), "brightest": np.where(unknown, np.nan, brightest)}
+
+
+def _quadrants(series: _Series) -> Channels:
+    # their middles are at 45°, 135°, 225° and 315° from the light's own x
+    ne, nw, sw, se = series.images
+    total = series.images.sum(axis=0)
+    total = np.where(total >= series.least, total, np.nan)
+    return {
+        "east_minus_west": (ne + se - nw - sw) / total,
+        "north_minus_south": (ne + nw - se - sw) / total,
+        "residual": (ne + sw - nw - se) / total,
+        "sum": total,
+    }
+
+
+_RECIPES: Mapping[str, Callable[[_Series], Channels]] = {
+    "sine": _stripes,
+    "bars": _moving,
+    "led_array": _array,
+    "quadrants": _quadrants,
+}
+
+
+def write_derived(
+    rig: RigConfig, part: PartConfig, image_set: ImageSet, folder: Path, *, force: bool = False
+) -> tuple[str, ...]:
+    """Write derived images below a folder: for each light and posture an EXR, and a PNG preview of each channel.
+
+    Returns: What was written, and how many pixels are unknown because they are saturated
+    Raises InputError: The folder holds derived images of other inputs, and `force` is False
+    """
+    made_from = provenance({**input_hashes(rig, part), "images": image_set.fingerprint}, {})
+    kind = {"name": "derived.json", "format": "lightopt-derived/1", "what": "derived images"}
+    out = ResultFolder(folder, made_from, **kind, force=force)
+    said: list[str] = []
+    listed: list[dict[str, object]] = []
+    for one in derive_images(rig, part, image_set):
+        name = f"{posture_folder(one.posture)}/{one.light}"
+        facts = {"light": one.light, "posture": one.posture.as_dict(), "saturated_pixels": one.saturated}
+        pixels = {channel: values.astype(np.float32) for channel, values in one.channels.items()}
+        write_exr(out.place(f"{name}.exr"), pixels, metadata=facts)
+        for channel, values in one.channels.items():
+            _write_preview(out.place(f"{name}.{channel}.png"), channel, values)
+        listed.append({**facts, "exr": f"{name}.exr", "channels": sorted(one.channels)})
+        unknown = f", {counted(one.saturated, 'saturated pixel')} unknown (NaN)" if one.saturated else ""
+        said.append(f"{one.light}, posture {one.posture}: {counted(len(one.channels), 'derived image')}{unknown}")
+    if not listed:
+        return ("no derived images: no light of the set has a series of images that gives any",)
+    return (*said, str(out.finish({"images": listed})))
+
+
+def _write_preview(path: Path, channel: str, values: Float64) -> None:
+    known = values[np.isfinite(values)]
+    low, high = (-np.pi, np.pi) if channel.endswith("phase") else (0.0, 1.0)
+    if known.size and not channel.endswith(("phase", "modulation")):
+        low, high = np.percentile(known, _PREVIEW_PERCENTILES)
+    shown = np.clip((values - low) / max(high - low, 1e-12), 0.0, 1.0)
+    levels = np.round(255.0 * np.nan_to_num(shown)).astype(np.uint8)
+    write_png(path, levels, metadata={"channel": channel, "black": float(low), "white": float(high)})
