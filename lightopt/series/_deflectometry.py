@@ -10,18 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lightopt.core.arrays import Float32, Float64
+from lightopt.core.arrays import Float64
 from lightopt.lights import PanelLight
 
-LEAST_TANGENT = 0.1  # share of world X in the tangent plane, from which on it is a direction of the slope
+LEAST_TANGENT = 0.1  # share of the X axis in the tangent plane, from which on it is a direction of the slope
 
 
 @dataclass(frozen=True)
 class SlopeMap:
-    """How far the measured normals lean from the model's, shape (H, W) each; NaN where unknown.
+    """How far the measured normals lean from the model's, shape (...); NaN where unknown.
 
-    x, y: Towards world X as projected onto the model's tangent plane, and towards the direction 90° counterclockwise of
-        it, seen from outside [deg]
+    x, y: Towards the X axis as projected onto the model's tangent plane, and towards the direction 90° counterclockwise
+        of it, seen from outside [deg]
     """
 
     x: Float64
@@ -29,31 +29,22 @@ class SlopeMap:
 
 
 def slope_map(
-    points: Float32 | Float64,
-    normals: Float32 | Float64,
-    u: Float64,
-    v: Float64,
-    *,
-    camera: Float64,
-    display: PanelLight,
+    points: Float64, normals: Float64, u: Float64, v: Float64, *, camera: Float64, display: PanelLight
 ) -> SlopeMap:
-    """Slopes of a mirror surface against its model.
+    """Slopes of a mirror surface against its model; everything in one frame, the part's or the world's.
 
-    points, normals: Of the model, as the geometry image of the posture has them: world frame [mm], shape (H, W, 3)
-    u, v: Place on the display that each pixel sees, from its middle along `across` and `along` [mm], shape (H, W)
-    camera: Position of the camera, world frame [mm], shape (3,)
-    display: World frame
+    points, normals: Of the model, where each pixel's ray meets it: [mm] and of unit length, shape (..., 3)
+    u, v: Place on the display that each pixel sees, from its middle along `across` and `along` [mm], shape (...)
+    camera: Position of the camera [mm], shape (3,)
     """
     places = display.centre + u[..., None] * display.across + v[..., None] * display.along
     measured = _unit(_unit(places - points) + _unit(camera - points))
     x_axis = np.array([1.0, 0.0, 0.0]) - normals[..., :1] * normals
     length = np.linalg.norm(x_axis, axis=-1, keepdims=True)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x_axis = np.where(length >= LEAST_TANGENT, x_axis / length, np.nan)
-    y_axis = np.cross(normals, x_axis)
-    along = np.einsum("hwi,hwi->hw", measured, normals)
-    x, y = (np.arctan2(np.einsum("hwi,hwi->hw", measured, axis), along) for axis in (x_axis, y_axis))
-    return SlopeMap(np.degrees(x), np.degrees(y))
+    x_axis = _unit(np.where(length >= LEAST_TANGENT, x_axis, np.nan))
+    axes = x_axis, np.cross(normals, x_axis)
+    x, y = (np.degrees(np.arctan2(_dot(measured, axis), _dot(measured, normals))) for axis in axes)
+    return SlopeMap(x, y)
 
 
 def slope_noise(phase: float, period: float, distance: float) -> float:
@@ -66,5 +57,8 @@ def slope_noise(phase: float, period: float, distance: float) -> float:
 
 
 def _unit(vectors: Float64) -> Float64:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.sqrt(_dot(vectors, vectors))[..., None]
+
+
+def _dot(a: Float64, b: Float64) -> Float64:
+    return np.sum(a * b, axis=-1)

@@ -5,22 +5,24 @@ Levels are those of the longest exposure that is not saturated; pixels saturated
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from lightopt.config import LightConfig, PartConfig, RigConfig, input_hashes
-from lightopt.core.arrays import Float64
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import counted
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSet, ResultFolder, posture_folder, write_exr, write_png
-from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.scene import build_scene
-from lightopt.series._stripes import absolute_place, demodulate, phase_gradient
+from lightopt.rendering import cast_rays_at, render_posture, trace_pixels
+from lightopt.scene import Scene, build_scene
+from lightopt.series._deflectometry import slope_map
+from lightopt.series._stripes import Stripes, absolute_place, demodulate, phase_gradient
 
 DERIVED_FOLDER = "derived"
+LEAST_SIGNAL = 5.0  # amplitude of stripes, in standard deviations of its noise, from which on they have a phase
+LEAST_MODULATION = 0.05  # stripes with less are those of scattered light, whose phase is of no place on the display
 DARK_SHARE = 0.1  # pixels of moving stripes count as dark below this share of their brightest level on a good part
 _PREVIEW_PERCENTILES = 1.0, 99.0  # values that a preview shows as black and as white
 
@@ -46,7 +48,7 @@ class _Series:
     light: LightConfig  # its first channel
     images: Float64  # of all channels, shape (K, H, W) [grey level at exposure 1]
     least: float  # a sensor level at the longest exposure [grey level]
-    good: Callable[[], Float64]  # the same of a good part
+    good: Scene  # the good part under the lights of the series, in the posture
 
 
 def derive_images(rig: RigConfig, part: PartConfig, image_set: ImageSet) -> Iterator[DerivedImages]:
@@ -82,7 +84,7 @@ def _derive(
     first, several = group[0][2], len(group) > 1
     exposure = max(e.held_exposure for own in entries.values() for e in own)
     least = image_set.manifest.full_scale / (image_set.manifest.max_level * exposure)
-    good = partial(_good_levels, rig, part, posture, tuple(merged))
+    good = build_scene(rig, part, postures=(posture,), lights=tuple(merged), defects=False)
     channels: Channels = {}
     for name, levels in merged.items():
         if len(entries[name]) > 1:
@@ -112,13 +114,6 @@ def longest_unsaturated(image_set: ImageSet, entries: list[ImageEntry]) -> tuple
     return levels, exposure
 
 
-def _good_levels(rig: RigConfig, part: PartConfig, posture: Posture, names: tuple[str, ...]) -> Float64:
-    scene = build_scene(rig, part, postures=(posture,), lights=names, defects=False)
-    images = render_posture(scene, posture, caster=cast_rays_at(scene))
-    levels = {image.light: image.level for image in images.lights}
-    return np.stack([levels[name].astype(np.float64) for name in names])
-
-
 def _recipe(light: LightConfig) -> str:
     if light.pattern is not None:
         return light.pattern.kind
@@ -133,26 +128,50 @@ def _stripes(series: _Series) -> Channels:
     blocks = series.images.reshape(len(pattern.directions), len(periods), pattern.phases, *series.images.shape[1:])
     for direction, block in zip(pattern.directions, blocks, strict=True):
         first = demodulate(block[0])
-        clear = first.amplitude >= series.least
+        clear = _clear(series, first, pattern.phases)
         phase = np.where(clear, first.phase, np.nan)
         right, down = phase_gradient(phase)
         found |= {
             f"{direction}.phase": phase,
-            f"{direction}.modulation": first.modulation,
+            f"{direction}.modulation": np.where(first.mean >= series.least, first.modulation, np.nan),
             f"{direction}.mean": first.mean,
             f"{direction}.curvature.x": right,
             f"{direction}.curvature.y": down,
         }
         if len(periods) == 2:
             second = demodulate(block[1])
-            far = np.where(clear & (second.amplitude >= series.least), second.phase, np.nan)
+            far = np.where(clear & _clear(series, second, pattern.phases), second.phase, np.nan)
             along = size["uv".index(direction)]
             found[f"{direction}.place_mm"] = absolute_place(phase, far, (periods[0], periods[1]), along)
+    if {"u.place_mm", "v.place_mm"} <= found.keys():
+        found |= _slopes(series, found["u.place_mm"], found["v.place_mm"])
+    return found
+
+
+def _clear(series: _Series, stripes: Stripes, phases: int) -> Bool:
+    # where there is a phase
+    sensor = series.good.sensor
+    shot = 0.0 if sensor.electrons_per_level is None else 1.0 / sensor.electrons_per_level
+    variance = sensor.read_noise_levels**2 + 1.0 / 12.0 + shot * stripes.mean / series.least
+    noise = np.sqrt(2.0 / phases * variance) * series.least
+    return (stripes.amplitude >= LEAST_SIGNAL * noise) & (stripes.modulation >= LEAST_MODULATION)
+
+
+def _slopes(series: _Series, u: Float64, v: Float64) -> Channels:
+    pixels = trace_pixels(series.good, series.good.postures[0], cast_rays_at(series.good))
+    at, surface, view = (pixels.row, pixels.column), pixels.surface, pixels.view
+    display = view.lights[0]
+    slopes = slope_map(surface.points, surface.normals, u[at], v[at], camera=view.camera.position, display=display)
+    found = {"slope.x_deg": np.full(pixels.shape, np.nan), "slope.y_deg": np.full(pixels.shape, np.nan)}
+    for image, values in zip(found.values(), (slopes.x, slopes.y), strict=True):
+        image[at] = values
     return found
 
 
 def _moving(series: _Series) -> Channels:
-    good = series.good()
+    posture = series.good.postures[0]
+    images = render_posture(series.good, posture, caster=cast_rays_at(series.good))
+    good = np.stack([image.level for image in images.lights])
     dark = good < DARK_SHARE * good.max(axis=0)
     most = np.where(dark, series.images, -np.inf).max(axis=0)
     field = np.where(dark.any(axis=0), most, np.nan)
