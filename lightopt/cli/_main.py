@@ -38,6 +38,7 @@ _COMMANDS = {
     "optimize": ("_optimize", "Find the best light positions by exact search."),
     "inspect": ("_inspect", "Find defects in images and locate them on the part."),
     "verify": ("_verify", "Name what has changed on the rig since its file, or a known good set, was made."),
+    "inverse-pattern": ("_inverse_pattern", "Compute the display's picture that a good part mirrors as regular."),
     "overlap": ("_image_sets", "Report where saturated regions of images overlap."),
     "compare": ("_image_sets", "Compare new images or image sets with golden ones."),
     "schema": ("_files", "Print the JSON schema of a rig or part file."),

@@ -17,6 +17,7 @@ from lightopt.lights._light_surface import (
     outlines as outlines,
     pattern_mean as pattern_mean,
     pattern_value as pattern_value,
+    picture_light as picture_light,
     plane_elements as plane_elements,
     sphere_elements as sphere_elements,
     surface_light as surface_light,

@@ -67,7 +67,7 @@ class Element(NamedTuple):
 
 
 ELEMENT_NUMBERS = 30  # numbers of an element in a row of an array
-_RADIANCE = 21  # of them
+_RADIANCE, _CONTRAST = 21, 25  # of them
 
 
 @kernel
@@ -399,3 +399,23 @@ def mixed_light(name: str, parts: Sequence[tuple[SurfaceLight, float]]) -> Surfa
     for own, (light, weight) in zip(elements, parts, strict=True):
         own[:, _RADIANCE] *= weight * light.gain / gain
     return replace(parts[0][0], name=name, gain=gain, elements=np.concatenate(elements))
+
+
+def picture_light(display: SurfaceLight, picture: Float64) -> SurfaceLight:
+    """A display that shows a picture, each pixel an element; black ones are left out.
+
+    display: Without or with a pattern, which the picture takes the place of
+    picture: Shares of the full radiance, as seen from the part with `along` upwards, shape (rows, columns): row 0 is at
+        the greatest v, column 0 at the greatest u
+    """
+    rows, columns = np.nonzero(picture)
+    u, v = (
+        0.5 * side - side * np.arange(count + 1) / count
+        for side, count in zip(display.size, reversed(picture.shape), strict=True)
+    )
+    own = np.repeat(display.elements[:1], len(rows), axis=0)
+    own[:, 13:17] = np.stack([u[columns + 1], u[columns], v[rows + 1], v[rows]], axis=1)
+    own[:, _RADIANCE] *= picture[rows, columns]
+    own[:, _CONTRAST] = 0.0
+    _bound(own)
+    return replace(display, elements=own)

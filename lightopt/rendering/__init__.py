@@ -50,4 +50,5 @@ from lightopt.rendering._surface import (
     SurfacePoints as SurfacePoints,
     trace_samples as trace_samples,
 )
+from lightopt.rendering._surface_light import light_of_elements as light_of_elements
 from lightopt.rendering._surface_variants import shade_variants as shade_variants, surface_variants as surface_variants
