@@ -1,8 +1,8 @@
 """Deflectometry: from places on a display, seen in a mirror surface, to how far its normals are from the model's.
 
 The camera sees, at a point of the surface, the place X of the display whose light is mirrored there. The normal that
-does this bisects the directions to X and to the camera. The surface's points are the model's: an error of its height
-turns the result by about half its ratio to the display's distance.
+does this bisects the directions to X and to the camera. The surface's points are the model's: an error h of its height
+turns the result by about h·sinθ/d, θ the angle of incidence and d the distance to the display.
 """
 
 import math

@@ -21,7 +21,7 @@ from lightopt.series._deflectometry import slope_map
 from lightopt.series._stripes import Stripes, absolute_place, demodulate, phase_gradient
 
 DERIVED_FOLDER = "derived"
-LEAST_SIGNAL = 5.0  # amplitude of stripes, in standard deviations of its noise, from which on they have a phase
+LEAST_SIGNAL = 5.0  # in standard deviations of its noise: phases, ratios and the like of less are unknown
 LEAST_MODULATION = 0.05  # stripes with less are those of scattered light, whose phase is of no place on the display
 DARK_SHARE = 0.1  # pixels of moving stripes count as dark below this share of their brightest level on a good part
 _PREVIEW_PERCENTILES = 1.0, 99.0  # values that a preview shows as black and as white
@@ -47,8 +47,19 @@ class DerivedImages:
 class _Series:
     light: LightConfig  # its first channel
     images: Float64  # of all channels, shape (K, H, W) [grey level at exposure 1]
-    least: float  # a sensor level at the longest exposure [grey level]
+    level: float  # a sensor level at the longest exposure [grey level]
     good: Scene  # the good part under the lights of the series, in the posture
+
+    def noise(self, levels: Float64 | float) -> Float64:
+        """Standard deviation of an image's noise at some levels [grey level]."""
+        sensor = self.good.sensor
+        shot = 0.0 if sensor.electrons_per_level is None else np.maximum(levels, 0.0) / sensor.electrons_per_level
+        return self.level * np.sqrt(sensor.read_noise_levels**2 + 1.0 / 12.0 + shot / self.level)
+
+    @property
+    def least(self) -> float:
+        """Level above the noise of the dark [grey level]."""
+        return LEAST_SIGNAL * float(self.noise(0.0))
 
 
 def derive_images(rig: RigConfig, part: PartConfig, image_set: ImageSet) -> Iterator[DerivedImages]:
@@ -83,7 +94,7 @@ def _derive(
     images = np.stack([merged[name][0] / weight for name, weight, _ in group])
     first, several = group[0][2], len(group) > 1
     exposure = max(e.held_exposure for own in entries.values() for e in own)
-    least = image_set.manifest.full_scale / (image_set.manifest.max_level * exposure)
+    level = image_set.manifest.full_scale / (image_set.manifest.max_level * exposure)
     good = build_scene(rig, part, postures=(posture,), lights=tuple(merged), defects=False)
     channels: Channels = {}
     for name, levels in merged.items():
@@ -91,7 +102,7 @@ def _derive(
             label = name if several else "longest_unsaturated"
             channels |= {label: levels[0], f"{label}.exposure": levels[1]}
     if (recipe := _RECIPES.get(_recipe(first))) is not None:
-        channels |= recipe(_Series(first, images, least, good))
+        channels |= recipe(_Series(first, images, level, good))
     if channels:
         name = first.name.removesuffix("-1") if several else group[0][0]
         saturated = int(np.isnan(images).any(axis=0).sum())
@@ -150,10 +161,7 @@ def _stripes(series: _Series) -> Channels:
 
 def _clear(series: _Series, stripes: Stripes, phases: int) -> Bool:
     # where there is a phase
-    sensor = series.good.sensor
-    shot = 0.0 if sensor.electrons_per_level is None else 1.0 / sensor.electrons_per_level
-    variance = sensor.read_noise_levels**2 + 1.0 / 12.0 + shot * stripes.mean / series.least
-    noise = np.sqrt(2.0 / phases * variance) * series.least
+    noise = np.sqrt(2.0 / phases) * series.noise(stripes.mean)
     return (stripes.amplitude >= LEAST_SIGNAL * noise) & (stripes.modulation >= LEAST_MODULATION)
 
 
@@ -179,9 +187,9 @@ def _moving(series: _Series) -> Channels:
 
 
 def _array(series: _Series) -> Channels:
-    unknown = np.isnan(series.images).any(axis=0) | (series.images.max(axis=0) < series.least)
+    spread = np.ptp(series.images, axis=0)
     brightest = np.argmax(np.nan_to_num(series.images), axis=0) + 1.0
-    return {"max_minus_min": np.ptp(series.images, axis=0), "brightest": np.where(unknown, np.nan, brightest)}
+    return {"max_minus_min": spread, "brightest": np.where(spread >= series.least, brightest, np.nan)}
 
 
 def _quadrants(series: _Series) -> Channels:

@@ -11,6 +11,8 @@ import pytest
 from lightopt.config import load_rig
 from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_metadata
+from lightopt.lights import place_light
+from lightopt.series._deflectometry import slope_map
 from lightopt.series._stripes import absolute_place, demodulate, phase_gradient
 
 LIGHTS = """\
@@ -62,6 +64,25 @@ def test_the_gradient_of_the_phase_passes_over_its_steps():
     np.testing.assert_allclose(right[:, 1:-1], 0.9)
     np.testing.assert_allclose(down[1:-1], -0.4)
     assert np.isnan(right[:, 0]).all()
+
+
+def test_slopes_of_a_tilted_mirror_and_of_a_wrong_height():
+    display = place_light(
+        distance=300.0, elevation=math.radians(60.0), azimuth=math.radians(270.0), name="lcd", size=(400, 300), points=1
+    )
+    camera, tilt = np.array([0.0, 0.0, 550.0]), math.radians(15.0)
+    normal = np.array([0.0, -math.sin(tilt), math.cos(tilt)])
+    lean = math.radians(0.2)
+    true = math.cos(lean) * normal + math.sin(lean) * np.array([1.0, 0.0, 0.0])
+    mirrored = 2.0 * true[2] * true - np.array([0.0, 0.0, 1.0])
+    for height, expected in ((0.0, 0.0), (0.1, math.degrees(0.1 * math.sin(tilt) / 300.0))):
+        point = np.array([0.0, 0.0, height])
+        place = point + mirrored * ((display.centre - point) @ display.outward) / (mirrored @ display.outward)
+        u, v = ((place - display.centre) @ axis for axis in (display.across, display.along))
+        arguments = (np.zeros((1, 3)), normal[None], np.array([u]), np.array([v]))
+        found = slope_map(*arguments, camera=camera, display=display)
+        assert found.x[0] == pytest.approx(0.2, abs=1e-4)
+        assert abs(found.y[0]) == pytest.approx(expected, abs=0.05 * expected + 1e-4)
 
 
 def test_second_periods_that_leave_places_ambiguous_are_refused(bench):
