@@ -36,6 +36,7 @@ _COMMANDS = {
     "fit-diffuse": ("_fit", "Fit the diffuse coefficient to images."),
     "fit-specular": ("_fit", "Fit specular coefficient and roughness to images."),
     "optimize": ("_optimize", "Find the best light positions by exact search."),
+    "compare-lighting": ("_compare_lighting", "Compare lighting systems by the defects that they show on a part."),
     "inspect": ("_inspect", "Find defects in images and locate them on the part."),
     "verify": ("_verify", "Name what has changed on the rig since its file, or a known good set, was made."),
     "inverse-pattern": ("_inverse_pattern", "Compute the display's picture that a good part mirrors as regular."),

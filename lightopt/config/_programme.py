@@ -54,6 +54,10 @@ def programme_misfits(programme: object, lights: Sequence[LightConfig]) -> Itera
             if known[light].elevation_range_deg is not None or known[light].azimuth_range_deg is not None:
                 reason = f'"{light}" has a range, and lights of a programme are fixed; leave the range out'
                 yield (i, "lights", light), weights[light], fields.complaint(reason)
+            others = [one for one in weights if one in known and known[one].entry != known[light].entry]
+            if known[light].pattern is not None and others:
+                reason = f'"{light}" is of a display with stripes, which images show without other lights; leave it or'
+                yield (i, "lights", light), weights[light], fields.complaint(f"{reason} {', '.join(others)} out")
             if known[light].kind == "panel" and len(weights) > 1:
                 reason = f'"{light}" is a panel, which images show alone; write kind: bar, which has an area, or split'
                 yield (i, "lights", light), weights[light], fields.complaint(f"{reason} the image")

@@ -3,7 +3,15 @@
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator, model_validator
+from pydantic import (
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_serializer,
+    field_validator,
+    model_validator,
+)
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig
@@ -117,6 +125,11 @@ class RigConfig(fields.FileConfig):
     def _of_its_lights(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
         lights = info.data.get("lights")
         return fields.with_complaints(value, handler, () if lights is None else programme_misfits(value, lights))
+
+    @field_serializer("lights")
+    def _entries(self, _: tuple[LightConfig, ...]) -> list[dict[str, Any]]:
+        # as in a file: channels of a light are one entry
+        return [{**light.model_dump(), "name": light.entry_name} for light in self.channels if light.channel == 0]
 
     @field_validator("hardware", mode="wrap")
     @classmethod

@@ -4,8 +4,8 @@ Kernels of :mod:`lightopt.rendering` add up the light of a kind by the functions
 """
 
 from lightopt.lights._light_surface import (
+    RADIANCE as RADIANCE,
     Element as Element,
-    SinePattern as SinePattern,
     SurfaceLight as SurfaceLight,
     cone_elements as cone_elements,
     element_at as element_at,
@@ -15,8 +15,6 @@ from lightopt.lights._light_surface import (
     half_pipe_elements as half_pipe_elements,
     mixed_light as mixed_light,
     outlines as outlines,
-    pattern_mean as pattern_mean,
-    pattern_value as pattern_value,
     picture_light as picture_light,
     plane_elements as plane_elements,
     sphere_elements as sphere_elements,
@@ -30,7 +28,6 @@ from lightopt.lights._panel import (
     place_light as place_light,
     pose_light as pose_light,
     rectangles_meet as rectangles_meet,
-    segments_blocked as segments_blocked,
 )
 from lightopt.lights._panel_emission import (
     PanelNumbers as PanelNumbers,
@@ -39,3 +36,4 @@ from lightopt.lights._panel_emission import (
     panel_numbers as panel_numbers,
     panel_point as panel_point,
 )
+from lightopt.lights._pattern import TERM_NUMBERS as TERM_NUMBERS, bar_terms as bar_terms, sine_terms as sine_terms

@@ -1,4 +1,4 @@
-"""The panel light: where it stands, its point lights, what it blocks, and whether two panels collide."""
+"""The panel light: where it stands, its point lights, and whether two panels collide."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
 
 
@@ -136,21 +136,6 @@ def panel_corners(light: PanelLight) -> Float64:
     across = 0.5 * light.size[0] * light.across
     along = 0.5 * light.size[1] * light.along
     return np.array([light.centre + s * across + t * along for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-
-
-def segments_blocked(light: PanelLight, start: Float64, ends: Float64) -> Bool:
-    """Whether the way from one point to others passes through a panel; shape (k,).
-
-    start: [mm], shape (3,), frame of the panel's vectors
-    ends: [mm], shape (k, 3)
-    """
-    height = (ends - light.centre) @ light.outward
-    from_height = float((start - light.centre) @ light.outward)
-    crosses = height * from_height < 0.0
-    share = np.where(crosses, from_height / np.where(crosses, from_height - height, 1.0), 0.0)
-    at = start + share[:, None] * (ends - start) - light.centre
-    inside = (np.abs(at @ light.across) <= 0.5 * light.size[0]) & (np.abs(at @ light.along) <= 0.5 * light.size[1])
-    return crosses & inside
 
 
 def rectangles_meet(a: PanelLight, b: PanelLight) -> bool:

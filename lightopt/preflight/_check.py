@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
-from lightopt.preflight import _camera, _highlights, _lights, _part
+from lightopt.preflight import _camera, _fields, _highlights, _lights, _part
 from lightopt.preflight._findings import CheckedRig, CheckedScene, CheckResult, Finding, PostureSamples
 from lightopt.rendering import cast_rays_at, trace_samples
 from lightopt.scene import Scene, build_camera, build_lights, build_scene, frame_part, screen_window, view_from_part
@@ -34,6 +35,8 @@ SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
     _camera.check_below_table,
     _lights.check_lights_in_part,
     _lights.check_hidden_part,
+    _fields.check_fields,
+    _fields.check_camera_hole,
     _highlights.check_points,
     _highlights.check_levels,
     _highlights.check_facets,
@@ -67,5 +70,6 @@ def _sample_posture(scene: Scene, posture: Posture, caster: RayCaster) -> Postur
         np.arange(left + step // 2, right, step, dtype=np.float64) + 0.5,
         np.arange(top + step // 2, bottom, step, dtype=np.float64) + 0.5,
     )
-    hits, surface = trace_samples(caster, scene.mesh, view.camera, columns.ravel(), rows.ravel())
+    whole = replace(view.camera, obstructions=None)
+    hits, surface = trace_samples(caster, scene.mesh, whole, columns.ravel(), rows.ravel())
     return PostureSamples(posture, view, frame_part(view.camera, scene.mesh), step, hits, surface)

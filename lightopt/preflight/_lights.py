@@ -7,12 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from lightopt.config import RigConfig
-from lightopt.core.arrays import Bool, Float64
-from lightopt.geometry import RayCaster
-from lightopt.lights import PanelLight, SurfaceLight, outlines, rectangles_meet, segments_blocked, surface_mesh
+from lightopt.lights import PanelLight, outlines, surface_mesh
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, percent
-from lightopt.rendering import panels_in_part
-from lightopt.scene import build_lights, image_area
+from lightopt.rendering import hidden_by, panels_in_part
+from lightopt.scene import area_in_view, build_lights, lights_meet
 
 _ROUNDING_MM = 1e-6
 STEP_DEG = 5.0  # a light's ranges are tried at least this finely where the camera's view is concerned
@@ -23,30 +21,22 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
     pixels = checked.camera.width * checked.camera.height
     clear = True
     for index, light in enumerate(checked.lights):
-        area = _area_in_view(checked, light)
+        area = area_in_view(checked.camera, light)
         if area > 0.0:
             clear = False
             text = (
                 f"{light.name} stands in the camera's view and covers {area:,.0f} px ({percent(area / pixels)} of "
-                "the image). Renderings leave it out, a camera cannot: move it, or the camera"
+                "the image), where the part is black: move it, or the camera"
             )
             values = {"light": light.name, "pixels": area, "share": area / pixels}
             yield Finding("warning", "light in view", text, checked.at("lights", index), values)
             continue
-        moved = [p for p in _moved(checked.rig, index, STEP_DEG) if _area_in_view(checked, p) > 0.0]
+        moved = [p for p in _moved(checked.rig, index, STEP_DEG) if area_in_view(checked.camera, p) > 0.0]
         if moved:
             clear = False
             yield _at_range(checked, index, "light in view", moved, "comes into the camera's view")
     if clear:
-        yield Finding("ok", "light in view", "no panel stands in the camera's view, nor moves into it")
-
-
-def _area_in_view(checked: CheckedRig, light: PanelLight) -> float:
-    # pixels that a light covers [px²]; what is behind another piece of it counts twice
-    if light.elevation > 0.0 and isinstance(light, SurfaceLight) and light.kind == "coaxial":
-        return 0.0  # seen through the beam splitter
-    area = sum(image_area(checked.camera, piece) for piece in outlines(light))
-    return min(area, float(checked.camera.width * checked.camera.height))
+        yield Finding("ok", "light in view", "no light stands in the camera's view, nor moves into it")
 
 
 def _lowest(light: PanelLight) -> float:
@@ -73,26 +63,34 @@ def check_below_horizon(checked: CheckedRig) -> Iterator[Finding]:
 
 
 def check_collisions(checked: CheckedRig) -> Iterator[Finding]:
-    """Panels that touch or cross each other; lights of other kinds may surround each other and are left out."""
-    flat = [None if isinstance(light, SurfaceLight) else light for light in checked.lights]
-    moved = [[] if light is None else [light, *_moved(checked.rig, i, 360.0)] for i, light in enumerate(flat)]
+    """Lights that touch or cross each other; one may surround another, and a coaxial light is the image of one."""
+    configs, reported = checked.rig.lights, set[tuple[int, int]]()
+    moved = [
+        [] if configs[i].kind == "coaxial" else [light, *_moved(checked.rig, i, 360.0)]
+        for i, light in enumerate(checked.lights)
+    ]
     for i, j in _close_pairs(moved):
         a, b = checked.lights[i], checked.lights[j]
+        entries = configs[i].entry, configs[j].entry
+        if entries[0] == entries[1] or entries in reported:
+            continue  # channels of one light, or other channels of a pair
         apart = float(np.linalg.norm(a.centre - b.centre))
         sizes = " and ".join(f"{light.size[0]:g} × {light.size[1]:g} mm" for light in (a, b))
-        if rectangles_meet(a, b):
+        if lights_meet(a, b):
+            reported.add(entries)
             text = f"{a.name} and {b.name} ({sizes}) cross each other: their centres are {apart:.3g} mm apart"
             values = {"lights": [a.name, b.name], "centres_mm": apart}
-            yield Finding("warning", "panels collide", text, checked.at("lights", j), values)
+            yield Finding("warning", "lights collide", text, checked.at("lights", j), values)
             continue
-        meeting = next(((p, q) for p in moved[i] for q in moved[j] if rectangles_meet(p, q)), None)
+        meeting = next(((p, q) for p in moved[i] for q in moved[j] if lights_meet(p, q)), None)
         if meeting is not None:
+            reported.add(entries)
             places = " and ".join(
                 f"{p.name} at elevation {math.degrees(p.elevation):.3g}°, azimuth {math.degrees(p.azimuth):.3g}°"
                 for p in meeting
             )
             text = f"within their ranges {a.name} and {b.name} ({sizes}) can cross each other: {places}"
-            yield Finding("note", "panels collide", text, checked.at("lights", j), {"lights": [a.name, b.name]})
+            yield Finding("note", "lights collide", text, checked.at("lights", j), {"lights": [a.name, b.name]})
 
 
 def _moved(rig: RigConfig, index: int, step: float) -> list[PanelLight]:
@@ -150,34 +148,23 @@ def _span(angles: list[float]) -> str:
 
 
 def check_hidden_part(checked: CheckedScene) -> Iterator[Finding]:
-    """How much of the part's image a panel hides, standing between camera and part."""
+    """How much of the part's image a light hides, standing between camera and part."""
     for sample, (at, light) in itertools.product(checked.samples, enumerate(checked.scene.lights)):
         own = sample.view.lights[at]
-        if isinstance(own, SurfaceLight) and own.kind == "coaxial":
-            continue  # seen through the beam splitter
-        hidden = _hidden_by(own, sample.view.camera.position, sample.hits.points)
+        if area_in_view(sample.view.camera, own) == 0.0:
+            continue
+        vertices, faces = surface_mesh(own)
+        hidden = hidden_by(vertices[faces], sample.view.camera.position, sample.hits.points)
         count = int(np.count_nonzero(hidden))
         if not count:
             continue
         pixels, share = count * sample.step**2, count / len(hidden)
         text = (
             f"posture {sample.posture}: {light.name} stands between camera and part and hides about {pixels:,} px "
-            f"({percent(share)}) of it. Renderings leave it out, a camera cannot"
+            f"({percent(share)}) of it, which is black in images"
         )
         values = {"light": light.name, "posture": sample.posture.as_dict(), "pixels": pixels, "share": share}
         yield Finding("warning", "light in view", text, checked.rig.source.at("lights", at), values)
-
-
-def _hidden_by(light: PanelLight, start: Float64, ends: Float64) -> Bool:
-    # whether the way from one point to others passes through a light, shape (k,)
-    if not isinstance(light, SurfaceLight):
-        return segments_blocked(light, start, ends)
-    vertices, faces = surface_mesh(light)
-    caster = RayCaster(vertices, faces)
-    towards = start - ends
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    index = np.arange(len(ends), dtype=np.int32)
-    return caster.occluded(ends, towards, start[None], point_index=index, target_index=np.zeros_like(index))
 
 
 def check_lights_in_part(checked: CheckedScene) -> Iterator[Finding]:

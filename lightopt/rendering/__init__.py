@@ -48,6 +48,7 @@ from lightopt.rendering._scene_checks import (
 from lightopt.rendering._surface import (
     GRAZING_DEG as GRAZING_DEG,
     SurfacePoints as SurfacePoints,
+    hidden_by as hidden_by,
     trace_samples as trace_samples,
 )
 from lightopt.rendering._surface_light import light_of_elements as light_of_elements

@@ -85,8 +85,7 @@ def light_layer(
     caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for
     """
     if isinstance(light, SurfaceLight):
-        # diffuse light is the same for every σ
-        diffuse, _ = light_of_elements(surface, light, 0.1, threads=threads)
+        diffuse, _ = light_of_elements(surface, light, None, threads=threads)
         none = np.zeros((0, 3))
         return LightLayer(
             surface=surface,

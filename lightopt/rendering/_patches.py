@@ -23,7 +23,7 @@ from lightopt.geometry import (
     refine,
 )
 from lightopt.rendering._pixels import mask_pixels
-from lightopt.rendering._surface import GRAZING_COSINE
+from lightopt.rendering._surface import GRAZING_COSINE, hidden_by
 from lightopt.scene import (
     PartView,
     PinholeCamera,
@@ -361,6 +361,8 @@ def visible_points(points: Float64, facets: Float64, view: PartView, caster: Ray
         & (rows[visible] >= 0.0)
         & (rows[visible] < camera.height)
     )
+    if camera.obstructions is not None:
+        visible[visible] = ~hidden_by(camera.obstructions, camera.position, points[visible])
     # tile by tile, so that rays that go nearly the same way follow each other
     order = np.flatnonzero(visible)
     tile = (rows[order].astype(np.int32) // _TILE) * camera.width + columns[order].astype(np.int32) // _TILE

@@ -8,7 +8,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster, points_inside
-from lightopt.lights import SurfaceLight, panel_grid
+from lightopt.lights import SurfaceLight, outlines, panel_grid
 from lightopt.rendering._surface import trace_hits
 from lightopt.scene import PartView, Scene, pixel_footprint, screen_window, unit_hint, view_from_part
 
@@ -47,7 +47,9 @@ def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
     found: list[PanelInPart] = []
     for posture in scene.postures:
         for light in view_from_part(scene, posture).lights:
-            points = light.targets if isinstance(light, SurfaceLight) else panel_grid(light, PANEL_POINTS)
+            points = panel_grid(light, PANEL_POINTS)
+            if isinstance(light, SurfaceLight):
+                points = np.concatenate([light.targets, outlines(light).reshape(-1, 3)])
             inside = int(np.count_nonzero(points_inside(points, scene.mesh)))
             if inside:
                 text = (

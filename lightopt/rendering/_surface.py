@@ -72,7 +72,27 @@ def trace_hits(
     """Where camera rays through image points meet the part; parameters as in :func:`trace_samples`."""
     directions = pixel_directions(camera, columns, rows)
     face = caster.first_hit(camera.position, directions, neighbours=neighbours)
+    hits = resolve_hits(face, camera.position, directions, mesh.vertices, mesh.faces)
+    if camera.obstructions is None:
+        return hits
+    face[hits.ray[hidden_by(camera.obstructions, camera.position, hits.points)]] = -1
     return resolve_hits(face, camera.position, directions, mesh.vertices, mesh.faces)
+
+
+def hidden_by(triangles: Float64, eye: Float64, points: Float64) -> Bool:
+    """Whether triangles hide points from a place, shape (n,).
+
+    triangles: Their corners [mm], shape (t, 3, 3)
+    eye: Place that the points are seen from [mm], shape (3,)
+    points: [mm], shape (n, 3)
+    """
+    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+    vertices, towards = triangles.reshape(-1, 3), points - eye
+    met = RayCaster(vertices, faces, rays=len(points)).first_hit(eye, towards)
+    before = resolve_hits(met, eye, towards, vertices, faces)
+    hidden = np.zeros(len(points), np.bool_)
+    hidden[before.ray] = before.distance < np.linalg.norm(towards[before.ray], axis=1)
+    return hidden
 
 
 def trace_samples(

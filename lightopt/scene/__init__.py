@@ -28,13 +28,14 @@ from lightopt.scene._camera import (
     surface_footprint as surface_footprint,
     surface_share as surface_share,
 )
+from lightopt.scene._collisions import lights_meet as lights_meet
 from lightopt.scene._defects import (
     angle_outside_range as angle_outside_range,
     build_catalogue as build_catalogue,
     defect_facts as defect_facts,
     place_defects as place_defects,
 )
-from lightopt.scene._image_area import image_area as image_area
+from lightopt.scene._image_area import area_in_view as area_in_view
 from lightopt.scene._part_size import guess_unit as guess_unit, is_absurd as is_absurd, view_size as view_size
 from lightopt.scene._point_spacing import (
     coarse_points as coarse_points,

@@ -25,6 +25,7 @@ from lightopt.scene._camera import (
     pose_camera,
 )
 from lightopt.scene._defects import outside_stage_range, place_defects
+from lightopt.scene._image_area import obstructions
 from lightopt.scene._lights import build_lights
 from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._scene import Placement, Scene, view_from_part
@@ -62,6 +63,8 @@ def build_scene(
     camera = build_camera(rig)
     chosen = _postures(rig, part, postures)
     placed = build_lights(rig, lights, points)
+    # lights that are off stand there, too
+    camera = replace(camera, obstructions=obstructions(camera, build_lights(rig) if lights else placed))
     mesh, placement, warnings = _mesh(part, pixel_footprint(camera, rig.camera.distance_mm))
     reflectance = part.reflectance
     scene = Scene(

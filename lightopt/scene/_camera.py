@@ -44,6 +44,7 @@ class PinholeCamera:
     principal_point: Where the optical axis meets the image [px]; None for the image's centre
     aspect: Focal length in rows over that in columns; 1 for square pixels
     vignetting: Coefficients of ρ² and ρ⁴ in what the lens passes, ρ from the principal point in half diagonals
+    obstructions: Corners of triangles that stand in the view, of lights [mm], shape (t, 3, 3)
     """
 
     position: Float64
@@ -58,6 +59,7 @@ class PinholeCamera:
     principal_point: tuple[float, float] | None = None
     aspect: float = 1.0
     vignetting: tuple[float, float] = (0.0, 0.0)
+    obstructions: Float64 | None = None
 
     @property
     def axis_px(self) -> tuple[float, float]:
@@ -77,6 +79,7 @@ class PinholeCamera:
             right=rotation @ self.right,
             up=rotation @ self.up,
             forward=rotation @ self.forward,
+            obstructions=None if self.obstructions is None else self.obstructions @ rotation.T + translation,
         )
 
 

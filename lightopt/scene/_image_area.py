@@ -1,8 +1,11 @@
 """How much of the image a flat polygon in the scene covers, such as a light in front of the camera."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.lights import PanelLight, SurfaceLight, outlines, surface_mesh
 from lightopt.scene._camera import PinholeCamera, pixel_directions, project
 
 _NEAR_MM = 1e-3
@@ -24,6 +27,23 @@ def image_area(camera: PinholeCamera, polygon: Float64) -> float:
     if len(local) and not camera.distortion.is_zero:
         return _bent_area(camera, local)
     return camera.aspect * _area(local[:, :2] / local[:, 2:] * scale)
+
+
+def area_in_view(camera: PinholeCamera, light: PanelLight) -> float:
+    """How much of the image a light covers, wherever the part is [px²]; what is behind another piece counts twice.
+
+    light: In the frame of the camera's vectors; a coaxial light covers nothing, as the camera looks past its mirror
+    """
+    if isinstance(light, SurfaceLight) and light.kind == "coaxial":
+        return 0.0
+    area = sum(image_area(camera, piece) for piece in outlines(light))
+    return min(area, float(camera.width * camera.height))
+
+
+def obstructions(camera: PinholeCamera, lights: Iterable[PanelLight]) -> Float64 | None:
+    """Corners of the triangles of the lights in the camera's view [mm], shape (t, 3, 3); None where there are none."""
+    meshes = [surface_mesh(light) for light in lights if area_in_view(camera, light) > 0.0]
+    return np.concatenate([vertices[faces] for vertices, faces in meshes]) if meshes else None
 
 
 def _view_at_depth_1(camera: PinholeCamera) -> tuple[float, float, float, float]:

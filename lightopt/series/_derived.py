@@ -104,7 +104,7 @@ def _derive(
     if (recipe := _RECIPES.get(_recipe(first))) is not None:
         channels |= recipe(_Series(first, images, level, good))
     if channels:
-        name = first.name.removesuffix("-1") if several else group[0][0]
+        name = first.entry_name if several else group[0][0]
         saturated = int(np.isnan(images).any(axis=0).sum())
         yield DerivedImages(light=name, posture=posture, channels=channels, saturated=saturated)
 

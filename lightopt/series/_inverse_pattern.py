@@ -70,11 +70,11 @@ class ShownDefect:
 
 def display_of(rig: RigConfig, scene: Scene, name: str) -> SurfaceLight:
     """The display of a rig by the name of its entry."""
-    names = [light.name for light in rig.lights if light.kind == "display"]
+    names = {light.name: light.entry_name for light in rig.lights if light.kind == "display"}
     for light in scene.lights:
-        if isinstance(light, SurfaceLight) and light.name in (name, f"{name}-1") and light.name in names:
+        if isinstance(light, SurfaceLight) and names.get(light.name) == name:
             return light
-    there = ", ".join(dict.fromkeys(one.removesuffix("-1") for one in names if one[-2:] == "-1" or "-" not in one))
+    there = ", ".join(dict.fromkeys(names.values()))
     raise InputError(f'no display "{name}" in {rig.source.path}; it has {there or "none"}')
 
 

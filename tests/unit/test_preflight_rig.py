@@ -13,11 +13,12 @@ from hypothesis import given, strategies as st
 
 from lightopt.config import RigConfig, load_rig
 from lightopt.core.errors import InputError
-from lightopt.lights import PanelLight, panel_corners, place_light, rectangles_meet, segments_blocked
+from lightopt.lights import PanelLight, panel_corners, place_light, rectangles_meet
 from lightopt.preflight import check_rig
 from lightopt.preflight._findings import CheckResult, Finding
-from lightopt.scene import image_area, pixel_directions, place_camera
+from lightopt.scene import pixel_directions, place_camera
 from lightopt.scene._camera import Distortion
+from lightopt.scene._image_area import image_area
 
 SAMPLE = Path(__file__).parents[2] / "configs" / "rigs" / "four-panel.yaml"
 
@@ -215,7 +216,7 @@ def test_depth_below_the_table():
 def test_panels_that_collide(apart_deg, collide):
     light = {"azimuth_deg": 225 + apart_deg, "elevation_deg": 30}
     lights = [{**RIG["lights"][1], "elevation_deg": 30}, {**RIG["lights"][0], **light}]
-    findings = find(check_rig(make_rig(lights=lights)), "panels collide")
+    findings = find(check_rig(make_rig(lights=lights)), "lights collide")
     assert bool(findings) == collide
     if collide:
         assert findings[0].level == "warning"
@@ -224,14 +225,24 @@ def test_panels_that_collide(apart_deg, collide):
 
 def test_panels_that_can_collide():
     lights = [{**light, "elevation_range_deg": [60, 86]} for light in RIG["lights"]]
-    finding = only(check_rig(make_rig(lights=lights)), "panels collide")
+    finding = only(check_rig(make_rig(lights=lights)), "lights collide")
     assert finding.level == "note"
     assert "elevation 86°" in finding.text
     lights = [{**light, "elevation_range_deg": [60, 80]} for light in RIG["lights"]]
-    assert not find(check_rig(make_rig(lights=lights)), "panels collide")
+    assert not find(check_rig(make_rig(lights=lights)), "lights collide")
 
 
 # ---- rectangles
+
+
+def segments_blocked(light, start, ends):
+    """Whether the way from one point to others [mm] passes through a panel."""
+    height, from_height = (ends - light.centre) @ light.outward, float((start - light.centre) @ light.outward)
+    crosses = height * from_height < 0.0
+    share = np.where(crosses, from_height / np.where(crosses, from_height - height, 1.0), 0.0)
+    at = start + share[:, None] * (ends - start) - light.centre
+    inside = (np.abs(at @ light.across) <= 0.5 * light.size[0]) & (np.abs(at @ light.along) <= 0.5 * light.size[1])
+    return crosses & inside
 
 
 def panel(elevation, azimuth, *, distance=300.0, size=(60.0, 40.0)) -> PanelLight:

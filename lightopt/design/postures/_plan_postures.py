@@ -219,6 +219,7 @@ def plan_postures(
     """Choose the postures, and the light positions that go with them."""
     candidates = candidates_of(rig, options)
     scene = build_scene(rig, part, points=options.points, defects=False)
+    scene = replace(scene, camera=replace(scene.camera, obstructions=None))
     grid = posture_grid(rig, part, step_deg=plan.posture_step_deg)
     caster = cast_rays_at(scene)
     lights = build_lights(rig, None, options.points)

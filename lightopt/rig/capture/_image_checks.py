@@ -223,6 +223,7 @@ class ImageChecker:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="predict")
         self._predicted: dict[Posture, Future[PredictedImages]] = {}
         self._reference: dict[float, Float32] = {}
+        self._undecided: set[str] = set()
 
     def has_dark_reference(self, exposure: float) -> bool:
         """Whether a frame without light has been seen at an exposure."""
@@ -283,7 +284,8 @@ class ImageChecker:
                 f"{where} at exposure {acquired.exposure:g}: {problem}. The image was not kept; to capture without "
                 "this check, use option 'check'"
             )
-        if found.undecided is not None and not others:
+        if found.undecided is not None and not others and light not in self._undecided:
+            self._undecided.add(light)  # said once: images of a display look alike in every posture
             warn(f"{where}: the check whether the right light is on is undecided: {found.undecided}")
         return found.as_dict()
 

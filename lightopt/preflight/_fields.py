@@ -1,0 +1,117 @@
+"""Bright field and dark field of each light, and the camera hole that the part mirrors."""
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lightopt.config import LightConfig
+from lightopt.core.arrays import Bool, Float64
+from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight, SurfaceLight, surface_mesh
+from lightopt.preflight._findings import CheckedScene, Finding, PostureSamples, percent
+from lightopt.rendering import SurfacePoints
+from lightopt.scene import build_lights
+
+POINTS = 4000  # surface points of a posture that are tried: shares are good to a percent
+LOBE_SIGMAS = 2.0  # a normal that is off by so many σ from the mirror's still shows most of a light
+_SIDES = 6  # directions that normals are tilted to
+
+_HOLE_SHARE = 0.01  # of the surface in view, above which a mirrored camera hole is worth a note
+
+
+def check_fields(checked: CheckedScene) -> Iterator[Finding]:
+    """How much of the surface in view has each light in bright field, in dark field, or not at all."""
+    names = ["bright field", "dark field", "unlit"]
+    entries = list(_entries(checked.rig.lights))
+    for sample, (name, channels) in itertools.product(checked.samples, entries):
+        some, ends = _mirrored(checked, sample, LOBE_SIGMAS * checked.scene.reflectance.sigma)
+        if not len(some):
+            continue
+        lights = _distinct([sample.view.lights[i] for i in channels])
+        bright = np.any(_meets(lights, some, ends), axis=0)
+        targets = np.concatenate([p.targets if isinstance(p, SurfaceLight) else p.centre[None] for p in lights])
+        above = np.einsum("ik,jk->ji", some.normals, targets) > np.einsum("ik,ik->i", some.normals, some.points)
+        lit = np.any(checked.caster.visible(some.points, some.facets, targets, candidates=above), axis=0)
+        shares = [float(np.mean(a)) for a in (bright, lit & ~bright, ~lit & ~bright)]
+        text = (
+            f"posture {sample.posture}: of the surface in view {name} has {percent(shares[0])} in bright field (it is "
+            f"mirrored to the camera, within {LOBE_SIGMAS:g}σ), {percent(shares[1])} in dark field, and "
+            f"{percent(shares[2])} gets no light of it"
+        )
+        values = {"light": name, "posture": sample.posture.as_dict(), **dict(zip(names, shares, strict=True))}
+        yield Finding("ok", "bright field", text, checked.rig.source.at("lights", channels[0]), values)
+
+
+def check_camera_hole(checked: CheckedScene) -> Iterator[Finding]:
+    """How much of the surface in view mirrors the hole or slot of a light that the camera looks through."""
+    for name, channels in _entries(checked.rig.lights):
+        light = checked.rig.lights[channels[0]]
+        if light.camera_hole_mm is None and light.slot_mm is None:
+            continue
+        closed = {"camera_hole_mm": None, "slot_mm": None, "segments": None, "leak": None}
+        (filled,) = build_lights(checked.rig.model_copy(update={"lights": (light.model_copy(update=closed),)}))
+        for sample in checked.samples:
+            some, ends = _mirrored(checked, sample, 0.0)
+            if not len(some):
+                continue
+            own = _distinct([sample.view.lights[i] for i in channels])
+            whole = filled.moved(sample.view.rotation.T, -sample.view.rotation.T @ sample.view.translation)
+            share = float(np.mean(_meets([whole], some, ends)[0] & ~_meets(own, some, ends)[0]))
+            text = (
+                f"posture {sample.posture}: {percent(share)} of the surface in view mirrors the opening of {name} that "
+                "the camera looks through, which is a dark spot on a glossy part"
+            )
+            values = {"light": name, "posture": sample.posture.as_dict(), "share": share}
+            where = checked.rig.source.at("lights", channels[0])
+            yield Finding("note" if share > _HOLE_SHARE else "ok", "camera hole", text, where, values)
+
+
+def _entries(lights: Sequence[LightConfig]) -> Iterator[tuple[str, list[int]]]:
+    # name of each light of the file, and the numbers of its channels
+    for _, channels in itertools.groupby(range(len(lights)), key=lambda i: lights[i].entry):
+        some = list(channels)
+        first = lights[some[0]]
+        yield first.name.rpartition("-")[0] if first.channels > 1 else first.name, some
+
+
+def _distinct(lights: Sequence[PanelLight]) -> list[PanelLight]:
+    # with each piece of surface once: channels share them where patterns or leaks differ
+    first = lights[0]
+    if not isinstance(first, SurfaceLight):
+        return list(lights)
+    rows = np.concatenate([light.elements for light in lights if isinstance(light, SurfaceLight)])
+    return [replace(first, elements=rows[np.unique(rows[:, :21], axis=0, return_index=True)[1]])]
+
+
+def _mirrored(checked: CheckedScene, sample: PostureSamples, tilt: float) -> tuple[SurfacePoints, Float64]:
+    # points of the surface, and far ends of mirrored view rays, shape (rays, k, 3): of the normal, and of normals
+    # tilted from it. Rays that the part stops end where they begin
+    front = np.flatnonzero(sample.surface.front)
+    some = sample.surface.take(front[:: max(1, len(front) // POINTS)])
+    n, v = some.normals, some.views
+    side = np.cross(n, np.eye(3)[np.argmin(np.abs(n), axis=1)])
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    turns = [2.0 * math.pi * k / _SIDES for k in range(_SIDES)] if tilt > 0.0 else []
+    leaning = [math.cos(t) * side + math.sin(t) * np.cross(n, side) for t in turns]
+    normals = np.stack([n, *(math.cos(tilt) * n + math.sin(tilt) * way for way in leaning)])
+    mirrored = 2.0 * np.einsum("rik,ik->ri", normals, v)[..., None] * normals - v
+    ends = some.points + 1e2 * checked.caster.radius * mirrored
+    blocked = _blocked(checked.caster, some, ends) | (np.einsum("rik,ik->ri", mirrored, some.facets) <= 0.0)
+    return some, np.where(blocked[..., None], some.points, ends)
+
+
+def _meets(lights: Sequence[PanelLight], some: SurfacePoints, ends: Float64) -> Bool:
+    # whether rays meet one of the lights, shape (rays, k)
+    found = np.zeros(ends.shape[:2], np.bool_)
+    for light in lights:
+        found |= _blocked(RayCaster(*surface_mesh(light)), some, ends)
+    return found
+
+
+def _blocked(caster: RayCaster, some: SurfacePoints, ends: Float64) -> Bool:
+    point = np.tile(np.arange(len(some), dtype=np.int32), len(ends))
+    ways = {"point_index": point, "target_index": np.arange(len(point), dtype=np.int32)}
+    return caster.occluded(some.points, some.facets, ends.reshape(-1, 3), **ways).reshape(len(ends), -1)
