@@ -4,7 +4,7 @@ Levels are those of the longest exposure that is not saturated; pixels saturated
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from lightopt.series._stripes import Stripes, absolute_place, demodulate, phase_
 DERIVED_FOLDER = "derived"
 LEAST_SIGNAL = 5.0  # in standard deviations of its noise: phases, ratios and the like of less are unknown
 LEAST_MODULATION = 0.05  # stripes with less are those of scattered light, whose phase is of no place on the display
-DARK_SHARE = 0.1  # pixels of moving stripes count as dark below this share of their brightest level on a good part
+DARK_SHARE = 0.1  # pixels count as dark below this share of the brightest level of their series, on a good part
 _PREVIEW_PERCENTILES = 1.0, 99.0  # values that a preview shows as black and as white
 
 Channels = dict[str, Float64]
@@ -48,7 +48,7 @@ class _Series:
     light: LightConfig  # its first channel
     images: Float64  # of all channels, shape (K, H, W) [grey level at exposure 1]
     level: float  # a sensor level at the longest exposure [grey level]
-    good: Scene  # the good part under the lights of the series, in the posture
+    good: Scene  # the good part under the channels, in the posture
 
     def noise(self, levels: Float64 | float) -> Float64:
         """Standard deviation of an image's noise at some levels [grey level]."""
@@ -70,35 +70,33 @@ def derive_images(rig: RigConfig, part: PartConfig, image_set: ImageSet) -> Iter
         if len(parts) == 1:
             channel, weight = parts[0]
             groups.setdefault(channel.entry, {}).setdefault(channel.channel, (light.name, weight, channel))
-    for posture in dict.fromkeys(entry.posture for entry in image_set.images):
+    postures = tuple(dict.fromkeys(entry.posture for entry in image_set.images))
+    good = build_scene(rig.without_programme(), part, postures=postures, defects=False)
+    for posture in postures:
         for group in groups.values():
-            entries = {
-                name: [e for e in image_set.images if (e.light, e.posture) == (name, posture)]
-                for name, _, _ in group.values()
-            }
             first = next(iter(group.values()))[2]
-            if len(group) == first.channels and all(entries.values()):
-                channels = [group[k] for k in range(first.channels)]
-                yield from _derive(rig, part, image_set, posture, channels, entries)
+            if len(group) < first.channels:
+                continue
+            channels = [group[k] for k in range(first.channels)]
+            entries = [[e for e in image_set.images if (e.light, e.posture) == (c[0], posture)] for c in channels]
+            names = [channel.name for _, _, channel in channels]
+            lights = tuple(light for light in good.lights if light.name in names)
+            if all(entries):
+                yield from _derive(image_set, replace(good, postures=(posture,), lights=lights), channels, entries)
 
 
 def _derive(
-    rig: RigConfig,
-    part: PartConfig,
-    image_set: ImageSet,
-    posture: Posture,
-    group: list[tuple[str, float, LightConfig]],
-    entries: Mapping[str, list[ImageEntry]],
+    image_set: ImageSet, good: Scene, group: list[tuple[str, float, LightConfig]], entries: list[list[ImageEntry]]
 ) -> Iterator[DerivedImages]:
-    merged = {name: longest_unsaturated(image_set, entries[name]) for name, _, _ in group}
-    images = np.stack([merged[name][0] / weight for name, weight, _ in group])
+    # entries: exposures of each channel of a light in a posture
+    merged = [longest_unsaturated(image_set, own) for own in entries]
+    images = np.stack([levels / weight for (levels, _), (_, weight, _) in zip(merged, group, strict=True)])
     first, several = group[0][2], len(group) > 1
-    exposure = max(e.held_exposure for own in entries.values() for e in own)
+    exposure = max(e.held_exposure for own in entries for e in own)
     level = image_set.manifest.full_scale / (image_set.manifest.max_level * exposure)
-    good = build_scene(rig, part, postures=(posture,), lights=tuple(merged), defects=False)
     channels: Channels = {}
-    for name, levels in merged.items():
-        if len(entries[name]) > 1:
+    for (name, _, _), own, levels in zip(group, entries, merged, strict=True):
+        if len(own) > 1:
             label = name if several else "longest_unsaturated"
             channels |= {label: levels[0], f"{label}.exposure": levels[1]}
     if (recipe := _RECIPES.get(_recipe(first))) is not None:
@@ -106,7 +104,7 @@ def _derive(
     if channels:
         name = first.entry_name if several else group[0][0]
         saturated = int(np.isnan(images).any(axis=0).sum())
-        yield DerivedImages(light=name, posture=posture, channels=channels, saturated=saturated)
+        yield DerivedImages(light=name, posture=good.postures[0], channels=channels, saturated=saturated)
 
 
 def longest_unsaturated(image_set: ImageSet, entries: list[ImageEntry]) -> tuple[Float64, Float64]:
@@ -181,15 +179,14 @@ def _moving(series: _Series) -> Channels:
     images = render_posture(series.good, posture, caster=cast_rays_at(series.good))
     good = np.stack([image.level for image in images.lights])
     dark = good < DARK_SHARE * good.max(axis=0)
-    most = np.where(dark, series.images, -np.inf).max(axis=0)
-    field = np.where(dark.any(axis=0), most, np.nan)
+    field = np.where(dark.any(axis=0), np.where(dark, series.images, -np.inf).max(axis=0), np.nan)
     return {"max_minus_min": np.ptp(series.images, axis=0), "dark_field": field}
 
 
 def _array(series: _Series) -> Channels:
-    spread = np.ptp(series.images, axis=0)
+    found = _moving(series)
     brightest = np.argmax(np.nan_to_num(series.images), axis=0) + 1.0
-    return {"max_minus_min": spread, "brightest": np.where(spread >= series.least, brightest, np.nan)}
+    return {**found, "brightest": np.where(found["max_minus_min"] >= series.least, brightest, np.nan)}
 
 
 def _quadrants(series: _Series) -> Channels:
@@ -236,6 +233,11 @@ def write_derived(
         listed.append({**facts, "exr": f"{name}.exr", "channels": sorted(one.channels)})
         unknown = f", {counted(one.saturated, 'saturated pixel')} unknown (NaN)" if one.saturated else ""
         said.append(f"{one.light}, posture {one.posture}: {counted(len(one.channels), 'derived image')}{unknown}")
+    told = {str(one["light"]) for one in listed}
+    if left := sorted({light.entry_name for light in rig.channels if light.channels > 1} - told):
+        said.append(
+            f"no derived images of {', '.join(left)}: not all channels are in the set, each alone, or none exist"
+        )
     if not listed:
         return ("no derived images: no light of the set has a series of images that gives any",)
     return (*said, str(out.finish({"images": listed})))

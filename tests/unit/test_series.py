@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from lightopt.config import load_rig
+from lightopt import build_scene, render
+from lightopt.config import load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_metadata
 from lightopt.lights import place_light
 from lightopt.series._deflectometry import slope_map
+from lightopt.series._derived import _array, _Series
 from lightopt.series._stripes import absolute_place, demodulate, phase_gradient
 
 LIGHTS = """\
@@ -139,6 +142,31 @@ def test_render_derived(cli, bench):
     ran = cli(*command, "--exposures", "1,1/4")
     assert ran.status == 2
     assert "derived images of other inputs" in ran.err
+
+
+def test_the_dark_field_is_that_of_images_in_which_a_good_part_is_dark(bench):
+    bench.edit("rig.yaml", "stage:", f"{LIGHTS}stage:")
+    rig, names = load_rig(bench.rig), ("leds-1", "leds-2", "leds-3")
+    good = build_scene(rig, load_part(bench.part), lights=names)
+    good = replace(good, postures=good.postures[:1])
+    images = np.stack([one.level for one in next(iter(render(good))).lights]).astype(np.float64)
+    dark = images < 0.1 * images.max(axis=0)
+    number, row, column = (at[0] for at in np.nonzero(dark))
+    images[number, row, column] = 77.0
+    light = next(one for one in rig.lights if one.name == "leds-1")
+    found = _array(_Series(light, images, 1.0, good))["dark_field"]
+    assert found[row, column] == 77.0
+    others = dark.any(axis=0)
+    np.testing.assert_array_equal(np.isfinite(found), others)
+    others[row, column] = False
+    assert (found[others] < 0.1 * images.max(axis=0)[others]).all()
+
+
+def test_parts_of_series_are_said(cli, bench):
+    bench.edit("rig.yaml", "stage:", f"{LIGHTS}stage:")
+    command = ("render", bench.rig, bench.part, "-o", bench.out, "--posture", "0,0", "--patches", "500", "--derived")
+    ran = cli(*command, "--light", "dome-1", "--light", "light1", "--exposures", "1,1/4")
+    assert "no derived images of dome, lcd, leds: not all channels are in the set" in ran.out
 
 
 def test_sets_without_a_series_say_so(cli, bench):
