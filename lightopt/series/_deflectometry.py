@@ -5,7 +5,6 @@ does this bisects the directions to X and to the camera. The surface's points ar
 turns the result by about h·sinθ/d, θ the angle of incidence and d the distance to the display.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,15 +44,6 @@ def slope_map(
     axes = x_axis, np.cross(normals, x_axis)
     x, y = (np.degrees(np.arctan2(_dot(measured, axis), _dot(measured, normals))) for axis in axes)
     return SlopeMap(x, y)
-
-
-def slope_noise(phase: float, period: float, distance: float) -> float:
-    """Standard deviation of the slope [deg] of a phase's [rad]: a tilt β moves the mirrored place by about 2dβ.
-
-    period: Of the stripes [mm]
-    distance: From the surface to the display [mm]
-    """
-    return math.degrees(phase * period / (2.0 * math.pi) / (2.0 * distance))
 
 
 def _unit(vectors: Float64) -> Float64:

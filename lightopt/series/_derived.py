@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lightopt.config import LightConfig, PartConfig, RigConfig, input_hashes
-from lightopt.core.arrays import Bool, Float64
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import counted
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
@@ -18,7 +18,7 @@ from lightopt.images import ImageEntry, ImageSet, ResultFolder, posture_folder, 
 from lightopt.rendering import cast_rays_at, render_posture, trace_pixels
 from lightopt.scene import Scene, build_scene
 from lightopt.series._deflectometry import slope_map
-from lightopt.series._stripes import Stripes, absolute_place, demodulate, phase_gradient
+from lightopt.series._stripes import Stripes, absolute_place, demodulate, phase_gradient, phase_noise
 
 DERIVED_FOLDER = "derived"
 LEAST_SIGNAL = 5.0  # in standard deviations of its noise: phases, ratios and the like of less are unknown
@@ -137,19 +137,18 @@ def _stripes(series: _Series) -> Channels:
     blocks = series.images.reshape(len(pattern.directions), len(periods), pattern.phases, *series.images.shape[1:])
     for direction, block in zip(pattern.directions, blocks, strict=True):
         first = demodulate(block[0])
-        clear = _clear(series, first, pattern.phases)
-        phase = np.where(clear, first.phase, np.nan)
+        phase, noise = _phase(series, first, pattern.phases)
         right, down = phase_gradient(phase)
         found |= {
             f"{direction}.phase": phase,
+            f"{direction}.phase_noise": np.where(np.isnan(phase), np.nan, noise),
             f"{direction}.modulation": np.where(first.mean >= series.least, first.modulation, np.nan),
             f"{direction}.mean": first.mean,
             f"{direction}.curvature.x": right,
             f"{direction}.curvature.y": down,
         }
         if len(periods) == 2:
-            second = demodulate(block[1])
-            far = np.where(clear & _clear(series, second, pattern.phases), second.phase, np.nan)
+            far, _ = _phase(series, demodulate(block[1]), pattern.phases)
             along = size["uv".index(direction)]
             found[f"{direction}.place_mm"] = absolute_place(phase, far, (periods[0], periods[1]), along)
     if {"u.place_mm", "v.place_mm"} <= found.keys():
@@ -157,10 +156,12 @@ def _stripes(series: _Series) -> Channels:
     return found
 
 
-def _clear(series: _Series, stripes: Stripes, phases: int) -> Bool:
-    # where there is a phase
-    noise = np.sqrt(2.0 / phases) * series.noise(stripes.mean)
-    return (stripes.amplitude >= LEAST_SIGNAL * noise) & (stripes.modulation >= LEAST_MODULATION)
+def _phase(series: _Series, stripes: Stripes, phases: int) -> tuple[Float64, Float64]:
+    # the phase where there is one, and its noise
+    noise = phase_noise(stripes.amplitude, series.noise(stripes.mean), phases)
+    return np.where(
+        (noise * LEAST_SIGNAL <= 1.0) & (stripes.modulation >= LEAST_MODULATION), stripes.phase, np.nan
+    ), noise
 
 
 def _slopes(series: _Series, u: Float64, v: Float64) -> Channels:
@@ -245,8 +246,8 @@ def write_derived(
 
 def _write_preview(path: Path, channel: str, values: Float64) -> None:
     known = values[np.isfinite(values)]
-    low, high = (-np.pi, np.pi) if channel.endswith("phase") else (0.0, 1.0)
-    if known.size and not channel.endswith(("phase", "modulation")):
+    low, high = (-np.pi, np.pi) if channel.endswith(".phase") else (0.0, 1.0)
+    if known.size and not channel.endswith((".phase", ".modulation")):
         low, high = np.percentile(known, _PREVIEW_PERCENTILES)
     shown = np.clip((values - low) / max(high - low, 1e-12), 0.0, 1.0)
     levels = np.round(255.0 * np.nan_to_num(shown)).astype(np.uint8)

@@ -35,9 +35,10 @@ def demodulate(images: Float64) -> Stripes:
     return Stripes(np.arctan2(sine, cosine), modulation, mean, amplitude)
 
 
-def phase_noise(amplitude: Float64 | float, noise: float, images: int) -> Float64 | float:
+def phase_noise(amplitude: Float64, noise: Float64 | float, images: int) -> Float64:
     """Standard deviation of the phase [rad], √(2/N)·σ_I/B, of images with noise σ_I in the unit of the amplitude B."""
-    return math.sqrt(2.0 / images) * noise / amplitude
+    with np.errstate(divide="ignore"):
+        return math.sqrt(2.0 / images) * noise / amplitude
 
 
 def phase_gradient(phase: Float64) -> tuple[Float64, Float64]:

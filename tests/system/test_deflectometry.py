@@ -16,9 +16,8 @@ from lightopt.geometry import box_mesh, sphere_mesh, stl_bytes
 from lightopt.images import read_image_set
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, trace_pixels
 from lightopt.scene import build_scene
-from lightopt.series._deflectometry import slope_map, slope_noise
+from lightopt.series._deflectometry import slope_map
 from lightopt.series._derived import derive_images
-from lightopt.series._stripes import phase_noise
 
 RIG = """\
 format: lightopt-rig/1
@@ -91,7 +90,7 @@ def test_a_sphere_is_recovered(tmp_path):
 @pytest.mark.parametrize("sigma", [0.003, 0.005, 0.01])
 def test_a_dent_of_a_tenth_of_a_degree_is_recovered(tmp_path, sigma):
     plate = box_mesh(np.array([[-25.0, -25.0, -5.0], [25.0, 25.0, 0.0]]))
-    channels, pixels, scene = derived(tmp_path, plate, sigma=sigma, tilt=15, low=-5, defects=DENT)
+    channels, pixels, _ = derived(tmp_path, plate, sigma=sigma, tilt=15, low=-5, defects=DENT)
     at = pixels.row, pixels.column
     x, y = (pixels.surface.points[:, i] - c for i, c in ((0, 2.0), (1, 3.0)))
     rho = np.hypot(x, y) / 8.0
@@ -106,11 +105,9 @@ def test_a_dent_of_a_tenth_of_a_degree_is_recovered(tmp_path, sigma):
         assert gain == pytest.approx(1.0, abs=0.05)
         # the noise is what the phase's says
         outside = pixels.clean & (rho > 1.2) & np.isfinite(found)
-        direction, images = "uv"["xy".index(name[6])], 4
-        level = scene.sensor.max_level / scene.reflectance.full_scale  # sensor levels of a grey level
-        amplitude = level * (channels[f"{direction}.modulation"] * channels[f"{direction}.mean"])[at][outside]
-        noise = phase_noise(amplitude, math.hypot(READ_NOISE, math.sqrt(1.0 / 12.0)), images)
-        assert np.std(found[outside]) == pytest.approx(slope_noise(np.sqrt(np.mean(noise**2)), 25.0, 300.0), rel=0.1)
+        noise = channels[f"{'uv'['xy'.index(name[6])]}.phase_noise"][at][outside]
+        slope_noise = math.degrees(np.sqrt(np.mean(noise**2)) * 25.0 / (4.0 * math.pi * 300.0))  # σ_φ·P/(4πd)
+        assert np.std(found[outside]) == pytest.approx(slope_noise, rel=0.1)
 
 
 def test_phase_noise_is_as_predicted(tmp_path):
@@ -122,7 +119,6 @@ def test_phase_noise_is_as_predicted(tmp_path):
         step = np.angle(np.exp(1j * (first[f"{direction}.phase"] - second[f"{direction}.phase"])))[at]
         level = scene.sensor.max_level / scene.reflectance.full_scale  # sensor levels of a grey level
         amplitude = level * (first[f"{direction}.modulation"] * first[f"{direction}.mean"])[at]
-        noise = math.sqrt(READ_NOISE**2 + 1.0 / 12.0)
-        predicted = float(np.sqrt(2.0 * np.mean(phase_noise(amplitude, noise, 4) ** 2)))
-        assert np.std(step) == pytest.approx(predicted, rel=0.1)
-    assert slope_noise(1e-3, 25.0, 300.0) == pytest.approx(math.degrees(1e-3 * 25 / (4 * math.pi * 300)))
+        predicted = math.sqrt(2.0 / 4.0) * math.sqrt(READ_NOISE**2 + 1.0 / 12.0) / amplitude
+        np.testing.assert_allclose(first[f"{direction}.phase_noise"][at], predicted, rtol=1e-6)
+        assert np.std(step) == pytest.approx(math.sqrt(2.0 * np.mean(predicted**2)), rel=0.1)
