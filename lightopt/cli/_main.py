@@ -39,6 +39,7 @@ _COMMANDS = {
     "compare-lighting": ("_compare_lighting", "Compare lighting systems by the defects that they show on a part."),
     "inspect": ("_inspect", "Find defects in images and locate them on the part."),
     "verify": ("_verify", "Name what has changed on the rig since its file, or a known good set, was made."),
+    "inverse-pattern": ("_inverse_pattern", "Compute the display's picture that a good part mirrors as regular."),
     "overlap": ("_image_sets", "Report where saturated regions of images overlap."),
     "compare": ("_image_sets", "Compare new images or image sets with golden ones."),
     "schema": ("_files", "Print the JSON schema of a rig or part file."),
