@@ -1,9 +1,10 @@
 """The lights of a rig file: panels, and lights of other shapes with one channel or several."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator, model_validator
+from pydantic import Discriminator, Field, PrivateAttr, Tag, ValidationInfo, ValidatorFunctionWrapHandler, field_validator, model_validator
 
 from lightopt.config import _fields as fields
 from lightopt.config._pose import PanelPoseConfig, with_pose
@@ -29,9 +30,10 @@ _PLACE_KEYS = ("name", "kind", "distance_mm", "elevation_deg", "azimuth_deg", "g
 _RANGE_KEYS = ("elevation_range_deg", "azimuth_range_deg")
 
 MOST_CHANNELS = 256
+_AROUND_PART = ("dome", "low_angle_ring", "tunnel")  # kinds of light that may have the origin in their middle
 
 _Distance = Annotated[
-    float, Field(ge=0, le=1e6), fields.expecting("a length between 0.001 and 1000000 (a number); a dome may be at 0")
+    float, Field(ge=0, le=1e6), fields.expecting("a length between 0.001 and 1000000 (a number); a light around the part may be at 0")
 ]
 _Segments = Annotated[int, Field(ge=1, le=MOST_CHANNELS), fields.expecting(f"a whole number from 1 to {MOST_CHANNELS}")]
 _Share = Annotated[float, Field(ge=0, le=1), fields.expecting("a number from 0 to 1")]
@@ -55,12 +57,36 @@ class SinePatternConfig(fields.Frozen):
     """Directions that the stripes change along: u along the azimuth, v along the elevation."""
 
 
+class BarPatternConfig(fields.Frozen):
+    """Bars of a display, full or black, that move by steps of a period: one image for each step and direction."""
+
+    kind: Literal["bars"]
+    """Kind of pattern: bars, of two levels."""
+    period_mm: fields.Length
+    """Length of a period on the display [mm]."""
+    duty: Annotated[float, Field(gt=0, lt=1), fields.expecting("a number between 0 and 1")] = 0.5
+    """Share of a period that is bright."""
+    shifts: Annotated[int, Field(ge=1, le=64), fields.expecting("a whole number from 1 to 64")] = 4
+    """Images of each direction, each moved by period / shifts."""
+    directions: Annotated[tuple[Literal["u", "v"], ...], Field(strict=False, min_length=1, max_length=2)] = ("u", "v")
+    """Directions that the bars change along: u along the azimuth, v along the elevation."""
+
+    @property
+    def phases(self) -> int:
+        """Images of each direction."""
+        return self.shifts
+
+
+def _kind_of_pattern(pattern: object) -> str:
+    return str(fields.value_of(pattern, "kind") or "sine")
+
+
 def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
     """Complaints about keys that a kind of light lacks, does not have, or that exclude each other."""
     needed, others = _KEYS_OF_KIND[kind]
     for key in needed:
         if raw.get(key) is None:
-            yield (), raw, fields.absent(f'missing key "{key}", which a light of kind {kind} needs', key)
+            yield (key,), raw, fields.absent(f'missing key "{key}", which a light of kind {kind} needs', key)
     known = set(LightConfig.model_fields)
     for key in raw:
         if key in known and key not in (*_PLACE_KEYS, *_RANGE_KEYS, *needed, *others):
@@ -80,6 +106,16 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
         yield ("camera_hole_mm",), raw["camera_hole_mm"], fields.complaint(f"expected less than {widest:g}")
     if numbers.get("slot_mm", 0.0) >= 2.0 * numbers.get("radius_mm", 1e9):
         yield ("slot_mm",), raw["slot_mm"], fields.complaint("expected less than the tunnel's diameter")
+    if kind not in _AROUND_PART and numbers.get("distance_mm") == 0:
+        yield ("distance_mm",), 0, fields.complaint(f"a light of kind {kind} cannot stand at the origin")
+    if kind == "dome" and widest and numbers.get("camera_hole_mm", 0.0) < widest:
+        upper = math.degrees(math.acos(0.5 * max(0.0, numbers.get("camera_hole_mm", 0.0)) / widest))
+        if numbers.get("lower_elevation_deg", 0.0) >= upper:
+            lower = raw["lower_elevation_deg"]
+            yield ("lower_elevation_deg",), lower, fields.complaint(f"expected less than {upper:.4g}, where the hole is")
+    counts = numbers.get("columns", 0), numbers.get("rows", 0)
+    if any(numbers.get("led_mm", 0.0) * count > side for side, count in zip(size, counts, strict=False)):
+        yield ("led_mm",), raw["led_mm"], fields.complaint("the LEDs overlap; expected at most size_mm by their number")
 
 
 class LightSourceConfig(fields.Frozen):
@@ -181,8 +217,14 @@ class LightConfig(fields.Frozen):
     """coaxial: share of the light that the beam splitter lets pass; 0.5 if absent."""
     reflection: _Share | None = None
     """coaxial: share of the light that the beam splitter reflects; 0.5 if absent."""
-    pattern: SinePatternConfig | None = None
-    """display: stripes, each image of which is a channel; a uniform display if absent."""
+    pattern: (
+        Annotated[
+            Annotated[SinePatternConfig, Tag("sine")] | Annotated[BarPatternConfig, Tag("bars")],
+            Discriminator(_kind_of_pattern),
+        ]
+        | None
+    ) = None
+    """display: stripes (sine) or bars, each image of which is a channel; a uniform display if absent."""
 
     _channel: int = PrivateAttr(default=0)
     _entry: int = PrivateAttr(default=0)

@@ -13,6 +13,7 @@ from lightopt.core.transforms import rotation_from_vector
 from lightopt.lights import (
     RADIANCE,
     PanelLight,
+    bar_terms,
     cone_elements,
     frame_elements,
     half_pipe_elements,
@@ -201,4 +202,7 @@ def _pattern(light: LightConfig) -> Float64:
     assert pattern is not None
     direction, step = divmod(light.channel, pattern.phases)
     axis = "uv".index(pattern.directions[direction])
-    return sine_terms(axis, period=pattern.period_mm, phase=-2.0 * math.pi * step / pattern.phases)
+    period, phase = pattern.period_mm, -2.0 * math.pi * step / pattern.phases
+    if pattern.kind == "bars":
+        return bar_terms(axis, period=period, phase=phase, duty=pattern.duty)
+    return sine_terms(axis, period=period, phase=phase)
