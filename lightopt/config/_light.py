@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, PrivateAttr, Tag, ValidationInfo, ValidatorFunctionWrapHandler, field_validator, model_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator, model_validator
 
 from lightopt.config import _fields as fields
 from lightopt.config._pose import PanelPoseConfig, with_pose
@@ -33,7 +33,9 @@ MOST_CHANNELS = 256
 _AROUND_PART = ("dome", "low_angle_ring", "tunnel")  # kinds of light that may have the origin in their middle
 
 _Distance = Annotated[
-    float, Field(ge=0, le=1e6), fields.expecting("a length between 0.001 and 1000000 (a number); a light around the part may be at 0")
+    float,
+    Field(ge=0, le=1e6),
+    fields.expecting("a length between 0.001 and 1000000 (a number); a light around the part may be at 0"),
 ]
 _Segments = Annotated[int, Field(ge=1, le=MOST_CHANNELS), fields.expecting(f"a whole number from 1 to {MOST_CHANNELS}")]
 _Share = Annotated[float, Field(ge=0, le=1), fields.expecting("a number from 0 to 1")]
@@ -44,41 +46,34 @@ _Exponent = Annotated[float, Field(ge=0, le=1000), fields.expecting("a number fr
 _AUTO_SUM = "sum cannot be used with points: auto, a continuous panel; use mean"
 
 
-class SinePatternConfig(fields.Frozen):
+class PatternConfig(fields.Frozen):
     """Stripes of a display that move by steps of a period: one image for each step and direction."""
 
-    kind: Literal["sine"] = "sine"
-    """Kind of pattern: sine, of levels from black to full."""
+    kind: Literal["sine", "bars"] = "sine"
+    """Kind of pattern: sine, of levels from black to full; bars, full or black."""
     period_mm: fields.Length
     """Length of a period on the display [mm]."""
     phases: Annotated[int, Field(ge=3, le=64), fields.expecting("a whole number from 3 to 64: fewer give no phase")] = 4
-    """Images of each direction, each moved by period / phases."""
+    """sine: images of each direction, each moved by period / phases."""
+    shifts: Annotated[int, Field(ge=1, le=64), fields.expecting("a whole number from 1 to 64")] = 4
+    """bars: images of each direction, each moved by period / shifts."""
+    duty: Annotated[float, Field(gt=0, lt=1), fields.expecting("a number between 0 and 1")] = 0.5
+    """bars: share of a period that is bright."""
     directions: Annotated[tuple[Literal["u", "v"], ...], Field(strict=False, min_length=1, max_length=2)] = ("u", "v")
     """Directions that the stripes change along: u along the azimuth, v along the elevation."""
 
-
-class BarPatternConfig(fields.Frozen):
-    """Bars of a display, full or black, that move by steps of a period: one image for each step and direction."""
-
-    kind: Literal["bars"]
-    """Kind of pattern: bars, of two levels."""
-    period_mm: fields.Length
-    """Length of a period on the display [mm]."""
-    duty: Annotated[float, Field(gt=0, lt=1), fields.expecting("a number between 0 and 1")] = 0.5
-    """Share of a period that is bright."""
-    shifts: Annotated[int, Field(ge=1, le=64), fields.expecting("a whole number from 1 to 64")] = 4
-    """Images of each direction, each moved by period / shifts."""
-    directions: Annotated[tuple[Literal["u", "v"], ...], Field(strict=False, min_length=1, max_length=2)] = ("u", "v")
-    """Directions that the bars change along: u along the azimuth, v along the elevation."""
-
     @property
-    def phases(self) -> int:
+    def steps(self) -> int:
         """Images of each direction."""
-        return self.shifts
+        return self.phases if self.kind == "sine" else self.shifts
 
-
-def _kind_of_pattern(pattern: object) -> str:
-    return str(fields.value_of(pattern, "kind") or "sine")
+    @field_validator("phases", "shifts", "duty")
+    @classmethod
+    def _of_kind(cls, value: float, info: ValidationInfo) -> float:
+        kind = info.data.get("kind")
+        if kind is not None and (kind == "sine") != (info.field_name == "phases"):
+            raise fields.complaint(f"a pattern of kind {kind} has no such key; leave it out")
+        return value
 
 
 def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
@@ -112,7 +107,11 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
         upper = math.degrees(math.acos(0.5 * max(0.0, numbers.get("camera_hole_mm", 0.0)) / widest))
         if numbers.get("lower_elevation_deg", 0.0) >= upper:
             lower = raw["lower_elevation_deg"]
-            yield ("lower_elevation_deg",), lower, fields.complaint(f"expected less than {upper:.4g}, where the hole is")
+            yield (
+                ("lower_elevation_deg",),
+                lower,
+                fields.complaint(f"expected less than {upper:.4g}, where the hole is"),
+            )
     counts = numbers.get("columns", 0), numbers.get("rows", 0)
     if any(numbers.get("led_mm", 0.0) * count > side for side, count in zip(size, counts, strict=False)):
         yield ("led_mm",), raw["led_mm"], fields.complaint("the LEDs overlap; expected at most size_mm by their number")
@@ -217,13 +216,7 @@ class LightConfig(fields.Frozen):
     """coaxial: share of the light that the beam splitter lets pass; 0.5 if absent."""
     reflection: _Share | None = None
     """coaxial: share of the light that the beam splitter reflects; 0.5 if absent."""
-    pattern: (
-        Annotated[
-            Annotated[SinePatternConfig, Tag("sine")] | Annotated[BarPatternConfig, Tag("bars")],
-            Discriminator(_kind_of_pattern),
-        ]
-        | None
-    ) = None
+    pattern: PatternConfig | None = None
     """display: stripes (sine) or bars, each image of which is a channel; a uniform display if absent."""
 
     _channel: int = PrivateAttr(default=0)
@@ -247,7 +240,7 @@ class LightConfig(fields.Frozen):
             assert self.columns is not None
             return self.rows * self.columns
         if self.pattern is not None:
-            return self.pattern.phases * len(self.pattern.directions)
+            return self.pattern.steps * len(self.pattern.directions)
         return self.segments or 1
 
     @model_validator(mode="wrap")

@@ -221,10 +221,7 @@ def outlines(light: PanelLight) -> Float64:
 
 
 def plane_elements(
-    size: tuple[float, float],
-    cells: tuple[int, int],
-    *,
-    centre: tuple[float, float] = (0.0, 0.0),
+    size: tuple[float, float], cells: tuple[int, int], *, centre: tuple[float, float] = (0.0, 0.0)
 ) -> Float64:
     """Elements of a rectangle in the light's plane, shape (e, ELEMENT_NUMBERS).
 

@@ -17,14 +17,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import (
-    RADIANCE,
-    Element,
-    SurfaceLight,
-    element_at,
-    element_place,
-    element_weight,
-)
+from lightopt.lights import RADIANCE, Element, SurfaceLight, element_at, element_place, element_weight
 from lightopt.optics import MIN_COS_VIEW, Reflectance, specular_cosine, specular_lobe
 from lightopt.rendering._panel_quadrature import (
     NODES,
@@ -388,9 +381,7 @@ def _visibility(surface: SurfacePoints, elements: Float64, caster: RayCaster | N
     return surface.front & ~hidden, hidden
 
 
-def _free_pieces(
-    surface: SurfacePoints, elements: Float64, caster: RayCaster, element: Index, point: Index
-) -> Bool:
+def _free_pieces(surface: SurfacePoints, elements: Float64, caster: RayCaster, element: Index, point: Index) -> Bool:
     # which pieces of an element a point sees, shape (pairs, PIECES²)
     number = PIECES * PIECES
     targets = _piece_targets(elements)

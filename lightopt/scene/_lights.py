@@ -200,9 +200,9 @@ def _offset(size: float, index: int, count: int) -> float:
 def _pattern(light: LightConfig) -> Float64:
     pattern = light.pattern
     assert pattern is not None
-    direction, step = divmod(light.channel, pattern.phases)
+    direction, step = divmod(light.channel, pattern.steps)
     axis = "uv".index(pattern.directions[direction])
-    period, phase = pattern.period_mm, -2.0 * math.pi * step / pattern.phases
+    period, phase = pattern.period_mm, -2.0 * math.pi * step / pattern.steps
     if pattern.kind == "bars":
         return bar_terms(axis, period=period, phase=phase, duty=pattern.duty)
     return sine_terms(axis, period=period, phase=phase)

@@ -219,7 +219,11 @@ def emitter(kind, *, elevation=90.0, azimuth=270.0, distance=0.0, gain=1.0, chan
         own += [cap(size["radius"], low, high, factor=leak / segments)] if leak else []
     elif kind == "led_array":
         (rows, columns), led = size["grid"], size["led"]
-        at = [(width * ((i + 0.5) / columns - 0.5), height * ((j + 0.5) / rows - 0.5)) for j in range(rows) for i in range(columns)]
+        at = [
+            (width * ((i + 0.5) / columns - 0.5), height * ((j + 0.5) / rows - 0.5))
+            for j in range(rows)
+            for i in range(columns)
+        ]
         whole = [rectangle(led, led, x, y) for x, y in at]
         own = [whole[channel]]
     else:

@@ -34,6 +34,7 @@ def load(folder: Path, light: str):
         ("kind: low_angle_ring, radius_mm: 90, height_mm: 9, segments: 2", ["x-1", "x-2"]),
         ("kind: led_array, size_mm: [20, 20], rows: 2, columns: 2, led_mm: 10, distance_mm: 9", [f"x-{i}" for i in range(1, 5)]),
         ("kind: display, size_mm: [20, 20], distance_mm: 9, pattern: {period_mm: 4, phases: 3}", [f"x-{i}" for i in range(1, 7)]),
+        ("kind: display, size_mm: [20, 20], distance_mm: 9, pattern: {kind: bars, period_mm: 4, shifts: 2, directions: [v]}", ["x-1", "x-2"]),
     ],
 )  # fmt: skip
 def test_channels_are_lights(light: str, names: list[str], tmp_path: Path) -> None:
@@ -78,6 +79,9 @@ def test_channels_are_lights(light: str, names: list[str], tmp_path: Path) -> No
         ("kind: dome, radius_mm: 50, segments: 0", "segments", "expected a whole number from 1 to 256, found 0"),
         ("kind: coaxial, size_mm: [9, 9], distance_mm: 9, reflection: -1", "reflection", "expected a number from 0 to 1, found -1"),
         ("kind: display, size_mm: [9, 9], distance_mm: 9, pattern: {period_mm: 4, phases: 2}", "pattern.phases", "fewer give no phase, found 2"),
+        ("kind: display, size_mm: [9, 9], distance_mm: 9, pattern: {kind: bars, period_mm: 4, phases: 4}", "pattern.phases", "a pattern of kind bars has no such key"),
+        ("kind: display, size_mm: [9, 9], distance_mm: 9, pattern: {period_mm: 4, duty: 0.3}", "pattern.duty", "a pattern of kind sine has no such key"),
+        ("kind: display, size_mm: [9, 9], distance_mm: 9, pattern: {kind: bars, period_mm: 4, duty: 1}", "pattern.duty", "expected a number between 0 and 1, found 1"),
         ("kind: display, size_mm: [9, 9], distance_mm: 9, pattern: {period_mm: 0}", "pattern.period_mm", "found 0"),
         ("kind: display, size_mm: [9, 9], distance_mm: 9, pattern: {period_mm: 4, directions: [w]}", "pattern.directions[0]", "expected u or v"),
         ("kind: display, size_mm: [9, 9], distance_mm: 9, pattern: {period_mm: 4, directions: []}", "pattern.directions", "found"),

@@ -53,7 +53,9 @@ def at(distance: float, elevation: float = 90.0, azimuth: float = 270.0) -> tupl
     return file, {"distance": distance, "elevation": elevation, "azimuth": azimuth}
 
 
-def kind(name: str, place: tuple[dict[str, Any], dict[str, Any]], file: dict[str, Any], reference: dict[str, Any]) -> Any:
+def kind(
+    name: str, place: tuple[dict[str, Any], dict[str, Any]], file: dict[str, Any], reference: dict[str, Any]
+) -> Any:
     return {"kind": name, **place[0], **file}, {"kind": name, **place[1], **reference}
 
 
@@ -305,7 +307,8 @@ BLOCK = np.array([[12.0, -30.0, 15.0], [40.0, 30.0, 45.0]])
 def test_a_part_hides_some_of_a_light(name: str, sigma: float) -> None:
     """A block beside the sphere, against a ray to each node of the reference.
 
-    Diffuse light is off by what one element more or less gives at a shadow's edge, highlights by a sixteenth of one.
+    At a shadow's edge diffuse light is off by a part of an element, a highlight by a part of a sixteenth of one; here
+    the root mean squares are up to 6.3 % and 2.7 % of the most that is hidden.
     """
     file, words = KINDS[name]
     light = built(**file)[0]
@@ -321,7 +324,7 @@ def test_a_part_hides_some_of_a_light(name: str, sigma: float) -> None:
     found = layers(surface, [light], sigma, R_s=TOP / peak, caster=caster)[:, 0]
     expected = expected_layers(surface, words, sigma, visible=visible)
     free = layers(surface, [light], sigma, R_s=TOP / peak)[:, 0]
-    error, hidden = np.abs(found - expected), free - expected
-    assert R_D * hidden[0].max() > 5.0
-    assert 2.0 * (TOP / peak) * hidden[1].max() > 30.0
-    print(name, sigma, "diffuse %.4f %.4f of" % (R_D * error[0].max(), R_D * np.sqrt((error[0]**2).mean())), R_D * hidden[0].max(), "specular", TOP * error[1].max() / peak, TOP * np.sqrt((error[1]**2).mean()) / peak, "of", TOP * hidden[1].max() / peak)
+    off, hidden = np.sqrt(np.mean((found - expected) ** 2, axis=1)), (free - expected).max(axis=1)
+    assert np.all(hidden > [0.2 * free[0].max(), 0.15 * peak]), "no shadow"
+    assert off[0] <= 0.08 * hidden[0]
+    assert off[1] <= 0.04 * hidden[1]
