@@ -1,5 +1,6 @@
 """The lights of a rig file: panels, and lights of other shapes with one channel or several."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
@@ -9,6 +10,7 @@ from pydantic import (
     SerializerFunctionWrapHandler,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
+    field_serializer,
     field_validator,
     model_serializer,
     model_validator,
@@ -38,9 +40,12 @@ _PLACE_KEYS = ("name", "kind", "distance_mm", "elevation_deg", "azimuth_deg", "g
 _RANGE_KEYS = ("elevation_range_deg", "azimuth_range_deg")
 
 MOST_CHANNELS = 256
+_AROUND_PART = ("dome", "low_angle_ring", "tunnel")  # kinds of light that may have the origin in their middle
 
 _Distance = Annotated[
-    float, Field(ge=0, le=1e6), fields.expecting("a length between 0.001 and 1000000 (a number); a dome may be at 0")
+    float,
+    Field(ge=0, le=1e6),
+    fields.expecting("a length between 0.001 and 1000000 (a number); a light around the part may be at 0"),
 ]
 _Segments = Annotated[int, Field(ge=1, le=MOST_CHANNELS), fields.expecting(f"a whole number from 1 to {MOST_CHANNELS}")]
 _Tilt = Annotated[float, Field(ge=0, lt=90), fields.expecting("degrees from 0 to less than 90 (a number)")]
@@ -53,18 +58,22 @@ _Exponent = Annotated[float, Field(ge=0, le=1000), fields.expecting("a number fr
 _AUTO_SUM = "sum cannot be used with points: auto, a continuous panel; use mean"
 
 
-class SinePatternConfig(fields.Frozen):
+class PatternConfig(fields.Frozen):
     """Stripes of a display that move by steps of a period: one image for each step and direction."""
 
-    kind: Literal["sine"] = "sine"
-    """Kind of pattern: sine, of levels from black to full."""
+    kind: Literal["sine", "bars"] = "sine"
+    """Kind of pattern: sine, of levels from black to full; bars, full or black."""
     period_mm: fields.Length
     """Length of a period on the display [mm]."""
     second_period_mm: fields.Length | None = None
-    """Length of the period of as many further images of each direction, longer than period_mm [mm]: both phases
+    """sine: length of the period of as many further images of each direction, longer than period_mm [mm]: both phases
     together give the place on the display; no such images if absent."""
     phases: Annotated[int, Field(ge=3, le=64), fields.expecting("a whole number from 3 to 64: fewer give no phase")] = 4
-    """Images of each direction, each moved by period / phases."""
+    """sine: images of each direction, each moved by period / phases."""
+    shifts: Annotated[int, Field(ge=1, le=64), fields.expecting("a whole number from 1 to 64")] = 4
+    """bars: images of each direction, each moved by period / shifts."""
+    duty: Annotated[float, Field(gt=0, lt=1), fields.expecting("a number between 0 and 1")] = 0.5
+    """bars: share of a period that is bright."""
     directions: Annotated[tuple[Literal["u", "v"], ...], Field(strict=False, min_length=1, max_length=2)] = ("u", "v")
     """Directions that the stripes change along: u along the azimuth, v along the elevation."""
 
@@ -88,13 +97,27 @@ class SinePatternConfig(fields.Frozen):
         beat = self.period_mm * self.second_period_mm / (self.second_period_mm - self.period_mm)
         return max(self.second_period_mm, beat)
 
+    @property
+    def steps(self) -> int:
+        """Images of each direction."""
+        return self.phases if self.kind == "sine" else self.shifts
+
+    @field_validator("phases", "shifts", "duty", "second_period_mm")
+    @classmethod
+    def _of_kind(cls, value: float | None, info: ValidationInfo) -> float | None:
+        kind = info.data.get("kind")
+        of_sine = info.field_name in ("phases", "second_period_mm")
+        if kind is not None and value is not None and (kind == "sine") != of_sine:
+            raise fields.complaint(f"a pattern of kind {kind} has no such key; leave it out")
+        return value
+
 
 def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
     """Complaints about keys that a kind of light lacks, does not have, or that exclude each other."""
     needed, others = _KEYS_OF_KIND[kind]
     for key in needed:
         if raw.get(key) is None:
-            yield (), raw, fields.absent(f'missing key "{key}", which a light of kind {kind} needs', key)
+            yield (key,), raw, fields.absent(f'missing key "{key}", which a light of kind {kind} needs', key)
     known = set(LightConfig.model_fields)
     for key in raw:
         if key in known and raw[key] is not None and key not in (*_PLACE_KEYS, *_RANGE_KEYS, *needed, *others):
@@ -108,7 +131,7 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
     pattern = fields.mapping(raw.get("pattern"))
     lengths = [one for key in ("period_mm", "second_period_mm") if isinstance(one := pattern.get(key), (int, float))]
     if len(lengths) == 2 and 0 < lengths[0] < lengths[1] and len(size) == 2:
-        unambiguous = SinePatternConfig(period_mm=lengths[0], second_period_mm=lengths[1]).unambiguous_mm
+        unambiguous = PatternConfig(period_mm=lengths[0], second_period_mm=lengths[1]).unambiguous_mm
         if unambiguous < max(size) + lengths[0]:
             reason = f"the phases repeat after {unambiguous:.4g} mm; expected at least the display's longer side and a"
             reason += f" period, {max(size) + lengths[0]:g} mm: a longer second period, or one closer to period_mm"
@@ -119,6 +142,20 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
         yield ("camera_hole_mm",), raw["camera_hole_mm"], fields.complaint(f"expected less than {widest:g}")
     if numbers.get("slot_mm", 0.0) >= 2.0 * numbers.get("radius_mm", 1e9):
         yield ("slot_mm",), raw["slot_mm"], fields.complaint("expected less than the tunnel's diameter")
+    if kind not in _AROUND_PART and numbers.get("distance_mm") == 0:
+        yield ("distance_mm",), 0, fields.complaint(f"a light of kind {kind} cannot stand at the origin")
+    if kind == "dome" and widest and numbers.get("camera_hole_mm", 0.0) < widest:
+        upper = math.degrees(math.acos(0.5 * max(0.0, numbers.get("camera_hole_mm", 0.0)) / widest))
+        if numbers.get("lower_elevation_deg", 0.0) >= upper:
+            lower = raw["lower_elevation_deg"]
+            yield (
+                ("lower_elevation_deg",),
+                lower,
+                fields.complaint(f"expected less than {upper:.4g}, where the hole is"),
+            )
+    counts = numbers.get("columns", 0), numbers.get("rows", 0)
+    if any(numbers.get("led_mm", 0.0) * count > side for side, count in zip(size, counts, strict=False)):
+        yield ("led_mm",), raw["led_mm"], fields.complaint("the LEDs overlap; expected at most size_mm by their number")
 
 
 class LightSourceConfig(fields.Frozen):
@@ -220,8 +257,8 @@ class LightConfig(fields.Frozen):
     """coaxial: share of the light that the beam splitter lets pass; 0.5 if absent."""
     reflection: _Share | None = None
     """coaxial: share of the light that the beam splitter reflects; 0.5 if absent."""
-    pattern: SinePatternConfig | None = None
-    """display: stripes, each image of which is a channel; a uniform display if absent."""
+    pattern: PatternConfig | None = None
+    """display: stripes (sine) or bars, each image of which is a channel; a uniform display if absent."""
 
     _channel: int = PrivateAttr(default=0)
     _entry: int = PrivateAttr(default=0)
@@ -277,8 +314,13 @@ class LightConfig(fields.Frozen):
             assert self.columns is not None
             return self.rows * self.columns
         if self.pattern is not None:
-            return self.pattern.phases * len(self.pattern.directions) * len(self.pattern.periods_mm)
+            return self.pattern.steps * len(self.pattern.directions) * len(self.pattern.periods_mm)
         return self.segments or 1
+
+    @field_serializer("pattern")
+    def _keys_of_pattern(self, pattern: PatternConfig | None) -> dict[str, Any] | None:
+        # the keys of the other kind are none of its own
+        return None if pattern is None else pattern.model_dump(exclude_unset=True)
 
     @model_validator(mode="wrap")
     @classmethod

@@ -26,7 +26,7 @@ from lightopt.lights._pattern import UNIFORM
 
 PLANE, CONE, SPHERE, FRAME = 0, 1, 2, 3
 
-_NODES = 8  # Gauss–Legendre nodes a side of an element, for its area, centre and brightness
+_NODES = 8  # a side of an element, for its brightness and its outline
 
 
 class Element(NamedTuple):
@@ -125,19 +125,18 @@ def element_weight(e: Element, towards: Vector, along_u: Vector, along_v: Vector
 
 
 @kernel
-def light_at(rows: Float64, points: Float64) -> Float64:
-    """∫ cosα/r² dA of all elements of radiance 1 at some points, shape (k,), by 8 × 8 midpoints of each element."""
-    found = np.zeros(len(points))
-    for k in range(len(points)):
-        p = Vector(points[k, 0], points[k, 1], points[k, 2])
-        for i in range(len(rows)):
-            e = element_at(rows, i)
-            du, dv = (e.u1 - e.u0) / _NODES, (e.v1 - e.v0) / _NODES
-            for m in range(_NODES):
-                for n in range(_NODES):
-                    q, along_u, along_v = element_place(e, e.u0 + (m + 0.5) * du, e.v0 + (n + 0.5) * dv)
-                    found[k] += element_weight(e, minus(q, p), along_u, along_v) / e.radiance * du * dv
-    return found
+def _light_at(rows: Float64, p: Vector, nodes: Float64, weights: Float64) -> float:
+    # ∫ L·cosα/r² dA of all elements at a point
+    total = 0.0
+    for i in range(len(rows)):
+        e = element_at(rows, i)
+        for m in range(len(nodes)):
+            for n in range(len(nodes)):
+                u, v = e.u0 + nodes[m] * (e.u1 - e.u0), e.v0 + nodes[n] * (e.v1 - e.v0)
+                q, along_u, along_v = element_place(e, u, v)
+                area = weights[m] * weights[n] * (e.u1 - e.u0) * (e.v1 - e.v0)
+                total += element_weight(e, minus(q, p), along_u, along_v) * area
+    return total
 
 
 @kernel
@@ -360,7 +359,8 @@ def surface_light(
     everything = elements if whole is None else whole
     # the origin of the world, seen from the light
     rotation = np.stack([panel.across, panel.along, panel.outward], axis=1)
-    total = float(light_at(everything, (-panel.centre @ rotation)[None])[0])
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    total = _light_at(everything, Vector(*(-panel.centre @ rotation).tolist()), 0.5 * nodes + 0.5, 0.5 * weights)
     own = elements.copy()
     own[:, RADIANCE] /= total
     _bound(own)

@@ -21,6 +21,7 @@ from lightopt.lights import RADIANCE, Element, SurfaceLight, element_at, element
 from lightopt.optics import MIN_COS_VIEW, Reflectance, specular_cosine, specular_lobe
 from lightopt.rendering._panel_quadrature import (
     NODES,
+    WEIGHTS,
     Rectangle,
     half_vector_cone,
     half_vector_map,
@@ -155,12 +156,18 @@ def specular_of_element(
             count_t = count
         else:
             count_s = count
-    weights_s, weights_t = np.empty((len(terms), count_s)), np.empty((len(terms), count_t))
+    weights_s, weights_t = np.empty((len(terms), count_s)), np.empty((len(terms) + 1, count_t))
+    # sums along v, of which terms of u have one in common, the first
+    row_of, rows = np.zeros(len(terms), np.int64), 1
+    weights_t[0] = WEIGHTS[count_t, :count_t]
     for b in range(len(terms)):
         pattern_weights(terms[b], 0, window.s0, width, count_s, False, weights_s[b])
-        pattern_weights(terms[b], 1, window.t0, height, count_t, False, weights_t[b])
+        if terms[b, 2] != 0.0 and int(terms[b, 1]) == 1:
+            pattern_weights(terms[b], 1, window.t0, height, count_t, False, weights_t[rows])
+            row_of[b] = rows
+            rows += 1
     factor = width * height / specular_cosine(n_dot_v)
-    row = np.empty(len(terms))
+    row = np.empty(rows)
     for i in range(count_s):
         at_s = window.s0 + width * NODES[count_s, i]
         row[:] = 0.0
@@ -173,10 +180,10 @@ def specular_of_element(
             half = plus(divided(towards, length(towards)), v)
             chord = minus(n, divided(half, length(half)))
             value = specular_lobe(dot(chord, chord), inverse) * element_weight(e, towards, along_s, along_t)
-            for b in range(len(terms)):
-                row[b] += weights_t[b, j] * value
+            for k in range(rows):
+                row[k] += weights_t[k, j] * value
         for b in range(len(terms)):
-            found[b] += factor * weights_s[b, i] * row[b]
+            found[b] += factor * weights_s[b, i] * row[row_of[b]]
 
 
 @kernel
@@ -244,7 +251,9 @@ def _piece_targets(elements: Float64) -> Float64:
         e = element_at(elements, m)
         for k in range(PIECES * PIECES):
             area = _piece(e, k)
-            q, _, _ = element_place(e, 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1))
+            # no two pieces in line, so that an edge along a side is met at PIECES² places, not at PIECES
+            s, t = (k % PIECES + 0.5) / PIECES, (k // PIECES + 0.5) / PIECES
+            q, _, _ = element_place(e, area.s0 + s * (area.s1 - area.s0), area.t0 + t * (area.t1 - area.t0))
             row = m * PIECES * PIECES + k
             targets[row, 0], targets[row, 1], targets[row, 2] = q.x, q.y, q.z
     return targets

@@ -15,6 +15,7 @@ from lightopt.lights import (
     RADIANCE,
     PanelLight,
     SurfaceLight,
+    bar_terms,
     cone_elements,
     frame_elements,
     half_pipe_elements,
@@ -213,7 +214,10 @@ def _offset(size: float, index: int, count: int) -> float:
 def _pattern(light: LightConfig) -> Float64:
     pattern = light.pattern
     assert pattern is not None
-    block, step = divmod(light.channel, pattern.phases)
-    direction, period = divmod(block, len(pattern.periods_mm))
+    block, step = divmod(light.channel, pattern.steps)
+    direction, number = divmod(block, len(pattern.periods_mm))
     axis = "uv".index(pattern.directions[direction])
-    return sine_terms(axis, period=pattern.periods_mm[period], phase=-2.0 * math.pi * step / pattern.phases)
+    period, phase = pattern.periods_mm[number], -2.0 * math.pi * step / pattern.steps
+    if pattern.kind == "bars":
+        return bar_terms(axis, period=period, phase=phase, duty=pattern.duty)
+    return sine_terms(axis, period=period, phase=phase)

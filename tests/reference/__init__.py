@@ -7,6 +7,7 @@ in degrees, triangles as (F, 3, 3) corners in the world frame with (F, 3, 3) uni
 from __future__ import annotations
 
 from ._casting import Hits, blocked, closest, trace
+from ._emitters import Emitter, emitter
 from ._frames import Camera, Light, posed, posed_normals
 from ._matched_filter import matched_filter, summed_blocks
 from ._panel import equally_spaced, panel_radiance, product_rule, subtract_convex
@@ -14,11 +15,13 @@ from ._shading import LayerImage, in_shadow, point_terms, render
 
 __all__ = [
     "Camera",
+    "Emitter",
     "Hits",
     "LayerImage",
     "Light",
     "blocked",
     "closest",
+    "emitter",
     "equally_spaced",
     "in_shadow",
     "matched_filter",

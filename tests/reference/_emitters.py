@@ -25,16 +25,15 @@ class Patch:
     period: float = np.inf
 
     def nodes(self, cells, n):
-        """Places, area vectors times factor (C, n², 3), of n × n Gauss–Legendre nodes in cells (C, 4)."""
+        """Places, area vectors (C, n², 3) and factors (C, n²) of n × n Gauss–Legendre nodes in cells (C, 4)."""
         x, w = np.polynomial.legendre.leggauss(n)
         x, w = 0.5 * x + 0.5, 0.5 * w
         u0, u1, v0, v1 = (c[:, None, None] for c in cells.T)
         u, v = np.broadcast_arrays(u0 + (u1 - u0) * x[:, None], v0 + (v1 - v0) * x[None, :])
         places, shining = self.at(u, v)
-        weight = self.factor * np.outer(w, w) * (u1 - u0) * (v1 - v0)
-        if self.pattern is not None:
-            weight = weight * self.pattern(u, v)
-        return places.reshape(len(cells), -1, 3), (shining * weight[..., None]).reshape(len(cells), -1, 3)
+        shining = shining * (np.outer(w, w) * (u1 - u0) * (v1 - v0))[..., None]
+        factor = self.factor * np.ones_like(u) if self.pattern is None else self.factor * self.pattern(u, v)
+        return places.reshape(len(cells), -1, 3), shining.reshape(len(cells), -1, 3), factor.reshape(len(cells), -1)
 
     def grid(self, n):
         u, v = np.linspace(*self.sides[:2], n + 1), np.linspace(*self.sides[2:], n + 1)
@@ -105,18 +104,16 @@ class Emitter:
     centre: np.ndarray
     radiance: float = 1.0
 
-    def world(self, places, shining):
-        return places @ self.rotation.T + self.centre, self.radiance * shining @ self.rotation.T
+    def world(self, places, shining, factor):
+        return places @ self.rotation.T + self.centre, self.radiance * shining @ self.rotation.T, factor
 
     def flux(self, point, n=64):
         """∫ L cosα / r² dA at a point."""
         total = 0.0
         for patch in self.patches:
-            places, shining = self.world(*patch.nodes(patch.grid(n), 2))
+            places, shining, factor = self.world(*patch.nodes(patch.grid(n), 2))
             away = point - places
-            total += (np.maximum(0, dot(shining * np.sign(patch.factor), away)) / dot(away, away) ** 1.5).sum() * (
-                np.sign(patch.factor)
-            )
+            total += (factor * np.maximum(0, dot(shining, away)) / dot(away, away) ** 1.5).sum()
         return total
 
     def light(self, point, normal, view, sigma, *, visible=None, diffuse_cells=48):
@@ -134,12 +131,11 @@ class Emitter:
     def _sum(self, patch, cells, point, normal, view, sigma, visible):
         if not len(cells):
             return 0.0
-        sign = np.sign(patch.factor)
-        places, shining = self.world(*patch.nodes(cells, 2 if sigma is None else 4))
+        places, shining, factor = self.world(*patch.nodes(cells, 2 if sigma is None else 4))
         away = point - places
         r = np.sqrt(dot(away, away))
         to_light = -away / r[..., None]
-        strength = sign * np.maximum(0, sign * dot(shining, away)) / r**3
+        strength = factor * np.maximum(0, dot(shining, away)) / r**3
         cosine = dot(to_light, normal)
         if visible is not None:
             strength = strength * visible(places)
@@ -196,6 +192,11 @@ def emitter(kind, *, elevation=90.0, azimuth=270.0, distance=0.0, gain=1.0, chan
     if kind in ("bar", "flat_dome", "coaxial", "display"):
         whole = [rectangle(width, height)]
         own = [rectangle(width, height, pattern=size.get("pattern"), period=size.get("period", np.inf))]
+        if "bars" in size:  # each a rectangle of its own, in the middle of a period where x is a multiple of it
+            period, duty = size["bars"]
+            middles = period * np.arange(-(width // period) - 1, width // period + 2)
+            ends = [np.clip((x - duty * period / 2, x + duty * period / 2), -width / 2, width / 2) for x in middles]
+            own = [rectangle(b - a, height, x=(a + b) / 2) for a, b in ends if b > a]
         if kind == "flat_dome" and hole:
             own = whole = [*whole, annulus(0.0, hole / 2, factor=-1.0)]
         if kind == "coaxial":
