@@ -40,8 +40,16 @@ lights:
     pattern: {{period_mm: 25, second_period_mm: 450, phases: 4}}
 """
 OTHERS = """\
-  - {name: dome, kind: dome, radius_mm: 150, camera_hole_mm: 40, segments: 4, lower_elevation_deg: 10}
-  - {name: leds, kind: led_array, size_mm: [200, 100], rows: 1, columns: 5, led_mm: 20, distance_mm: 200, gain: 0.3}
+  - {name: dome, kind: dome, radius_mm: 150, camera_hole_mm: 70, segments: 4, lower_elevation_deg: 10}
+  - name: leds
+    kind: led_array
+    size_mm: [200, 100]
+    rows: 1
+    columns: 5
+    led_mm: 20
+    distance_mm: 250
+    elevation_deg: 60
+    gain: 0.3
 """
 PART = """\
 format: lightopt-part/1
