@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from lightopt.comparison._results import (
 )
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import CheckFailed, InputError, counted
+from lightopt.core.provenance import differences, provenance
 from lightopt.core.run_context import RunContext
 from lightopt.design import (
     BlindReason,
@@ -65,6 +67,9 @@ def compare_lighting(
     part = part if isinstance(part, PartConfig) else load_part(part)
     options = replace(options, objectives=("detectability",), images=False)
     loaded = _loaded([Path(rig) for rig in rigs])
+    facts = _provenance(loaded, part, options, plan)
+    if not force:
+        _refuse_other_comparison(folder / DOCUMENT, facts)
     found: list[SystemResult] = []
     unusable: list[UnusableSystem] = []
     warnings: dict[str, None] = {}
@@ -99,6 +104,7 @@ def compare_lighting(
     comparison = LightingComparison(
         part=part,
         options=options,
+        provenance=facts,
         systems=tuple(found),
         unusable=tuple(unusable),
         warnings=tuple(warnings),
@@ -106,6 +112,30 @@ def compare_lighting(
     )
     _write(comparison, folder, force=force)
     return comparison
+
+
+def _provenance(
+    rigs: Mapping[str, RigConfig], part: PartConfig, options: OptimizeOptions, plan: PlanOptions
+) -> dict[str, Any]:
+    inputs = {"part": {"file": part.source.path.name, "sha256": part.source.sha256}}
+    inputs |= {name: {"file": rig.source.path.name, "sha256": rig.source.sha256} for name, rig in rigs.items()}
+    names = ("step_deg", "points", "min_images", "false_alarms", "patch_budget", "report")
+    postures = None if options.postures is None else [posture.as_dict() for posture in options.postures]
+    return provenance(
+        inputs, {**{name: getattr(options, name) for name in names}, "postures": postures, **plan.facts()}
+    )
+
+
+def _refuse_other_comparison(path: Path, facts: Mapping[str, Any]) -> None:
+    if not path.exists():
+        return
+    try:
+        other = json.loads(path.read_text(encoding="utf-8"))["provenance"]
+    except (ValueError, KeyError, TypeError):
+        other = {}
+    if changes := differences(other, facts):
+        advice = "use option 'force' to replace it, or choose another output folder"
+        raise InputError(f"{path}: the result of another comparison ({changes}); {advice}")
 
 
 def _loaded(paths: Sequence[Path]) -> dict[str, RigConfig]:

@@ -9,7 +9,6 @@ from typing import Any
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool, Float32
-from lightopt.core.provenance import computed_by
 from lightopt.design import OptimizeOptions
 
 
@@ -60,6 +59,7 @@ class LightingComparison:
 
     part: PartConfig
     options: OptimizeOptions
+    provenance: Mapping[str, Any]
     systems: tuple[SystemResult, ...]
     unusable: tuple[UnusableSystem, ...]
     warnings: tuple[str, ...]
@@ -100,14 +100,9 @@ def comparison_document(comparison: LightingComparison) -> dict[str, Any]:
         }
         for one in comparison.systems
     ]
-    options = comparison.options
     return {
         "format": "lightopt-lighting-comparison/1",
-        "provenance": {
-            **computed_by(),
-            "part": {"file": comparison.part.source.path.name, "sha256": comparison.part.source.sha256},
-            "options": {"min_images": options.min_images, "false_alarms": options.false_alarms},
-        },
+        "provenance": dict(comparison.provenance),
         "systems": systems,
         "unusable": [asdict(one) for one in comparison.unusable],
     }
