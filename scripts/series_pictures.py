@@ -40,8 +40,16 @@ lights:
     pattern: {{period_mm: 25, second_period_mm: 450, phases: 4}}
 """
 OTHERS = """\
-  - {name: dome, kind: dome, radius_mm: 150, camera_hole_mm: 40, segments: 4, lower_elevation_deg: 10}
-  - {name: leds, kind: led_array, size_mm: [200, 100], rows: 1, columns: 5, led_mm: 20, distance_mm: 200, gain: 0.3}
+  - {name: dome, kind: dome, radius_mm: 150, camera_hole_mm: 70, segments: 4, lower_elevation_deg: 10}
+  - name: leds
+    kind: led_array
+    size_mm: [200, 100]
+    rows: 1
+    columns: 5
+    led_mm: 20
+    distance_mm: 250
+    elevation_deg: 60
+    gain: 0.3
 """
 PART = """\
 format: lightopt-part/1
@@ -126,11 +134,13 @@ def invert(folder: Path) -> None:
     """The inverse pattern for a sphere of radius 80 mm."""
     (folder / "mirror.stl").write_bytes(stl_bytes(sphere_mesh(80.0)))
     dent = "defects:\n  - {name: dent, kind: dent, at_mm: [0, -18, 77.95], size_mm: 3, slope_deg: 0.1}\n"
-    for sigma, period in ((0.003, 16), (0.005, 16), (0.01, 16), (0.005, 8), (0.005, 0)):
+    cases = (0.003, 16, "64x48"), (0.003, 16, "128x96"), (0.005, 16, "64x48"), (0.01, 16, "64x48")
+    for sigma, period, pixels in (*cases, (0.005, 8, "64x48"), (0.005, 0, "64x48")):
         write_world(folder, sigma=sigma, tilt=0, low=-160, defects=dent)
-        print(f"sigma {sigma:g}, period {period} px", flush=True)
+        print(f"sigma {sigma:g}, period {period} px, picture of {pixels}", flush=True)
         files = folder / "rig.yaml", folder / "part.yaml"
-        command("inverse-pattern", *files, "--light", "lcd", "--period-px", period, "-o", folder / "p.png", "--force")
+        options = "--light", "lcd", "--period-px", period, "--pixels", pixels, "--force"
+        command("inverse-pattern", *files, *options, "-o", folder / "p.png")
 
 
 def series_pictures(target: Path) -> None:

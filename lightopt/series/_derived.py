@@ -194,7 +194,7 @@ def _quadrants(series: _Series) -> Channels:
     # their middles are at 45°, 135°, 225° and 315° from the light's own x
     ne, nw, sw, se = series.images
     total = series.images.sum(axis=0)
-    total = np.where(total >= series.least, total, np.nan)
+    total = np.where(total >= 2.0 * series.least, total, np.nan)  # the sum has twice the noise
     return {
         "east_minus_west": (ne + se - nw - sw) / total,
         "north_minus_south": (ne + nw - se - sw) / total,

@@ -20,7 +20,14 @@ from lightopt.series._stripes import absolute_place, demodulate, phase_gradient
 
 LIGHTS = """\
   - {name: dome, kind: dome, radius_mm: 150, camera_hole_mm: 40, segments: 4, lower_elevation_deg: 10, gain: 1.5}
-  - {name: leds, kind: led_array, size_mm: [200, 100], rows: 1, columns: 3, led_mm: 8, distance_mm: 200}
+  - name: leds
+    kind: led_array
+    size_mm: [200, 100]
+    rows: 1
+    columns: 3
+    led_mm: 8
+    distance_mm: 200
+    elevation_deg: 60
   - name: lcd
     kind: display
     size_mm: [300, 200]
