@@ -34,6 +34,8 @@ _Distance = Annotated[
     float, Field(ge=0, le=1e6), fields.expecting("a length between 0.001 and 1000000 (a number); a dome may be at 0")
 ]
 _Segments = Annotated[int, Field(ge=1, le=MOST_CHANNELS), fields.expecting(f"a whole number from 1 to {MOST_CHANNELS}")]
+_Tilt = Annotated[float, Field(ge=0, lt=90), fields.expecting("degrees from 0 to less than 90 (a number)")]
+_HalfAngle = Annotated[float, Field(gt=0, lt=60), fields.expecting("degrees above 0 and below 60 (a number)")]
 _Share = Annotated[float, Field(ge=0, le=1), fields.expecting("a number from 0 to 1")]
 
 _Normalisation = Literal["mean", "sum"]
@@ -66,10 +68,6 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
         if key in known and key not in (*_PLACE_KEYS, *_RANGE_KEYS, *needed, *others):
             yield (key,), raw[key], fields.complaint(f"a light of kind {kind} has no such key; leave it out")
     numbers = {key: value for key, value in raw.items() if isinstance(value, (int, float))}
-    several = any(numbers.get(key, 1) > 1 for key in ("segments", "rows", "columns")) or raw.get("pattern") is not None
-    for key in _RANGE_KEYS:
-        if several and raw.get(key) is not None:
-            yield (key,), raw[key], fields.complaint("a light of several channels is fixed; leave the range out")
     if numbers.get("rows", 1) * numbers.get("columns", 1) > MOST_CHANNELS:
         yield ("rows",), raw["rows"], fields.complaint(f"expected at most {MOST_CHANNELS} LEDs in all")
     if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
@@ -155,7 +153,7 @@ class LightConfig(fields.Frozen):
     """ring: radius of the inner edge [mm]."""
     outer_radius_mm: fields.Length | None = None
     """ring: radius of the outer edge [mm]."""
-    ring_tilt_deg: Annotated[float, Field(ge=0, lt=90)] | None = None
+    ring_tilt_deg: _Tilt | None = None
     """ring: how far its surface leans towards the axis [deg]; 0 if absent."""
     height_mm: fields.Length | None = None
     """low_angle_ring: height of the ring along its axis [mm]."""
@@ -165,11 +163,11 @@ class LightConfig(fields.Frozen):
     """dome, flat_dome: diameter of the hole that the camera looks through [mm]; none if absent."""
     slot_mm: fields.Length | None = None
     """tunnel: width of the slot that the camera looks through [mm]; none if absent."""
-    lower_elevation_deg: Annotated[float, Field(ge=0, lt=90)] | None = None
+    lower_elevation_deg: _Tilt | None = None
     """dome: elevation of its lower edge, seen from the centre of its sphere [deg]; 0 if absent."""
     leak: _Share | None = None
     """dome: share of a segment's light that the wall scatters all over the dome; 0 if absent."""
-    half_angle_deg: Annotated[float, Field(gt=0, lt=60)] | None = None
+    half_angle_deg: _HalfAngle | None = None
     """spot: half the angle that its disc takes up, seen from the origin [deg]."""
     rows: _Segments | None = None
     """led_array: LEDs along the elevation; each is a channel."""
@@ -186,6 +184,7 @@ class LightConfig(fields.Frozen):
 
     _channel: int = PrivateAttr(default=0)
     _entry: int = PrivateAttr(default=0)
+    _entry_name: str | None = PrivateAttr(default=None)
 
     @property
     def channel(self) -> int:
@@ -196,6 +195,11 @@ class LightConfig(fields.Frozen):
     def entry(self) -> int:
         """Index of its entry among the lights of the file."""
         return self._entry
+
+    @property
+    def entry_name(self) -> str:
+        """Name of its entry in the file."""
+        return self._entry_name or self.name
 
     @property
     def channels(self) -> int:
@@ -211,12 +215,12 @@ class LightConfig(fields.Frozen):
     @model_validator(mode="wrap")
     @classmethod
     def _placed(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
-        raw = fields.mapping(value)
+        raw = {key: one for key, one in fields.mapping(value).items() if one is not None}
         kind = raw.get("kind", "panel")
-        if kind in _KEYS_OF_KIND:
+        if isinstance(kind, str) and kind in _KEYS_OF_KIND:
             filled = {"elevation_deg": 90.0, "azimuth_deg": 270.0} | ({"distance_mm": 0.0} if kind == "dome" else {})
             shaped = {**raw, **{key: v for key, v in filled.items() if key not in raw}}
-            return fields.with_complaints(shaped, handler, _wrong_keys(str(kind), raw))
+            return fields.with_complaints(shaped, handler, _wrong_keys(kind, raw))
         of_others = {key for keys in _KEYS_OF_KIND.values() for key in (*keys[0], *keys[1])} - {"size_mm"}
         complaints: list[fields.Complaint] = [
             ((key,), raw[key], fields.complaint("a panel has no such key; give the kind of light that has it"))
@@ -234,10 +238,8 @@ class LightConfig(fields.Frozen):
         angle = str(info.field_name).replace("_range", "")
         now = info.data.get(angle)
         if ends is not None and now is not None and not ends[0] <= now <= ends[1]:
-            raise fields.complaint(
-                f"the light is at {angle} {now:g}, outside [{ends[0]:g}, {ends[1]:g}]; "
-                "widen the range or move the light into it"
-            )
+            outside = f"outside [{ends[0]:g}, {ends[1]:g}]; widen the range or move the light into it"
+            raise fields.complaint(f"the light is at {angle} {now:g}, {outside}")
         return ends
 
 
@@ -260,6 +262,6 @@ def expanded(lights: Sequence[LightConfig]) -> tuple[LightConfig, ...]:
         for channel in range(light.channels):
             name = light.name if light.channels == 1 else f"{light.name}-{channel + 1}"
             one = light.model_copy(update={"name": name})
-            one._channel, one._entry = channel, entry
+            one._channel, one._entry, one._entry_name = channel, entry, light.name
             found.append(one)
     return tuple(found)

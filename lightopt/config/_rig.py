@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
+from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_serializer, field_validator
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig
@@ -77,6 +77,11 @@ class RigConfig(fields.FileConfig):
         # each channel becomes a light, unless that has been done
         found = fields.with_complaints(value, handler, complaints)
         return found if any(light.channel for light in found) else expanded(found)
+
+    @field_serializer("lights")
+    def _entries(self, lights: tuple[LightConfig, ...]) -> list[dict[str, Any]]:
+        # as in a file: channels of a light are one entry
+        return [{**light.model_dump(), "name": light.entry_name} for light in lights if light.channel == 0]
 
     @field_validator("hardware", mode="wrap")
     @classmethod

@@ -14,7 +14,7 @@ from lightopt.core.errors import InputError, counted
 from lightopt.design.search._combinations import CombinationSpace, Rows
 from lightopt.lights import PanelLight, outlines
 from lightopt.rendering import panels_in_part
-from lightopt.scene import PinholeCamera, Scene, area_in_view, build_camera, build_lights, lights_meet
+from lightopt.scene import PinholeCamera, Scene, build_camera, build_lights, light_area, lights_meet
 
 Angles = tuple[float, float]  # elevation and azimuth [°]
 Reason = tuple[str, str, float | None]  # text, kind and amount of an `ExcludedPosition`
@@ -94,6 +94,7 @@ class Candidates:
     """The positions to choose from."""
 
     names: tuple[str, ...]  # of the lights, in the rig's order
+    channels: tuple[tuple[int, ...], ...]  # indices of the lights that move together: channels of one light of the rig
     angles: tuple[tuple[Angles, ...], ...]  # per light: (elevation, azimuth) [°], ascending
     panels: tuple[tuple[PanelLight, ...], ...]  # per light: the panels at these positions, world frame
     left_out: tuple[ExcludedPosition, ...]
@@ -103,7 +104,7 @@ class Candidates:
     def message(self) -> str:
         """How many positions and combinations there are to choose from."""
         sizes = self.space.sizes
-        count = counted(math.prod(sizes), "combination")
+        count = counted(sum(math.prod(map(len, rows)) for rows in self.space.groups), "combination")
         return f"{' × '.join(map(str, sizes))} positions of {', '.join(self.names)}: {count} at most"
 
     def panels_at(self, combination: Sequence[int]) -> tuple[PanelLight, ...]:
@@ -128,13 +129,8 @@ def find_candidates(
     points: Point lights per panel, instead of the rig's.
     places: One fixed position per light [°], instead of the ranges.
     scene: The part in its postures; without it the part is not checked.
-    Raises InputError: No light that moves; a light without any position left.
+    Raises InputError: A light without any position left.
     """
-    if places is None and not any(map(can_move, rig.lights)):
-        raise InputError(
-            f"{rig.source.at('lights')}: no light can be moved; give one or more an elevation_range_deg or an "
-            "azimuth_range_deg"
-        )
     shared = common_elevations(rig, step_deg=step_deg) if common_elevation and places is None else None
     camera = build_camera(rig)
     left_out: list[ExcludedPosition] = []
@@ -149,7 +145,7 @@ def find_candidates(
             else:
                 left_out.append(ExcludedPosition(panel.name, *at, *reason))
         possible.append(free)
-    clashes = _clashes(possible)
+    clashes = _clashes(rig, possible)
     always_colliding = _always_colliding(possible, clashes)
     for index, k, other in ((i, k, other) for i, some in always_colliding.items() for k, other in sorted(some.items())):
         reason = f"collides with {rig.lights[other].name} in all of its positions"
@@ -159,11 +155,45 @@ def find_candidates(
     left = [[possible[i][k] for k in row] for i, row in enumerate(rows)]
     angles_left = tuple(tuple(at for at, _ in some) for some in left)
     sizes = tuple(map(len, rows))
+    channels = _channels(rig)
     left_clashes = {(i, j): clash[np.ix_(rows[i], rows[j])] for (i, j), clash in clashes.items()}
     left_clashes = {pair: clash for pair, clash in left_clashes.items() if clash.any()}
-    space = CombinationSpace(sizes=sizes, groups=_groups(rig, angles_left, sizes, shared), clashes=left_clashes)
+    groups = _together(rig, channels, angles_left, _groups(rig, angles_left, sizes, shared))
+    space = CombinationSpace(sizes=sizes, groups=groups, clashes=left_clashes)
     panels = tuple(tuple(panel for _, panel in some) for some in left)
-    return Candidates(tuple(light.name for light in rig.lights), angles_left, panels, tuple(left_out), space)
+    names = tuple(light.name for light in rig.lights)
+    return Candidates(names, channels, angles_left, panels, tuple(left_out), space)
+
+
+def _channels(rig: RigConfig) -> tuple[tuple[int, ...], ...]:
+    # indices of the lights that are one entry of the file, channels of a light
+    found: dict[int, list[int]] = {}
+    for index, light in enumerate(rig.lights):
+        found.setdefault(light.entry, []).append(index)
+    return tuple(map(tuple, found.values()))
+
+
+def _together(
+    rig: RigConfig, channels: Sequence[Sequence[int]], angles: Sequence[Sequence[Angles]], groups: Sequence[Rows]
+) -> tuple[Rows, ...]:
+    """The groups divided such that the channels of a light stand in one place."""
+    moving = [own for own in channels if len(own) > 1 and any(len(angles[i]) > 1 for i in own)]
+    if not moving:
+        return tuple(groups)
+    common = [[at for at in angles[own[0]] if all(at in angles[i] for i in own)] for own in moving]
+    found: list[Rows] = []
+    for rows, places in itertools.product(groups, itertools.product(*common)):
+        at = {i: place for own, place in zip(moving, places, strict=True) for i in own}
+        chosen = [row[[i not in at or angles[i][k] == at[i] for k in row]] for i, row in enumerate(rows)]
+        if all(map(len, chosen)):
+            found.append(tuple(chosen))
+    if not found:
+        names = [rig.lights[own[0]].name for own in moving]
+        raise InputError(
+            f"{rig.source.at('lights')}: no position is left that all channels of {' and '.join(names)} can take; "
+            "change its range or its size"
+        )
+    return tuple(found)
 
 
 def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence[ExcludedPosition]) -> None:
@@ -211,7 +241,7 @@ def _span(amounts: Sequence[float], form: str) -> str:
 
 
 def _reason(panel: PanelLight, camera: PinholeCamera, scene: Scene | None) -> Reason | None:
-    pixels = area_in_view(camera, panel)
+    pixels = light_area(camera, panel)
     if pixels > 0.0:
         covered = max(1, round(pixels))
         return f"stands in the camera's view, over {counted(covered, 'pixel')}", "view", float(covered)
@@ -222,9 +252,14 @@ def _reason(panel: PanelLight, camera: PinholeCamera, scene: Scene | None) -> Re
     return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 
-def _clashes(possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tuple[int, int], Bool]:
+def _clashes(
+    rig: RigConfig, possible: Sequence[Sequence[tuple[Angles, PanelLight]]]
+) -> dict[tuple[int, int], Bool]:
     clashes: dict[tuple[int, int], Bool] = {}
-    for i, j in itertools.combinations(range(len(possible)), 2):
+    solid = [i for i, some in enumerate(possible) if some and rig.lights[i].kind != "coaxial"]
+    for i, j in itertools.combinations(solid, 2):
+        if rig.lights[i].entry == rig.lights[j].entry:
+            continue
         clash = np.zeros((len(possible[i]), len(possible[j])), np.bool_)
         if clash.size:
             # spheres around the panels exclude most pairs at once

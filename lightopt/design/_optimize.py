@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import RunContext
@@ -189,6 +191,11 @@ def _state_problem(
 ) -> Problem:
     """Build the scene and the candidates; `folder` must hold no other result, None where it may."""
     candidates_in(None, rig, options, options.places)  # errors in the rig alone come before the part is loaded
+    if options.places is None and not any(map(can_move, rig.lights)):
+        run.warn(
+            f"{rig.source.at('lights')}: no light can be moved, so that only what the lights show as they stand is "
+            "found; give one or more an elevation_range_deg or an azimuth_range_deg"
+        )
     check_editable(rig)
     objectives = _objectives(rig, part, options, run)
     scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
@@ -286,6 +293,10 @@ def _complete(
     planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=commands)
     if problem.defects is None:
         return planned, ()
+    if brackets is not None and chosen is None:
+        found = np.array(brackets.found[: len(problem.defects.defects)])
+        shares = problem.defects.facts(found, int(shares_on.weights.areas.sum()))["defects"]
+        planned = replace(planned, defects=shares)
     free = candidates if chosen is None else candidates_of(problem.rig, options)
     goal, progress = (problem.thresholds, options.min_images), run.stage("blind spots")
     return planned, planned_visibility(evaluator, lights, free, plan.all_exposures, *goal, progress)

@@ -190,6 +190,8 @@ class PlanResult:
 
     chosen: ChosenPostures | None = None  # postures; None where the part's own were taken
     brackets: Brackets | None = None  # exposures; None where there were no others to choose from
+    # share of each kind of defect that own postures show at the planned exposures; empty without these
+    defects: Mapping[str, float] = field(default_factory=dict[str, float])
     tolerances: tuple[ToleranceResult, ...] = ()  # of each posture, then of all together; empty if not requested
     commands: tuple[Command, ...] = ()  # that carry out planned postures or exposures; empty without these
 

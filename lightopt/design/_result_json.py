@@ -136,6 +136,8 @@ def plan_document(result: PlanResult) -> dict[str, Any]:
         sections["chosen_postures"] = _chosen_dict(result.chosen)
     if result.brackets is not None:
         sections["exposures"] = _brackets_dict(result.brackets, SHARES_OF if result.chosen else OWN_SHARES_OF)
+        if result.defects:
+            sections["exposures"]["defects"] = dict(result.defects)
     if result.tolerances:
         sections["tolerances"] = [_tolerance_dict(one) for one in result.tolerances]
     if result.commands:

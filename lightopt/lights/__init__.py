@@ -4,8 +4,8 @@ Kernels of :mod:`lightopt.rendering` add up the light of a kind by the functions
 """
 
 from lightopt.lights._light_surface import (
+    RADIANCE as RADIANCE,
     Element as Element,
-    SinePattern as SinePattern,
     SurfaceLight as SurfaceLight,
     cone_elements as cone_elements,
     element_at as element_at,
@@ -14,8 +14,6 @@ from lightopt.lights._light_surface import (
     frame_elements as frame_elements,
     half_pipe_elements as half_pipe_elements,
     outlines as outlines,
-    pattern_mean as pattern_mean,
-    pattern_value as pattern_value,
     plane_elements as plane_elements,
     sphere_elements as sphere_elements,
     surface_light as surface_light,
@@ -36,3 +34,4 @@ from lightopt.lights._panel_emission import (
     panel_numbers as panel_numbers,
     panel_point as panel_point,
 )
+from lightopt.lights._pattern import TERM_NUMBERS as TERM_NUMBERS, bar_terms as bar_terms, sine_terms as sine_terms

@@ -21,6 +21,7 @@ from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, dot, length, minus, plus, scaled
 from lightopt.lights._panel import PanelLight, panel_corners
+from lightopt.lights._pattern import UNIFORM
 
 PLANE, CONE, SPHERE, FRAME = 0, 1, 2, 3
 
@@ -38,8 +39,6 @@ class Element(NamedTuple):
     origin: [mm]; a, b, c: orthogonal unit vectors, right-handed
     side: 1 where it shines along ∂x/∂u × ∂x/∂v, −1 on the other side
     radiance: At exposure 1, per unit of what the surface reflects
-    wave_u, wave_v, phase, contrast: Of a sine pattern on a plane, which multiplies the radiance by
-        ½·(1 + contrast·cos(wave_u·u + wave_v·v + phase)); contrast 0 is no pattern, of full radiance [rad/mm, rad]
     centre, reach: Sphere around the element [mm]
     """
 
@@ -57,15 +56,12 @@ class Element(NamedTuple):
     rise: float
     side: float
     radiance: float
-    wave_u: float
-    wave_v: float
-    phase: float
-    contrast: float
     centre: Vector
     reach: float
 
 
-ELEMENT_NUMBERS = 30  # numbers of an element in a row of an array
+ELEMENT_NUMBERS = 26  # numbers of an element in a row of an array
+RADIANCE = 21  # number of its radiance among them
 
 
 @kernel
@@ -87,12 +83,8 @@ def element_at(rows: Float64, i: int) -> Element:
         r[19],
         r[20],
         r[21],
-        r[22],
-        r[23],
-        r[24],
+        Vector(r[22], r[23], r[24]),
         r[25],
-        Vector(r[26], r[27], r[28]),
-        r[29],
     )
 
 
@@ -132,29 +124,6 @@ def element_weight(e: Element, towards: Vector, along_u: Vector, along_v: Vector
 
 
 @kernel
-def pattern_value(e: Element, u: float, v: float) -> float:
-    """Factor on the radiance at a place of an element."""
-    if e.contrast == 0.0:
-        return 1.0
-    return 0.5 * (1.0 + e.contrast * math.cos(e.wave_u * u + e.wave_v * v + e.phase))
-
-
-@kernel
-def pattern_mean(e: Element) -> float:
-    """Mean factor on the radiance of an element."""
-    if e.contrast == 0.0:
-        return 1.0
-    middle = e.wave_u * 0.5 * (e.u0 + e.u1) + e.wave_v * 0.5 * (e.v0 + e.v1) + e.phase
-    damped = _sinc(0.5 * e.wave_u * (e.u1 - e.u0)) * _sinc(0.5 * e.wave_v * (e.v1 - e.v0))
-    return 0.5 * (1.0 + e.contrast * damped * math.cos(middle))
-
-
-@kernel
-def _sinc(x: float) -> float:
-    return math.sin(x) / x if abs(x) > 1e-9 else 1.0
-
-
-@kernel
 def light_at(rows: Float64, points: Float64) -> Float64:
     """∫ cosα/r² dA of all elements of radiance 1 at some points, shape (k,), by 8 × 8 midpoints of each element."""
     found = np.zeros(len(points))
@@ -181,7 +150,7 @@ def _bound(rows: Float64) -> None:
             for n in range(_NODES + 1):
                 u, v = e.u0 + (e.u1 - e.u0) * m / _NODES, e.v0 + (e.v1 - e.v0) * n / _NODES
                 reach = max(reach, length(minus(element_place(e, u, v)[0], centre)))
-        rows[i, 26], rows[i, 27], rows[i, 28], rows[i, 29] = centre.x, centre.y, centre.z, reach
+        rows[i, 22], rows[i, 23], rows[i, 24], rows[i, 25] = centre.x, centre.y, centre.z, reach
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,11 +160,15 @@ class SurfaceLight(PanelLight):
     What it has of a panel is the frame that it stands in, with the size of the rectangle around it.
 
     kind: Of the light, as in the rig file
+    entry: Number of its entry in the rig file; channels of one entry have the surface in common
     elements: Of its surface, shape (e, ELEMENT_NUMBERS)
+    pattern: Its terms, whose sum multiplies the radiance, shape (b, TERM_NUMBERS); of plane elements
     """
 
     kind: str
+    entry: int
     elements: Float64
+    pattern: Float64
 
     def moved(self, rotation: Float64, translation: Float64) -> SurfaceLight:
         """The light after x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
@@ -211,14 +184,14 @@ class SurfaceLight(PanelLight):
     @property
     def targets(self) -> Float64:
         """Middle of each element [mm], shape (e, 3)."""
-        return np.ascontiguousarray(self.elements[:, 26:29])
+        return np.ascontiguousarray(self.elements[:, 22:25])
 
 
 def _moved(elements: Float64, rotation: Float64, translation: Float64) -> Float64:
     moved = elements.copy()
-    for first in (1, 4, 7, 10, 26):
+    for first in (1, 4, 7, 10, 22):
         moved[:, first : first + 3] = elements[:, first : first + 3] @ rotation.T
-    for first in (1, 26):
+    for first in (1, 22):
         moved[:, first : first + 3] += translation
     return moved
 
@@ -261,22 +234,8 @@ def outlines(light: PanelLight) -> Float64:
     return np.stack([corners[:, 0, 0], corners[:, 1, 0], corners[:, 1, 1], corners[:, 0, 1]], axis=1)
 
 
-@dataclass(frozen=True)
-class SinePattern:
-    """Stripes on a plane light, by their wave numbers across and along [rad/mm], phase [rad] and contrast."""
-
-    across: float
-    along: float
-    phase: float
-    contrast: float
-
-
 def plane_elements(
-    size: tuple[float, float],
-    cells: tuple[int, int],
-    *,
-    centre: tuple[float, float] = (0.0, 0.0),
-    pattern: SinePattern | None = None,
+    size: tuple[float, float], cells: tuple[int, int], *, centre: tuple[float, float] = (0.0, 0.0)
 ) -> Float64:
     """Elements of a rectangle in the light's plane, shape (e, ELEMENT_NUMBERS).
 
@@ -286,9 +245,8 @@ def plane_elements(
     """
     u = centre[0] + size[0] * (np.linspace(0.0, 1.0, cells[0] + 1) - 0.5)
     v = centre[1] + size[1] * (np.linspace(0.0, 1.0, cells[1] + 1) - 0.5)
-    waves = (0.0, 0.0, 0.0, 0.0) if pattern is None else tuple(vars(pattern).values())
     # across × along is outward, and light goes the other way
-    return _grid(u, v, shape=PLANE, side=-1.0, waves=waves)
+    return _grid(u, v, shape=PLANE, side=-1.0)
 
 
 def cone_elements(
@@ -367,7 +325,6 @@ def _grid(
     radius: float = 0.0,
     widening: float = 0.0,
     rise: float = 0.0,
-    waves: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
 ) -> Float64:
     rows = np.zeros(((len(u) - 1) * (len(v) - 1), ELEMENT_NUMBERS))
     k = 0
@@ -376,12 +333,19 @@ def _grid(
             rows[k, 0], rows[k, 3] = shape, height
             rows[k, 4:13] = np.eye(3).ravel()
             rows[k, 13:22] = u[i], u[i + 1], v[j], v[j + 1], radius, widening, rise, side, 1.0
-            rows[k, 22:26] = waves
             k += 1
     return rows
 
 
-def surface_light(panel: PanelLight, *, kind: str, elements: Float64, whole: Float64 | None = None) -> SurfaceLight:
+def surface_light(
+    panel: PanelLight,
+    *,
+    kind: str,
+    entry: int,
+    elements: Float64,
+    whole: Float64 | None = None,
+    pattern: Float64 = UNIFORM,
+) -> SurfaceLight:
     """A light of a shape, or a channel of it, where a panel would stand.
 
     Its radiance is such that all of the light, wholly in view of a surface at the origin that faces each of its
@@ -390,14 +354,16 @@ def surface_light(panel: PanelLight, *, kind: str, elements: Float64, whole: Flo
     panel: With the frame, name and gain of the light; world frame
     elements: Of this channel, in the frame of the panel about its centre; their radiances relative to the whole light
     whole: Those of the whole light; as `elements` if None
+    entry, pattern: As :class:`SurfaceLight` has them; the pattern is left out of the whole light
     """
     everything = elements if whole is None else whole
     # the origin of the world, seen from the light
     rotation = np.stack([panel.across, panel.along, panel.outward], axis=1)
     total = float(light_at(everything, (-panel.centre @ rotation)[None])[0])
     own = elements.copy()
-    own[:, 21] /= total
+    own[:, RADIANCE] /= total
     _bound(own)
     fields = {key: value for key, value in vars(panel).items() if key not in ("points", "normalisation")}
     fields |= {"points": "auto", "inverse_square": True, "emission_exponent": 1.0}
-    return SurfaceLight(**fields, kind=kind, elements=_moved(own, rotation, panel.centre))
+    elements = _moved(own, rotation, panel.centre)
+    return SurfaceLight(**fields, kind=kind, entry=entry, elements=elements, pattern=pattern)

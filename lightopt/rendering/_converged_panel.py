@@ -25,7 +25,7 @@ from lightopt.rendering._penumbra_cells import ConvergedLight
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
 from lightopt.rendering._point_lights import clear_targets, shade_points, visible_counts
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._surface_light import shade_surface_light
+from lightopt.rendering._surface_light import shade_surface_lights
 from lightopt.rendering._whole_panel import whole_panel
 from lightopt.scene import Scene
 
@@ -97,7 +97,8 @@ def shade_light(
     light: Part frame, as from :func:`panel_to_shade`
     """
     if isinstance(light, SurfaceLight):
-        return shade_surface_light(surface, light, reflectance=reflectance, caster=caster)
+        diffuse, specular = shade_surface_lights(surface, (light,), reflectance=reflectance, caster=caster)
+        return diffuse[0], specular[0]
     assert light.points != "auto"
     return shade_points(surface, light, points=light.points, sigma=reflectance.sigma, caster=caster)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from time import monotonic
 from typing import Any
@@ -19,7 +19,7 @@ from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.core.vectors import dot, vector_at
 from lightopt.geometry import Hits, Patches, RayCaster
-from lightopt.lights import PanelLight
+from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
     PanelVisibility,
@@ -31,6 +31,7 @@ from lightopt.rendering._converged_panel import (
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._penumbra_squares import SIDES
 from lightopt.rendering._surface import SurfacePoints, trace_samples
+from lightopt.rendering._surface_light import shade_surface_lights
 from lightopt.scene import PartView, Scene, lens_share, screen_window, view_from_part
 
 _log = logging.getLogger("lightopt.rendering")
@@ -42,6 +43,8 @@ BLOCK_SAMPLES = 49_152
 # Means over pixels take so many rays a side, where second and fourth differences of neighbouring levels are above the
 # camera's noise. Elsewhere a twenty-fourth of the second differences is the mean's, to a few hundredths of the noise.
 RAYS_ACROSS = 3
+
+MOST_TOGETHER = 16  # channels of a light that are shaded at once
 
 TILE = 4  # rows and columns of the tiles of an image whose rays are cast together
 
@@ -263,6 +266,7 @@ class _PostureJob:
         self.geometry = _no_hit(shape, defects=bool(scene.defects)) if geometry else None
         self.back = np.zeros(shape, np.bool_)
         self.panels = [panel_to_shade(light, caster) for light in view.lights]
+        self.together = _together(self.panels)
         # neighbouring samples show where penumbrae are, so that blocks then overlap by a row
         self.halo = int(shadows and any(isinstance(panel, ConvergedPanel) for panel in self.panels))
 
@@ -300,26 +304,28 @@ class _PostureJob:
         passed = None
         if self.view.camera.dims:
             passed = lens_share(self.view.camera, columns[sample % len(columns)], rows[sample // len(columns)])
-        for panel, image in zip(self.panels, self.images, strict=True):
-            for pixels, values in self._light(surface, marked, panel, image, sample, grid, passed):
-                if places is None:
-                    pixels[target] = self._means(values, hits, grid, own)
-                else:
-                    _store_values(*places, values, pixels)
+        for numbers in self.together:
+            lights = self._shade(surface, numbers, sample, grid)
+            for number, light in zip(numbers, lights, strict=True):
+                for pixels, values in self._light(surface, marked, number, light, sample, grid, passed):
+                    if places is None:
+                        pixels[target] = self._means(values, hits, grid, own)
+                    else:
+                        _store_values(*places, values, pixels)
 
     def _light(
         self,
         surface: SurfacePoints,
         marked: tuple[DefectSamples, ...],
-        panel: PanelLight | ConvergedPanel,
-        image: LightImage,
+        number: int,
+        light: tuple[Float64, Float64, PanelVisibility | None],
         sample: Index,
         grid: tuple[int, int],
         passed: Float64 | None,
     ) -> Iterator[tuple[Float32, Float64]]:
-        # the arrays of an image, and what its light makes of the samples for each [grey level]
-        reflectance = self.scene.reflectance
-        d, s, visibility = self._shade(surface, panel, sample, grid)
+        # the arrays of an image, and what its light, from `_shade`, makes of the samples for each [grey level]
+        reflectance, image, panel = self.scene.reflectance, self.images[number], self.panels[number]
+        d, s, visibility = light
         diffuse, specular = reflectance.R_d * d, reflectance.R_s * s
         for some in marked:
             diffuse[some.index], specular[some.index] = some.light(
@@ -358,7 +364,7 @@ class _PostureJob:
 
     def average(self, number: int, pixels: Index) -> None:
         """Render means over some pixels of a light: raveled indices."""
-        image, panel, n = self.images[number], self.panels[number], RAYS_ACROSS
+        image, n = self.images[number], RAYS_ACROSS
         row, column = np.divmod(pixels, image.level.shape[1])
         columns, rows = _inner_points(column, row)
         hits, surface = trace_samples(self.caster, self.scene.mesh, self.view.camera, columns, rows, neighbours=True)
@@ -367,7 +373,8 @@ class _PostureJob:
         # to the shadows' refinement the rays of a pixel are neighbours, those of two pixels are not
         grid = (len(pixels) * (n + 1), n)
         sample = hits.ray.astype(np.intp) + hits.ray // n**2 * n
-        for target, values in self._light(surface, self._in_defects(surface), panel, image, sample, grid, passed):
+        [light] = self._shade(surface, [number], sample, grid)
+        for target, values in self._light(surface, self._in_defects(surface), number, light, sample, grid, passed):
             means = np.bincount(hits.ray // n**2, values, len(pixels)) / n**2
             target.ravel()[pixels] = means
 
@@ -388,12 +395,18 @@ class _PostureJob:
         return defect_samples(self.scene.defects, surface, self.scene.reflectance)
 
     def _shade(
-        self, surface: SurfacePoints, panel: PanelLight | ConvergedPanel, sample: Index, grid: tuple[int, int]
-    ) -> tuple[Float64, Float64, PanelVisibility | None]:
+        self, surface: SurfacePoints, numbers: list[int], sample: Index, grid: tuple[int, int]
+    ) -> list[tuple[Float64, Float64, PanelVisibility | None]]:
+        # of lights that are shaded together
         caster, reflectance = self.shadow_caster, self.scene.reflectance
+        panel = self.panels[numbers[0]]
         if isinstance(panel, ConvergedPanel):
-            return shade_converged(surface, panel, sample=sample, shape=grid, reflectance=reflectance, caster=caster)
-        return *shade_light(surface, panel, reflectance=reflectance, caster=caster), None
+            return [shade_converged(surface, panel, sample=sample, shape=grid, reflectance=reflectance, caster=caster)]
+        if isinstance(panel, SurfaceLight):
+            channels = [light for n in numbers if isinstance(light := self.panels[n], SurfaceLight)]
+            both = shade_surface_lights(surface, channels, reflectance=reflectance, caster=caster)
+            return [(d, s, None) for d, s in zip(*both, strict=True)]
+        return [(*shade_light(surface, panel, reflectance=reflectance, caster=caster), None)]
 
     def _means(self, values: Float64, hits: Hits, grid: tuple[int, int], own: slice) -> Float64:
         # over the samples of each pixel; 0 where a ray misses the part
@@ -430,6 +443,20 @@ class _PostureJob:
             for some in marked:
                 label[some.index] = some.label
             _store_values(*places, label, g.defect)
+
+
+def _together(panels: Sequence[PanelLight | ConvergedPanel]) -> list[list[int]]:
+    # numbers of lights that are shaded together: the channels of one light
+    groups: list[list[int]] = []
+    entry: int | None = None
+    for number, panel in enumerate(panels):
+        own = panel.entry if isinstance(panel, SurfaceLight) else None
+        if own is not None and own == entry and len(groups[-1]) < MOST_TOGETHER:
+            groups[-1].append(number)
+        else:
+            groups.append([number])
+        entry = own
+    return groups
 
 
 def _no_hit(shape: tuple[int, int], *, defects: bool) -> Geometry:

@@ -7,7 +7,8 @@ are divided, each piece with a ray of its own.
 """
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,19 +17,10 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import (
-    Element,
-    SurfaceLight,
-    element_at,
-    element_place,
-    element_weight,
-    pattern_mean,
-    pattern_value,
-)
+from lightopt.lights import RADIANCE, Element, SurfaceLight, element_at, element_place, element_weight
 from lightopt.optics import MIN_COS_VIEW, Reflectance, specular_cosine, specular_lobe
 from lightopt.rendering._panel_quadrature import (
     NODES,
-    WEIGHTS,
     Rectangle,
     half_vector_cone,
     half_vector_map,
@@ -36,9 +28,9 @@ from lightopt.rendering._panel_quadrature import (
     lobe_window,
     node_count,
 )
+from lightopt.rendering._pattern_weights import pattern_weights
 from lightopt.rendering._point_lights import facing_targets
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._variant_numbers import VariantNumbers, leaning
 
 DIFFUSE_NODES = 3  # a side of an element
 LEAST_NODES, MOST_NODES = 2, 48  # a side of the lobe's window
@@ -53,55 +45,73 @@ STEPS = 6  # Newton steps to where the lobe is brightest
 NEAR = 0.02  # of an element's sides: steps that are less end the search
 
 _CHUNK = 8192  # surface points that a thread works on at once
-_AT_ONCE = 1 << 21  # pairs of surface point and element that are shaded at once
+AT_ONCE = 1 << 21  # surface points times elements times terms of patterns that are shaded at once
 
 
 @kernel
-def _diffuse_nodes(e: Element) -> tuple[Float64, Float64]:
-    # places of an element [mm], and their light: radiance · area · unit vector of where they shine; shape (nodes², 3)
-    places, light = np.empty((DIFFUSE_NODES**2, 3)), np.empty((DIFFUSE_NODES**2, 3))
+def diffuse_nodes(e: Element, terms: Float64) -> tuple[Float64, Float64, Float64]:
+    # places of an element [mm], and their light: radiance · area · unit vector of where they shine; shape (nodes², 3);
+    # and their weights for each term of the pattern, shape (b, nodes²)
+    count = DIFFUSE_NODES
+    places, light = np.empty((count**2, 3)), np.empty((count**2, 3))
+    weights = np.empty((len(terms), count**2))
     du, dv = e.u1 - e.u0, e.v1 - e.v0
-    k = 0
-    for i in range(DIFFUSE_NODES):
-        for j in range(DIFFUSE_NODES):
-            u, v = e.u0 + du * NODES[DIFFUSE_NODES, i], e.v0 + dv * NODES[DIFFUSE_NODES, j]
+    for i in range(count):
+        for j in range(count):
+            k = i * count + j
+            u, v = e.u0 + du * NODES[count, i], e.v0 + dv * NODES[count, j]
             q, along_u, along_v = element_place(e, u, v)
-            weight = WEIGHTS[DIFFUSE_NODES, i] * WEIGHTS[DIFFUSE_NODES, j] * du * dv * pattern_mean(e) * e.radiance
-            shining = scaled(cross(along_u, along_v), weight * e.side)
+            shining = scaled(cross(along_u, along_v), du * dv * e.radiance * e.side)
             places[k, 0], places[k, 1], places[k, 2] = q
             light[k, 0], light[k, 1], light[k, 2] = shining
-            k += 1
-    return places, light
+    weights_u, weights_v = np.empty(count), np.empty(count)
+    for b in range(len(terms)):
+        pattern_weights(terms[b], 0, e.u0, du, count, True, weights_u)
+        pattern_weights(terms[b], 1, e.v0, dv, count, True, weights_v)
+        for k in range(count**2):
+            weights[b, k] = weights_u[k // count] * weights_v[k % count]
+    return places, light, weights
 
 
 @kernel
-def _diffuse(p: Vector, n: Vector, places: Float64, light: Float64) -> float:
-    # light of an element per unit of R_d: Σ light · cosα · (N·L) / r²
-    total = 0.0
+def diffuse_of_element(p: Vector, n: Vector, places: Float64, light: Float64, weights: Float64, found: Float64) -> None:
+    # light of an element per unit of R_d, for each term of the pattern: Σ weight · light · cosα · (N·L) / r²
+    found[:] = 0.0
     for k in range(len(places)):
         towards = minus(vector_at(places, k), p)
         r2 = dot(towards, towards)
-        total += max(0.0, dot(n, towards)) * max(0.0, -dot(vector_at(light, k), towards)) / (r2 * r2)
-    return total
+        value = max(0.0, dot(n, towards)) * max(0.0, -dot(vector_at(light, k), towards)) / (r2 * r2)
+        for b in range(len(weights)):
+            found[b] += weights[b, k] * value
 
 
 @kernel
 def specular_of_element(
-    p: Vector, n: Vector, v: Vector, e: Element, area: Rectangle, inverse: float, most: float
-) -> float:
-    """Specular light of a piece of an element per unit of R_s (paper, equation 3).
+    p: Vector,
+    n: Vector,
+    v: Vector,
+    e: Element,
+    area: Rectangle,
+    terms: Float64,
+    inverse: float,
+    most: float,
+    found: Float64,
+) -> None:
+    """Add the specular light of a piece of an element per unit of R_s (paper, equation 3), for each term of the pattern.
 
     area: The piece, by u and v
+    terms: Of the pattern, shape (b, TERM_NUMBERS)
     inverse: 1/(2σ²) [rad⁻²]
     most: Exponent from which the lobe is negligible
+    found: Shape (b,)
     """
     n_dot_v = dot(n, v)
     if n_dot_v <= 0.0:
-        return 0.0
+        return
     half, spread = half_vector_cone(p, v, e.centre, e.reach)
     nearest = max(0.0, length(minus(n, half)) - spread)
     if spread < math.pi and nearest * nearest * inverse > most:
-        return 0.0
+        return
     s, t = 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)
     wide, high = area.s1 - area.s0, area.t1 - area.t0
     a = b = c = gs = gt = least = 0.0
@@ -121,11 +131,11 @@ def specular_of_element(
             break
         s, t = ns, nt
     if least > most:
-        return 0.0
+        return
     window = lobe_window(a, b, c, gs, gt, s, t, least, area)
     width, height = window.s1 - window.s0, window.t1 - window.t0
     if width <= 0.0 or height <= 0.0:
-        return 0.0
+        return
     count_s = node_count(a, gs, window.s0 - s, window.s1 - s)
     count_t = node_count(c, gt, window.t0 - t, window.t1 - t)
     # the lobe's flank adds little to its light, of which few nodes are good enough
@@ -133,12 +143,27 @@ def specular_of_element(
     if least > FLANK:
         count_s, count_t = count_s - 2, count_t - 2
     count_s, count_t = max(min(count_s, few), LEAST_NODES), max(min(count_t, few), LEAST_NODES)
-    if e.contrast != 0.0:
-        count_s = max(count_s, min(MOST_PATTERN_NODES, math.ceil(3.0 + 0.6 * abs(e.wave_u) * width)))
-        count_t = max(count_t, min(MOST_PATTERN_NODES, math.ceil(3.0 + 0.6 * abs(e.wave_v) * height)))
-    total = 0.0
+    for b in range(len(terms)):
+        wave, of_v, edged = terms[b, 2], int(terms[b, 1]) == 1, terms[b, 4] > 0.0
+        if wave == 0.0:
+            continue
+        # the polynomial through the nodes follows the light between edges; else the nodes follow the stripes
+        count, side = (count_t, height) if of_v else (count_s, width)
+        least_count = 2 * count if edged else math.ceil(3.0 + 0.6 * wave * side)
+        count = max(count, min(MOST_PATTERN_NODES, least_count))
+        if of_v:
+            count_t = count
+        else:
+            count_s = count
+    weights_s, weights_t = np.empty((len(terms), count_s)), np.empty((len(terms), count_t))
+    for b in range(len(terms)):
+        pattern_weights(terms[b], 0, window.s0, width, count_s, False, weights_s[b])
+        pattern_weights(terms[b], 1, window.t0, height, count_t, False, weights_t[b])
+    factor = width * height / specular_cosine(n_dot_v)
+    row = np.empty(len(terms))
     for i in range(count_s):
         at_s = window.s0 + width * NODES[count_s, i]
+        row[:] = 0.0
         for j in range(count_t):
             at_t = window.t0 + height * NODES[count_t, j]
             q, along_s, along_t = element_place(e, at_s, at_t)
@@ -147,14 +172,15 @@ def specular_of_element(
                 continue
             half = plus(divided(towards, length(towards)), v)
             chord = minus(n, divided(half, length(half)))
-            lobe = specular_lobe(dot(chord, chord), inverse)
-            weight = WEIGHTS[count_s, i] * WEIGHTS[count_t, j] * pattern_value(e, at_s, at_t)
-            total += weight * lobe * element_weight(e, towards, along_s, along_t)
-    return total * width * height / specular_cosine(n_dot_v)
+            value = specular_lobe(dot(chord, chord), inverse) * element_weight(e, towards, along_s, along_t)
+            for b in range(len(terms)):
+                row[b] += weights_t[b, j] * value
+        for b in range(len(terms)):
+            found[b] += factor * weights_s[b, i] * row[b]
 
 
 @kernel
-def _whole(e: Element) -> Rectangle:
+def whole_element(e: Element) -> Rectangle:
     return Rectangle(e.u0, e.u1, e.v0, e.v1)
 
 
@@ -171,24 +197,44 @@ def _add_elements(
     normals: Float64,
     views: Float64,
     elements: Float64,
+    terms: Float64,
+    shares: Float64,
     clear: Bool,
     inverse: float,
     most: float,
     diffuse: Float64,
     specular: Float64,
 ) -> None:
-    # diffuse light of the clear elements per unit of R_d, shape (k,), and specular light of each element per unit of
-    # R_s, whatever hides it, shape (e, k)
+    # diffuse light of the clear elements per unit of R_d, shape (channels, k), and specular light of each element and
+    # term per unit of R_s, whatever hides it, shape (e, b, k)
+    found = np.empty(len(terms))
     for m in range(len(elements)):
         e = element_at(elements, m)
-        places, light = _diffuse_nodes(e)
+        places, light, weights = diffuse_nodes(e, terms)
         for i in range(len(points)):
             p, n = vector_at(points, i), vector_at(normals, i)
             if dot(n, minus(e.centre, p)) <= -e.reach:
                 continue
             if clear[m, i]:
-                diffuse[i] += _diffuse(p, n, places, light)
-            specular[m, i] = specular_of_element(p, n, vector_at(views, i), e, _whole(e), inverse, most)
+                diffuse_of_element(p, n, places, light, weights, found)
+                for c in range(len(shares)):
+                    for b in range(len(terms)):
+                        diffuse[c, i] += shares[c, m, b] * found[b]
+            found[:] = 0.0
+            specular_of_element(p, n, vector_at(views, i), e, whole_element(e), terms, inverse, most, found)
+            for b in range(len(terms)):
+                specular[m, b, i] = found[b]
+
+
+@kernel
+def _add_channels(specular: Float64, shares: Float64, levels: Float64) -> None:
+    # specular light of each channel, shape (channels, k)
+    for m in range(len(specular)):
+        for c in range(len(shares)):
+            for b in range(specular.shape[1]):
+                if shares[c, m, b] != 0.0:
+                    for i in range(specular.shape[2]):
+                        levels[c, i] += shares[c, m, b] * specular[m, b, i]
 
 
 @kernel
@@ -210,6 +256,7 @@ def _replace_pieces(
     normals: Float64,
     views: Float64,
     elements: Float64,
+    terms: Float64,
     element: Index,
     point: Index,
     free: Bool,
@@ -217,61 +264,105 @@ def _replace_pieces(
     most: float,
     specular: Float64,
 ) -> None:
+    found = np.empty(len(terms))
     for k in range(len(point)):
         i, m = point[k], element[k]
         p, n, v, e = vector_at(points, i), vector_at(normals, i), vector_at(views, i), element_at(elements, m)
-        total = 0.0
+        found[:] = 0.0
         for number in range(PIECES * PIECES):
             if free[k, number]:
-                total += specular_of_element(p, n, v, e, _piece(e, number), inverse, most)
-        specular[m, i] = total
+                specular_of_element(p, n, v, e, _piece(e, number), terms, inverse, most, found)
+        specular[m, :, i] = found
 
 
-def shade_surface_light(
-    surface: SurfacePoints, light: SurfaceLight, *, reflectance: Reflectance, caster: RayCaster | None
+@dataclass(frozen=True)
+class _Channels:
+    """Channels of one light: the surface that they have in common, and what each makes of it.
+
+    elements: Of all channels, of radiance 1, shape (e, ELEMENT_NUMBERS)
+    terms: Of all patterns, of coefficient 1, shape (b, TERM_NUMBERS)
+    shares: Radiance times coefficient of each channel, element and term, shape (channels, e, b)
+    """
+
+    elements: Float64
+    terms: Float64
+    shares: Float64
+
+
+def _channels(lights: Sequence[SurfaceLight]) -> _Channels:
+    shapes = [np.delete(light.elements, RADIANCE, axis=1) for light in lights]
+    elements, element = _different(shapes, np.concatenate([light.elements for light in lights]))
+    terms, term = _different([light.pattern[:, 1:] for light in lights], np.concatenate([x.pattern for x in lights]))
+    elements[:, RADIANCE], terms[:, 0] = 1.0, 1.0
+    shares = np.zeros((len(lights), len(elements), len(terms)))
+    for share, light, m, b in zip(shares, lights, element, term, strict=True):
+        share[np.ix_(m, b)] = light.elements[:, RADIANCE, None] * light.pattern[:, 0]
+    return _Channels(elements, terms, shares)
+
+
+def _different(rows: Sequence[Float64], all_rows: Float64) -> tuple[Float64, list[Index]]:
+    # one of `all_rows` for each of the different rows, and their numbers
+    joined = np.round(np.concatenate(rows), 9) + 0.0  # no negative zeros
+    _, first, number = np.unique(joined, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)  # as in the lights
+    place = np.empty(len(order), np.intp)
+    place[order] = np.arange(len(order))
+    ends = np.cumsum([len(some) for some in rows])[:-1]
+    return all_rows[first[order]], np.split(place[number.ravel()], ends)
+
+
+def shade_surface_lights(
+    surface: SurfacePoints, lights: Sequence[SurfaceLight], *, reflectance: Reflectance, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
-    """Diffuse and specular light of a light, per unit of R_d and R_s; two arrays of shape (k,).
+    """Diffuse and specular light of the channels of a light, per unit of R_d and R_s; two arrays, shape (channels, k).
 
-    light: Part frame
+    lights: The channels, part frame, of the same gain
     reflectance: Its σ shapes the lobe; R_s decides which shadows in highlights are worked out
     caster: For shadows; None for none
     """
-    step = max(1, _AT_ONCE // len(light.elements))
-    chunks = [
-        _shade_chunk(surface.take(slice(start, start + step)), light, reflectance, caster)
-        for start in range(0, len(surface), step)
-    ]
-    if len(chunks) == 1:
-        return chunks[0]
-    empty = [np.zeros(0)]
-    return np.concatenate([d for d, _ in chunks] or empty), np.concatenate([s for _, s in chunks] or empty)
+    channels = _channels(lights)
+    step = max(1, AT_ONCE // (len(channels.elements) * len(channels.terms)))
+    shape = len(lights), len(surface)
+    diffuse, specular = np.zeros(shape), np.zeros(shape)
+    for start in range(0, len(surface), step):
+        some = slice(start, start + step)
+        diffuse[:, some], specular[:, some] = _shade_chunk(
+            surface.take(some), channels, lights[0].total_weight, reflectance, caster
+        )
+    return diffuse, specular
 
 
 def _shade_chunk(
-    surface: SurfacePoints, light: SurfaceLight, reflectance: Reflectance, caster: RayCaster | None
+    surface: SurfacePoints, channels: _Channels, weight: float, reflectance: Reflectance, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     end_if_stopped()
-    elements, inverse = light.elements, 0.5 / reflectance.sigma**2
+    elements, terms, shares = channels.elements, channels.terms, channels.shares
+    inverse = 0.5 / reflectance.sigma**2
     # where the lobe's exponent is more, an element adds nothing to a level, at any angle of view
-    most = math.log(max(1.0, light.total_weight * reflectance.R_s / (MIN_COS_VIEW * LEAST_LEVEL)))
-    clear, hidden = _visibility(surface, light, caster)
-    diffuse, specular = np.zeros(len(surface)), np.zeros((len(elements), len(surface)))
+    most = math.log(max(1.0, weight * reflectance.R_s / (MIN_COS_VIEW * LEAST_LEVEL)))
+    clear, hidden = elements_seen(surface, elements, caster)
+    size = len(surface)
+    diffuse, specular = np.zeros((len(shares), size)), np.zeros((len(elements), len(terms), size))
     geometry = surface.points, surface.normals, surface.views
-    _add_elements(*geometry, elements, clear, inverse, most, diffuse, specular)
-    specular[:, ~surface.front] = 0.0
+    _add_elements(*geometry, elements, terms, shares, clear, inverse, most, diffuse, specular)
+    specular[..., ~surface.front] = 0.0
     if caster is not None and hidden.any():
-        bright = specular * (light.total_weight * reflectance.R_s) > NEGLIGIBLE_LEVEL
-        element, point = np.nonzero(bright & hidden.any(axis=0))
-        specular *= clear
-        free = _free_pieces(surface, light, caster, element, point)
-        _replace_pieces(*geometry, elements, element, point, free, inverse, most, specular)
-    return light.total_weight * diffuse, light.total_weight * specular.sum(axis=0)
+        # in the channel where they are brightest
+        largest = np.abs(shares).max(axis=0)
+        level = np.einsum("mb,mbi->mi", largest, np.abs(specular)) * (weight * reflectance.R_s)
+        element, point = np.nonzero((level > NEGLIGIBLE_LEVEL) & hidden.any(axis=0))
+        specular *= clear[:, None]
+        free = _free_pieces(surface, elements, caster, element, point)
+        _replace_pieces(*geometry, elements, terms, element, point, free, inverse, most, specular)
+    levels = np.zeros_like(diffuse)
+    _add_channels(specular, shares, levels)
+    return weight * diffuse, weight * levels
 
 
-def _visibility(surface: SurfacePoints, light: SurfaceLight, caster: RayCaster | None) -> tuple[Bool, Bool]:
+def elements_seen(surface: SurfacePoints, elements: Float64, caster: RayCaster | None) -> tuple[Bool, Bool]:
     # whether nothing is on the way to the middle of each element, and whether the part is, shape (e, k). What is below
     # a point's own horizon is no light of this element's nodes
-    targets = light.targets
+    targets = np.ascontiguousarray(elements[:, 22:25])
     if caster is None:
         return np.repeat(surface.front[None], len(targets), axis=0), np.zeros((len(targets), len(surface)), np.bool_)
     facing = facing_targets(surface, targets, geometric=True)
@@ -280,65 +371,16 @@ def _visibility(surface: SurfacePoints, light: SurfaceLight, caster: RayCaster |
     return surface.front & ~hidden, hidden
 
 
-def _free_pieces(surface: SurfacePoints, light: SurfaceLight, caster: RayCaster, element: Index, point: Index) -> Bool:
+def _free_pieces(surface: SurfacePoints, elements: Float64, caster: RayCaster, element: Index, point: Index) -> Bool:
     # which pieces of an element a point sees, shape (pairs, PIECES²)
     number = PIECES * PIECES
-    targets = _piece_targets(light.elements)
+    targets = _piece_targets(elements)
     target_index = (element[:, None] * number + np.arange(number)).astype(np.int32).ravel()
     point_index = np.repeat(point.astype(np.int32), number)
     blocked = caster.occluded(
         surface.points, surface.facets, targets, point_index=point_index, target_index=target_index
     )
     return ~blocked.reshape(-1, number)
-
-
-@kernel
-def _variant_levels(
-    points: Float64,
-    normals: Float64,
-    references: Float64,
-    views: Float64,
-    elements: Float64,
-    clear: Bool,
-    variants: VariantNumbers,
-    levels: Float64,
-) -> None:
-    # levels of the variants of each point, shape (t, k)
-    lean, R_d, R_s, inverse, most = variants
-    for m in range(len(elements)):
-        e = element_at(elements, m)
-        places, light = _diffuse_nodes(e)
-        for i in range(len(points)):
-            if not clear[m, i]:
-                continue
-            p, n, v, r = vector_at(points, i), vector_at(normals, i), vector_at(views, i), vector_at(references, i)
-            a = cross(n, r)
-            for t in range(len(lean)):
-                turned = leaning(lean, t, n, r, a)
-                if dot(turned, minus(e.centre, p)) <= -e.reach:
-                    continue
-                s = specular_of_element(p, turned, v, e, _whole(e), inverse[t], most[t])
-                levels[t, i] += R_d[t] * _diffuse(p, turned, places, light) + R_s[t] * s
-
-
-def surface_light_variants(
-    surface: SurfacePoints, references: Float64, light: SurfaceLight, variants: VariantNumbers, caster: RayCaster | None
-) -> Float64:
-    """Levels of variants of a surface under a light, shape (t, k); elements are seen or hidden as wholes.
-
-    surface, references: As :func:`lightopt.rendering.shade_variants` takes them
-    variants: With coefficients times the light's weight
-    """
-    levels = np.zeros((len(variants.lean), len(surface)))
-    step = max(1, _AT_ONCE // len(light.elements))
-    for start in range(0, len(surface), step):
-        end_if_stopped()
-        part = slice(start, start + step)
-        some, own = surface.take(part), np.zeros((len(variants.lean), len(surface.points[part])))
-        clear, _ = _visibility(replace(some, normals=some.facets), light, caster)
-        _variant_levels(some.points, some.normals, references[part], some.views, light.elements, clear, variants, own)
-        levels[:, part] = own
-    return levels
 
 
 def light_of_elements(
@@ -354,7 +396,8 @@ def light_of_elements(
 
     def chunk(start: int) -> tuple[Float64, Float64]:
         some = surface.take(slice(start, start + _CHUNK))
-        return shade_surface_light(some, light, reflectance=reflectance, caster=None)
+        diffuse, specular = shade_surface_lights(some, (light,), reflectance=reflectance, caster=None)
+        return diffuse[0], specular[0]
 
     # light is per unit of R_s: only where it is negligible depends on R_s
     found = in_threads(chunk, range(0, len(surface), _CHUNK), threads)

@@ -32,7 +32,7 @@ from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes, pr
 from lightopt.rendering._converged_variants import panel_variants
 from lightopt.rendering._point_lights import PAIRS_AT_ONCE, add_points, clear_targets
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._surface_light import surface_light_variants
+from lightopt.rendering._surface_light_variants import surface_light_variants
 from lightopt.rendering._variant_numbers import VariantNumbers
 
 # surface points under a converged panel that are shaded at once: some 0.1 s, the longest that Ctrl-C waits

@@ -11,14 +11,15 @@ from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import rotation_from_vector
 from lightopt.lights import (
+    RADIANCE,
     PanelLight,
-    SinePattern,
     cone_elements,
     frame_elements,
     half_pipe_elements,
     place_light,
     plane_elements,
     pose_light,
+    sine_terms,
     sphere_elements,
     surface_light,
 )
@@ -26,8 +27,6 @@ from lightopt.lights import (
 # elements of whole lights: each is seen or hidden as its middle is, so that they decide how finely shadows are known
 AROUND, UP_DOME, ACROSS, ALONG = 24, 4, 8, 6
 LEAST_AROUND = 4  # elements around of a segment
-
-_RADIANCE = 21  # number of an element's radiance in its row
 
 
 def build_lights(
@@ -88,7 +87,8 @@ def _surface_light(light: LightConfig) -> PanelLight:
     panel = place_light(
         distance=light.distance_mm, **_where(light), name=light.name, size=size, points="auto", gain=gain
     )
-    return surface_light(panel, kind=light.kind, elements=own, whole=whole)
+    pattern = {} if light.pattern is None else {"pattern": _pattern(light)}
+    return surface_light(panel, kind=light.kind, entry=light.entry, elements=own, whole=whole, **pattern)
 
 
 def _or(value: float | None, default: float) -> float:
@@ -126,8 +126,6 @@ def _elements(light: LightConfig) -> tuple[Float64, Float64 | None, tuple[float,
             return frame_elements(size, light.camera_hole_mm), None, size
         case "led_array":
             return *_led(light, size), size
-        case "display" if light.pattern is not None:
-            return *_display(light, size), size
         case _:
             return plane_elements(size, _cells(size)), None, size
 
@@ -175,9 +173,9 @@ def _dome(light: LightConfig) -> tuple[Float64, Float64 | None, tuple[float, flo
         return own, whole, size
     # what leaks comes from all of the dome; the segment's own elements shine the more
     everywhere = whole.copy()
-    everywhere[:, _RADIANCE] = leak / segments
+    everywhere[:, RADIANCE] = leak / segments
     first = len(own) * light.channel
-    everywhere[first : first + len(own), _RADIANCE] += 1.0 - leak
+    everywhere[first : first + len(own), RADIANCE] += 1.0 - leak
     return everywhere, whole, size
 
 
@@ -198,11 +196,9 @@ def _offset(size: float, index: int, count: int) -> float:
     return size * ((index + 0.5) / count - 0.5)
 
 
-def _display(light: LightConfig, size: tuple[float, float]) -> tuple[Float64, Float64]:
+def _pattern(light: LightConfig) -> Float64:
     pattern = light.pattern
     assert pattern is not None
     direction, step = divmod(light.channel, pattern.phases)
-    wave = 2.0 * math.pi / pattern.period_mm
-    u, v = (wave, 0.0) if pattern.directions[direction] == "u" else (0.0, wave)
-    stripes = SinePattern(across=u, along=v, phase=-2.0 * math.pi * step / pattern.phases, contrast=1.0)
-    return plane_elements(size, (ACROSS, ALONG), pattern=stripes), plane_elements(size, (ACROSS, ALONG))
+    axis = "uv".index(pattern.directions[direction])
+    return sine_terms(axis, period=pattern.period_mm, phase=-2.0 * math.pi * step / pattern.phases)

@@ -31,7 +31,7 @@ def trials_of(weights):
 
 def matrix_of(flags, trials, areas, levels):
     return LuminanceMatrix(
-        levels=levels, areas=np.asarray(areas, float), visibility=visibility_of(flags, trials, areas)
+        levels=levels, areas=np.asarray(areas, float), visibility=visibility_of(flags, trials, len(areas))
     )
 
 

@@ -29,7 +29,7 @@ from lightopt.design.responses._evidence_sums import (
 )
 from lightopt.design.responses._packed_bits import narrow_words, pack_flags, widen_octets
 from lightopt.inspection import threshold
-from lightopt.inspection.detection._registry import CATALOGUE
+from lightopt.inspection.detection._registry import DETECTORS
 from lightopt.optics import Sensor
 
 SENSOR = Sensor(bit_depth=8, read_noise_levels=0.8, electrons_per_level=60)
@@ -74,7 +74,7 @@ def test_the_threshold_is_that_of_the_detector(tests):
     """A Z that planning needs has the score that an inspection needs: the detector's own sum of logarithms."""
     pixels, entries, false_alarms = 123_456, 7, 0.03
     handicap = math.log10(tests * entries / (CATALOGUE_SHARE * pixels))
-    needed = threshold(false_alarms, pixels, CATALOGUE.tests)
+    needed = threshold(false_alarms, pixels, DETECTORS["catalogue"].tests)
     z = least_z(tests, entries, false_alarms)
     assert float(chance_score(np.array(z))) - handicap == pytest.approx(needed, abs=1e-9)
 

@@ -136,7 +136,12 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
     matrix = LuminanceMatrix(levels=tuple(np.array(one, np.uint8) for one in levels), areas=np.ones(2))
     places = tuple(tuple((30.0, float(k)) for k in range(3)) for _ in range(3))
     candidates = Candidates(
-        names=("a", "b", "c"), angles=places, panels=((),) * 3, left_out=(), space=CombinationSpace.of((3, 3, 3))
+        names=("a", "b", "c"),
+        channels=((0,), (1,), (2,)),
+        angles=places,
+        panels=((),) * 3,
+        left_out=(),
+        space=CombinationSpace.of((3, 3, 3)),
     )
     lights = [SimpleNamespace(elevation_deg=30.0, azimuth_deg=0.0)] * 3
     problem = SimpleNamespace(

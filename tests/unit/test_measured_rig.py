@@ -14,16 +14,8 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_z, vector_of_rotation
 from lightopt.design._candidates import panels_of
 from lightopt.lights import panel_corners
-from lightopt.scene import (
-    Stage,
-    build_camera,
-    build_lights,
-    build_stage,
-    image_area,
-    pixel_directions,
-    place_camera,
-    project,
-)
+from lightopt.scene import Stage, build_camera, build_lights, build_stage, pixel_directions, place_camera, project
+from lightopt.scene._image_area import image_area
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "configs" / "rigs" / "four-panel.yaml").read_text(encoding="utf-8")

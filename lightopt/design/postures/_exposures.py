@@ -14,12 +14,13 @@ from typing import Literal
 
 import numpy as np
 
+from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
-from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, sum_of_images
+from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, sum_of_images, unpack_flags
 from lightopt.lights import PanelLight
 
 DEFAULT_EXPOSURE_GAIN = 1.0
@@ -57,6 +58,7 @@ class Brackets:
     further: tuple[FurtherExposure, ...]  # the planned ones in the order in which they were chosen, then the others
     least_gain: float  # share that one has to add
     grain: float = 0.0  # how far the shares may be off since a patch counts as its middle does
+    found: tuple[int, ...] = ()  # area on which the planned images show each defect [µm²]
 
     def of(self, posture: Posture) -> tuple[float, ...]:
         """Exposures of a posture in the plan, the longest first."""
@@ -103,7 +105,8 @@ def select_exposures(
             further.append(considered(candidate, planned.covered - covered, reason))
         left = [candidate for i, candidate in enumerate(left) if i not in chosen]
     further += [considered(one, gain, None) for one, (gain, _) in zip(left, gains, strict=True)]
-    return Brackets(before=before / total, after=planned.covered / total, further=tuple(further), least_gain=least_gain)
+    shares = {"before": before / total, "after": planned.covered / total}
+    return Brackets(**shares, further=tuple(further), least_gain=least_gain, found=tuple(planned.found().tolist()))
 
 
 def _next(
@@ -178,6 +181,11 @@ class _PlannedImages:
         self._images[at] = self._images[at] | candidate.images
         self._own[at] = self._counts(self._images[at])
         self._update()
+
+    def found(self) -> Int64:
+        """Area on which each defect is found, shape (t,); some defects that do not exist come last."""
+        counts = self._without(set())
+        return self._weights.areas @ unpack_flags(counts[-1], 64 * counts.shape[-1])
 
     def _gain_of(self, one: CandidateExposure, other: CandidateExposure) -> int:
         at = {one.posture, other.posture}

@@ -54,5 +54,7 @@ def score_curves(candidates: Candidates, best: Ranked, score: Callable[[tuple[in
 
     moving = [k for k, angles in enumerate(candidates.angles) if len({elevation for elevation, _ in angles}) > 1]
     curves = [curve(TOGETHER, moving, 0)] if len(moving) > 1 else []
-    curves += [curve(name, [k], axis) for k, name in enumerate(candidates.names) for axis in (0, 1)]
+    for own in candidates.channels:
+        first, last = candidates.names[own[0]], candidates.names[own[-1]]
+        curves += [curve(first if len(own) == 1 else f"{first} to {last}", [*own], axis) for axis in (0, 1)]
     return tuple(curve for curve in curves if len(curve.angles_deg) > 1)
