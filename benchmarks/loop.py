@@ -38,6 +38,7 @@ from lightopt.core.arrays import Bool
 from lightopt.defects import BUILT_IN_CATALOGUE, DEFAULT_FALSE_ALARMS, PlacedDefect, tangent_references
 from lightopt.design import DetectionModel, ImageEvaluator, planned_catalogue, unpack_flags
 from lightopt.design._problem import images_that_decide
+from lightopt.design.responses._evidence import spare_units
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import (
     Calibration,
@@ -155,7 +156,10 @@ class Prediction:
         self.axes = scene.placement.rotation
         self.patches = evaluator.patches
         self.areas = self.table.patches.areas[self.patches]
-        counts = evaluator.counts(posture, scene.lights)
+        (matrix,) = evaluator.matrices(posture, [[panel] for panel in scene.lights])
+        assert matrix.visibility is not None
+        spare = spare_units(matrix.levels, scene.sensor, evaluator.detection.min_images)
+        counts = replace(matrix.visibility, spare=spare).most_units(evaluator.needed)
         self.found: Bool = unpack_flags(counts[-1], len(self.defects)) > 0
 
     def planned(self, kind: str) -> float:
@@ -227,26 +231,35 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
                 for seed in range(sets_needed(options.false_alarms))
             ]
             calibrations = {k: calibrate(rig, nominal, good, options=one) for k, one in inspections.items()}
-        counts = {k: _Counts(Prediction(rig, nominal, k, options, calibrations.get(k))) for k in MIN_IMAGES}
-        cache = PredictionCache()
-        for seed, path in enumerate(placed, 1):
-            part = load_part(path)
-            made = as_made(path, options.lobe)
-            image_set = take(rig, made, folder / f"{name}-{objective}-{seed}", seed, rays=options.rays)
-            for min_images, own in counts.items():
-                result = inspect_set(
-                    rig,
-                    part,
-                    image_set,
-                    options=inspections[min_images],
-                    cache=cache,
-                    calibration=calibrations.get(min_images),
-                )
-                known = place_defects(result.nominal, rig, part)
-                own.add(known, evaluate_set(image_set, result, known=known))
-            print(f"{name}, {objective}, seed {seed}: done", flush=True)
-        for min_images, own in counts.items():
-            yield from own.tallies(name, objective, min_images)
+        predictions = {k: Prediction(rig, nominal, k, options, calibrations.get(k)) for k in MIN_IMAGES}
+        found = count_found(folder, f"{name}-{objective}", rig, placed, predictions, options, calibrations)
+        yield from (replace(one, part=name, objective=objective) for one in found)
+
+
+def count_found(
+    folder: Path,
+    name: str,
+    rig: RigConfig,
+    placed: list[Path],
+    predictions: dict[int, Prediction],
+    options: argparse.Namespace,
+    calibrations: dict[int, Calibration] | None = None,
+) -> Iterator[Tally]:
+    """Capture and inspect parts with defects, with each number of images that must show one."""
+    counts = {k: _Counts(prediction) for k, prediction in predictions.items()}
+    cache = PredictionCache()
+    for seed, path in enumerate(placed, 1):
+        part = load_part(path)
+        image_set = take(rig, as_made(path, options.lobe), folder / f"{name}-{seed}", seed, rays=options.rays)
+        for k, own in counts.items():
+            inspection = InspectOptions(fusion=None, min_images=k, false_alarms=options.false_alarms)
+            known_good = (calibrations or {}).get(k)
+            result = inspect_set(rig, part, image_set, options=inspection, cache=cache, calibration=known_good)
+            known = place_defects(result.nominal, rig, part)
+            own.add(known, evaluate_set(image_set, result, known=known))
+        print(f"{name}, seed {seed}: done", flush=True)
+    for k, own in counts.items():
+        yield from own.tallies(name, "", k)
 
 
 class _Counts:

@@ -99,7 +99,7 @@ def capture(
         _show_result(done)
     if sheet:
         title = f"{loaded_part.name} on {loaded_rig.name}, captured"
-        common.add_sheets(out, exposures=options.exposures, title=title, force=force, quiet=quiet)
+        common.add_sheets(out, loaded_rig, exposures=options.exposures, title=title, force=force, quiet=quiet)
 
 
 def _show_plan(plan: CapturePlan) -> None:

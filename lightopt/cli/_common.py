@@ -20,6 +20,7 @@ from lightopt.core.errors import InputError
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
     from lightopt.core.transforms import Posture
+    from lightopt.images import ImageSet
 
 
 selection_option = partial(typer.Option, rich_help_panel="Selection")
@@ -50,6 +51,8 @@ Points = Annotated[str | None, model_option(metavar="M", help=POINTS_HELP, show_
 Shadows = Annotated[bool, model_option("--shadows/--no-shadows", help="Let the part cast shadows.")]
 _PATCHES = model_option(metavar="N", min=1, help="Target number of visible surface patches.", show_default="200000")
 Patches = Annotated[int | None, _PATCHES]
+_DERIVED_HELP = "Also write the images derived from series: phases, differences of segments, merged exposures …"
+Derived = Annotated[bool, output_option("--derived", help=_DERIVED_HELP)]
 _REGISTER_HELP = "Find the part's placement on the stage; otherwise assume nominal placement."
 Register = Annotated[bool, model_option("--register/--no-register", help=_REGISTER_HELP)]
 _MIN_IMAGES_HELP = "Number of images of a posture that must show a defect."
@@ -141,14 +144,32 @@ def load_inputs(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | N
     return loaded, None if part is None else load_part(part)
 
 
-def add_sheets(folder: Path, *, exposures: Sequence[float], title: str, force: bool, quiet: bool) -> None:
+def add_sheets(
+    folder: Path, rig: RigConfig, *, exposures: tuple[float, ...], title: str, force: bool, quiet: bool
+) -> None:
     """Add a contact sheet per exposure to an image set, and print where they are."""
     from lightopt.report import add_contact_sheets
 
+    shown = dict.fromkeys(one for light in rig.lights for one in rig.exposures(light.name, exposures))
+    exposures = tuple(shown)
     sheets = add_contact_sheets(folder, exposures=exposures, title=title, overwrite=force)
     for exposure, path in zip(exposures, sheets, strict=True):
         if not quiet:
             echo(f"contact sheet, exposure {exposure:g}: {path}")
+
+
+def add_derived(
+    rig: RigConfig, part: PartConfig, images: Path | ImageSet, folder: Path, *, force: bool, quiet: bool
+) -> None:
+    """Write the derived images of a set below a folder, and print what they are."""
+    from lightopt.images import read_image_set
+    from lightopt.series import DERIVED_FOLDER, write_derived
+
+    image_set = read_image_set(images) if isinstance(images, Path) else images
+    said = write_derived(rig, part, image_set, folder / DERIVED_FOLDER, force=force)
+    if not quiet:
+        for line in said:
+            echo(line)
 
 
 class HeadedCommand(typer.core.TyperCommand):

@@ -72,6 +72,7 @@ def inspect(
     ),
     fail_on_defect: bool = common.output_option(False, "--fail-on-defect", help="Exit status 1 if a part is NG."),
     report: common.Report = True,
+    derived: common.Derived = False,
     force: common.Force = False,
     threads: common.Threads = None,
     quiet: common.Quiet = False,
@@ -116,6 +117,10 @@ def inspect(
     if learned is not None:
         learned.require_match(loaded_rig, loaded_part, options)
     rows = _inspect(output, sets, out, options, learned, evaluate=evaluate, force=force)
+    for row, image_set in zip(rows, sets, strict=True):
+        if derived and row.verdict is not None:
+            folder = out / row.name if len(sets) > 1 else out
+            common.add_derived(loaded_rig, loaded_part, image_set, folder, force=force, quiet=quiet)
     bad = inspection.rejections(sets, rows) if fail_on_defect else []
     if refused := [row.name for row in rows if row.verdict is None]:
         raise InputError(*bad, f"{len(refused)} of {counted(len(sets), 'set')} not inspected: {', '.join(refused)}")

@@ -21,6 +21,7 @@ def render(
     patches: common.Patches = None,
     layers: bool = output_option(False, "--layers", help="Also write the EXR channels diffuse.Y and specular.Y."),
     sheet: common.Sheet = False,
+    derived: common.Derived = False,
     force: common.Force = False,
     threads: common.Threads = None,
     quiet: common.Quiet = False,
@@ -61,4 +62,6 @@ def render(
         echo(f"{done.folder / 'manifest.json'}")
     if sheet:
         title = f"{loaded_part.name} on {loaded_rig.name}"
-        common.add_sheets(out, exposures=options.exposures, title=title, force=force, quiet=quiet)
+        common.add_sheets(out, loaded_rig, exposures=options.exposures, title=title, force=force, quiet=quiet)
+    if derived:
+        common.add_derived(loaded_rig, loaded_part, out, out, force=force, quiet=quiet)

@@ -3,7 +3,16 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator, model_validator
+from pydantic import (
+    Field,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from lightopt.config import _fields as fields
 from lightopt.config._pose import PanelPoseConfig, with_pose
@@ -51,10 +60,33 @@ class SinePatternConfig(fields.Frozen):
     """Kind of pattern: sine, of levels from black to full."""
     period_mm: fields.Length
     """Length of a period on the display [mm]."""
+    second_period_mm: fields.Length | None = None
+    """Length of the period of as many further images of each direction, longer than period_mm [mm]: both phases
+    together give the place on the display; no such images if absent."""
     phases: Annotated[int, Field(ge=3, le=64), fields.expecting("a whole number from 3 to 64: fewer give no phase")] = 4
     """Images of each direction, each moved by period / phases."""
     directions: Annotated[tuple[Literal["u", "v"], ...], Field(strict=False, min_length=1, max_length=2)] = ("u", "v")
     """Directions that the stripes change along: u along the azimuth, v along the elevation."""
+
+    @field_validator("second_period_mm")
+    @classmethod
+    def _longer(cls, second: float | None, info: ValidationInfo) -> float | None:
+        if second is not None and second <= info.data.get("period_mm", 0.0):
+            raise fields.complaint(f"expected more than period_mm, {info.data['period_mm']:g}")
+        return second
+
+    @property
+    def periods_mm(self) -> tuple[float, ...]:
+        """One period, or both [mm]."""
+        return (self.period_mm,) if self.second_period_mm is None else (self.period_mm, self.second_period_mm)
+
+    @property
+    def unambiguous_mm(self) -> float:
+        """Length on the display after which the phases repeat, as far as noise lets them differ [mm]."""
+        if self.second_period_mm is None:
+            return self.period_mm
+        beat = self.period_mm * self.second_period_mm / (self.second_period_mm - self.period_mm)
+        return max(self.second_period_mm, beat)
 
 
 def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
@@ -65,7 +97,7 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
             yield (), raw, fields.absent(f'missing key "{key}", which a light of kind {kind} needs', key)
     known = set(LightConfig.model_fields)
     for key in raw:
-        if key in known and key not in (*_PLACE_KEYS, *_RANGE_KEYS, *needed, *others):
+        if key in known and raw[key] is not None and key not in (*_PLACE_KEYS, *_RANGE_KEYS, *needed, *others):
             yield (key,), raw[key], fields.complaint(f"a light of kind {kind} has no such key; leave it out")
     numbers = {key: value for key, value in raw.items() if isinstance(value, (int, float))}
     if numbers.get("rows", 1) * numbers.get("columns", 1) > MOST_CHANNELS:
@@ -73,6 +105,15 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
     if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
         yield ("inner_radius_mm",), raw["inner_radius_mm"], fields.complaint("expected less than outer_radius_mm")
     size = [side for side in fields.entries(raw.get("size_mm")) if isinstance(side, (int, float))]
+    pattern = fields.mapping(raw.get("pattern"))
+    lengths = [one for key in ("period_mm", "second_period_mm") if isinstance(one := pattern.get(key), (int, float))]
+    if len(lengths) == 2 and 0 < lengths[0] < lengths[1] and len(size) == 2:
+        unambiguous = SinePatternConfig(period_mm=lengths[0], second_period_mm=lengths[1]).unambiguous_mm
+        if unambiguous < max(size) + lengths[0]:
+            reason = f"the phases repeat after {unambiguous:.4g} mm; expected at least the display's longer side and a"
+            reason += f" period, {max(size) + lengths[0]:g} mm: a longer second period, or one closer to period_mm"
+            where = ("pattern", "second_period_mm")
+            yield where, lengths[1], fields.complaint(reason)
     widest = {"dome": numbers.get("radius_mm"), "flat_dome": min(size, default=None)}.get(kind)
     if widest is not None and numbers.get("camera_hole_mm", 0.0) >= widest:
         yield ("camera_hole_mm",), raw["camera_hole_mm"], fields.complaint(f"expected less than {widest:g}")
@@ -185,6 +226,33 @@ class LightConfig(fields.Frozen):
     _channel: int = PrivateAttr(default=0)
     _entry: int = PrivateAttr(default=0)
     _entry_name: str | None = PrivateAttr(default=None)
+    _mixture: tuple[tuple["LightConfig", float], ...] = PrivateAttr(default=())
+    _exposures: tuple[float, ...] | None = PrivateAttr(default=None)
+
+    @property
+    def mixture(self) -> tuple[tuple["LightConfig", float], ...]:
+        """Lights that are on together and their weights, for an image of a programme; none otherwise."""
+        return self._mixture
+
+    @property
+    def exposures(self) -> tuple[float, ...] | None:
+        """Exposures that the programme gives this image; None for those of the command."""
+        return self._exposures
+
+    def mixed(
+        self, name: str, lights: Sequence[tuple["LightConfig", float]], exposures: tuple[float, ...] | None
+    ) -> "LightConfig":
+        """An image of several lights with weights, as a light of its own that stands where this one does."""
+        image = self.model_copy(update={"name": name})
+        image._mixture, image._exposures = tuple(lights), exposures
+        return image
+
+    @model_serializer(mode="wrap")
+    def _with_mixture(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # what depends on the image depends on its weights
+        own: dict[str, Any] = handler(self)
+        parts = [{"light": light.model_dump(mode="json"), "weight": weight} for light, weight in self._mixture]
+        return own | {"mixture": parts} if parts else own
 
     @property
     def channel(self) -> int:
@@ -209,7 +277,7 @@ class LightConfig(fields.Frozen):
             assert self.columns is not None
             return self.rows * self.columns
         if self.pattern is not None:
-            return self.pattern.phases * len(self.pattern.directions)
+            return self.pattern.phases * len(self.pattern.directions) * len(self.pattern.periods_mm)
         return self.segments or 1
 
     @model_validator(mode="wrap")
@@ -224,7 +292,7 @@ class LightConfig(fields.Frozen):
         of_others = {key for keys in _KEYS_OF_KIND.values() for key in (*keys[0], *keys[1])} - {"size_mm"}
         complaints: list[fields.Complaint] = [
             ((key,), raw[key], fields.complaint("a panel has no such key; give the kind of light that has it"))
-            for key in sorted(of_others & set(raw))
+            for key in sorted(of_others & {key for key, given in raw.items() if given is not None})
         ]
         if raw.get("distance_mm") == 0:
             complaints.append((("distance_mm",), 0, fields.complaint("a panel cannot stand at the origin")))

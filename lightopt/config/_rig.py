@@ -1,14 +1,24 @@
 """A rig file: camera, lights, stage and hardware."""
 
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_serializer, field_validator
+from pydantic import (
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_serializer,
+    field_validator,
+    model_validator,
+)
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig
 from lightopt.config._hardware import HardwareConfig, misfits
 from lightopt.config._light import LightConfig, LightSourceConfig, auto_sums, expanded
 from lightopt.config._pose import CalibrationConfig, RotaryAxisConfig, TiltAxisConfig
+from lightopt.config._programme import ProgrammeImageConfig, programme_lights, programme_misfits
 
 
 class StageConfig(fields.Frozen):
@@ -42,6 +52,9 @@ class VirtualBenchConfig(fields.Frozen):
     """Rotation of the part from its place about the origin, before the offset: its axis, as long as its angle [deg]."""
 
 
+_Programme = Annotated[tuple[ProgrammeImageConfig, ...], Field(strict=False, min_length=1, max_length=1000)]
+
+
 class RigConfig(fields.FileConfig):
     """A rig: one camera, the lights around the table, and the stage that holds the part."""
 
@@ -55,6 +68,8 @@ class RigConfig(fields.FileConfig):
     """The panel that all panel lights share."""
     lights: Annotated[tuple[LightConfig, ...], Field(strict=False, min_length=1, max_length=1000)]
     """The lights, at least one."""
+    programme: _Programme | None = None
+    """Images, each of some of the lights with weights, that take the place of one image per light in every command."""
     stage: StageConfig = StageConfig()
     """The stage; unlimited about the origin if absent."""
     calibration: CalibrationConfig | None = None
@@ -78,10 +93,43 @@ class RigConfig(fields.FileConfig):
         found = fields.with_complaints(value, handler, complaints)
         return found if any(light.channel for light in found) else expanded(found)
 
+    _channels: tuple[LightConfig, ...] = PrivateAttr(default=())
+
+    @property
+    def channels(self) -> tuple[LightConfig, ...]:
+        """The lights that are switched on one by one or together: `lights`, unless a programme mixes them."""
+        return self._channels or self.lights
+
+    def exposures(self, light: str, of_command: tuple[float, ...]) -> tuple[float, ...]:
+        """Exposures of a light's images: those that the programme gives it, else those of the command."""
+        own = next((one.exposures for one in self.lights if one.name == light), None)
+        return of_command if own is None else own
+
+    def without_programme(self) -> "RigConfig":
+        """The rig with an image of each light alone."""
+        alone = self.model_copy(update={"lights": self.channels, "programme": None})
+        alone._channels = ()
+        alone._source = replace(self._source, entries=tuple(light.entry for light in self.channels))
+        return alone
+
+    @model_validator(mode="after")
+    def _programmed(self) -> "RigConfig":
+        if self.programme is not None:
+            # from here on, the images are the lights
+            self._channels = self.lights
+            object.__setattr__(self, "lights", programme_lights(self.programme, self.lights))
+        return self
+
+    @field_validator("programme", mode="wrap")
+    @classmethod
+    def _of_its_lights(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+        lights = info.data.get("lights")
+        return fields.with_complaints(value, handler, () if lights is None else programme_misfits(value, lights))
+
     @field_serializer("lights")
-    def _entries(self, lights: tuple[LightConfig, ...]) -> list[dict[str, Any]]:
+    def _entries(self, _: tuple[LightConfig, ...]) -> list[dict[str, Any]]:
         # as in a file: channels of a light are one entry
-        return [{**light.model_dump(), "name": light.entry_name} for light in lights if light.channel == 0]
+        return [{**light.model_dump(), "name": light.entry_name} for light in self.channels if light.channel == 0]
 
     @field_validator("hardware", mode="wrap")
     @classmethod

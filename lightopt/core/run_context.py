@@ -72,6 +72,12 @@ class RunContext:
             inner._progress = lambda stage, share: progress(f"{name}, {stage}", share)
         return inner
 
+    def apart(self, name: str) -> "RunContext":
+        """Context of one of several runs, which records its own warnings and passes none on."""
+        inner = self.within(name)
+        inner._warnings, inner._warn = {}, None
+        return inner
+
 
 class WorkCounter:
     """Units of work, counted by any thread and reported by the calling one."""

@@ -14,7 +14,7 @@ from lightopt.core.errors import InputError, counted
 from lightopt.design.search._combinations import CombinationSpace, Rows
 from lightopt.lights import PanelLight, outlines
 from lightopt.rendering import panels_in_part
-from lightopt.scene import PinholeCamera, Scene, build_camera, build_lights, light_area, lights_meet
+from lightopt.scene import PinholeCamera, Scene, area_in_view, build_camera, build_lights, lights_meet
 
 Angles = tuple[float, float]  # elevation and azimuth [°]
 Reason = tuple[str, str, float | None]  # text, kind and amount of an `ExcludedPosition`
@@ -241,7 +241,7 @@ def _span(amounts: Sequence[float], form: str) -> str:
 
 
 def _reason(panel: PanelLight, camera: PinholeCamera, scene: Scene | None) -> Reason | None:
-    pixels = light_area(camera, panel)
+    pixels = area_in_view(camera, panel)
     if pixels > 0.0:
         covered = max(1, round(pixels))
         return f"stands in the camera's view, over {counted(covered, 'pixel')}", "view", float(covered)
@@ -252,14 +252,11 @@ def _reason(panel: PanelLight, camera: PinholeCamera, scene: Scene | None) -> Re
     return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 
-def _clashes(
-    rig: RigConfig, possible: Sequence[Sequence[tuple[Angles, PanelLight]]]
-) -> dict[tuple[int, int], Bool]:
+def _clashes(rig: RigConfig, possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tuple[int, int], Bool]:
     clashes: dict[tuple[int, int], Bool] = {}
-    solid = [i for i, some in enumerate(possible) if some and rig.lights[i].kind != "coaxial"]
-    for i, j in itertools.combinations(solid, 2):
+    for i, j in itertools.combinations(range(len(possible)), 2):
         if rig.lights[i].entry == rig.lights[j].entry:
-            continue
+            continue  # channels of one light
         clash = np.zeros((len(possible[i]), len(possible[j])), np.bool_)
         if clash.size:
             # spheres around the panels exclude most pairs at once

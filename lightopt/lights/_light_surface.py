@@ -12,6 +12,7 @@ times what the surface reflects; α is the angle at the element, r the distance.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -367,3 +368,51 @@ def surface_light(
     fields |= {"points": "auto", "inverse_square": True, "emission_exponent": 1.0}
     elements = _moved(own, rotation, panel.centre)
     return SurfaceLight(**fields, kind=kind, entry=entry, elements=elements, pattern=pattern)
+
+
+def mixed_light(name: str, parts: Sequence[tuple[SurfaceLight, float]]) -> SurfaceLight:
+    """A light of several that are on together, each with a weight above 0, where the first one stands.
+
+    parts: Lights of the same pattern, or channels of one light
+    """
+    first, gain = parts[0][0], sum(weight * light.gain for light, weight in parts)
+    shares = [weight * light.gain / gain for light, weight in parts]
+    if all(np.array_equal(light.pattern, first.pattern) for light, _ in parts):
+        rows = [_times(light.elements, RADIANCE, share) for (light, _), share in zip(parts, shares, strict=True)]
+        return replace(first, name=name, gain=gain, elements=_summed(rows, RADIANCE))
+    terms = [_times(light.pattern, 0, share) for (light, _), share in zip(parts, shares, strict=True)]
+    return replace(first, name=name, gain=gain, pattern=_summed(terms, 0))
+
+
+def _times(rows: Float64, column: int, factor: float) -> Float64:
+    scaled_rows = rows.copy()
+    scaled_rows[:, column] *= factor
+    return scaled_rows
+
+
+def _summed(parts: Sequence[Float64], column: int) -> Float64:
+    # one row for all that differ in a column only, which has their sum
+    rows = np.concatenate(parts)
+    _, first, number = np.unique(np.delete(rows, column, axis=1), axis=0, return_index=True, return_inverse=True)
+    merged = rows[first]
+    merged[:, column] = np.bincount(number.ravel(), rows[:, column])
+    return merged
+
+
+def picture_light(display: SurfaceLight, picture: Float64) -> SurfaceLight:
+    """A display that shows a picture, each pixel an element; black ones are left out.
+
+    display: Without or with a pattern, which the picture takes the place of
+    picture: Shares of the full radiance, as seen from the part with `along` upwards, shape (rows, columns): row 0 is at
+        the greatest v, column 0 at the greatest u
+    """
+    rows, columns = np.nonzero(picture)
+    u, v = (
+        0.5 * side - side * np.arange(count + 1) / count
+        for side, count in zip(display.size, reversed(picture.shape), strict=True)
+    )
+    own = np.repeat(display.elements[:1], len(rows), axis=0)
+    own[:, 13:17] = np.stack([u[columns + 1], u[columns], v[rows + 1], v[rows]], axis=1)
+    own[:, RADIANCE] *= picture[rows, columns]
+    _bound(own)
+    return replace(display, elements=own, pattern=UNIFORM)

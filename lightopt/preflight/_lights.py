@@ -10,7 +10,7 @@ from lightopt.config import RigConfig
 from lightopt.lights import PanelLight, outlines, surface_mesh
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, percent
 from lightopt.rendering import hidden_by, panels_in_part
-from lightopt.scene import build_lights, light_area, lights_meet
+from lightopt.scene import area_in_view, build_lights, lights_meet
 
 _ROUNDING_MM = 1e-6
 STEP_DEG = 5.0  # a light's ranges are tried at least this finely where the camera's view is concerned
@@ -21,7 +21,7 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
     pixels = checked.camera.width * checked.camera.height
     clear = True
     for index, light in enumerate(checked.lights):
-        area = light_area(checked.camera, light)
+        area = area_in_view(checked.camera, light)
         if area > 0.0:
             clear = False
             text = (
@@ -31,7 +31,7 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
             values = {"light": light.name, "pixels": area, "share": area / pixels}
             yield Finding("warning", "light in view", text, checked.at("lights", index), values)
             continue
-        moved = [p for p in _moved(checked.rig, index, STEP_DEG) if light_area(checked.camera, p) > 0.0]
+        moved = [p for p in _moved(checked.rig, index, STEP_DEG) if area_in_view(checked.camera, p) > 0.0]
         if moved:
             clear = False
             yield _at_range(checked, index, "light in view", moved, "comes into the camera's view")
@@ -151,7 +151,7 @@ def check_hidden_part(checked: CheckedScene) -> Iterator[Finding]:
     """How much of the part's image a light hides, standing between camera and part."""
     for sample, (at, light) in itertools.product(checked.samples, enumerate(checked.scene.lights)):
         own = sample.view.lights[at]
-        if light_area(sample.view.camera, own) == 0.0:
+        if area_in_view(sample.view.camera, own) == 0.0:
             continue
         vertices, faces = surface_mesh(own)
         hidden = hidden_by(vertices[faces], sample.view.camera.position, sample.hits.points)

@@ -51,4 +51,5 @@ from lightopt.rendering._surface import (
     hidden_by as hidden_by,
     trace_samples as trace_samples,
 )
+from lightopt.rendering._surface_light import light_of_elements as light_of_elements
 from lightopt.rendering._surface_variants import shade_variants as shade_variants, surface_variants as surface_variants

@@ -117,7 +117,7 @@ def render_image_set(
         (light.name, posture, exposure)
         for posture in scene.postures
         for light in scene.lights
-        for exposure in options.exposures
+        for exposure in rig.exposures(light.name, options.exposures)
     ]
     writer = ImageSetWriter(folder, _header(rig, part, scene, options), force=force, plan=plan)
     warnings: dict[str, None] = {}
@@ -136,7 +136,6 @@ def render_image_set(
     if resumed == len(plan) and writer.file_done() and all(map(writer.geometry_done, scene.postures)):
         return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=tuple(warnings))
     table = build_patches(scene, caster=caster, budget=options.patch_budget, threads=run.threads)
-    names = [light.name for light in rig.lights]
     rays = 0
     # packing the patches takes as long as images and writing them
     with BackgroundTasks() as packing, BackgroundTasks() as disk:
@@ -171,7 +170,7 @@ def render_image_set(
                     f"posture {posture}: {counted(images.back_faces, 'pixel')} on the back of a face, black; the mesh "
                     "is open or its winding is wrong there"
                 )
-            _write_posture(disk, writer, scene, images, options, names)
+            _write_posture(disk, writer, scene, images, options, rig)
             if images.geometry.hit.size > WRITTEN_AT_ONCE:
                 disk.wait()
     return RenderedSet(
@@ -275,18 +274,19 @@ def _write_posture(
     scene: Scene,
     images: PostureImages,
     options: RenderOptions,
-    names: list[str],
+    rig: RigConfig,
 ) -> None:
     """Have written what the folder lacks of a posture: its geometry, and an image per light and exposure.
 
-    names: Of the rig's lights, whose order numbers their noise
+    rig: The order of its lights numbers their noise
     """
     posture = images.posture
     if not writer.geometry_done(posture):
         facts = {"back_face_pixels": images.back_faces}
         disk.add(_add_geometry, writer, images, facts)
+    names = [light.name for light in rig.lights]
     for light, image in zip(scene.lights, images.lights, strict=True):
-        for exposure in options.exposures:
+        for exposure in rig.exposures(light.name, options.exposures):
             if not writer.done(light.name, posture, exposure):
                 seeds = None if options.noise is None else (options.noise, names.index(light.name))
                 disk.add(_add_image, writer, scene, images, light, image, exposure, seeds)

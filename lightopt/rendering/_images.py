@@ -446,11 +446,11 @@ class _PostureJob:
 
 
 def _together(panels: Sequence[PanelLight | ConvergedPanel]) -> list[list[int]]:
-    # numbers of lights that are shaded together: the channels of one light
+    # numbers of lights that are shaded together: the channels of one light, unless a programme's weights differ
     groups: list[list[int]] = []
-    entry: int | None = None
+    entry: tuple[int, float] | None = None
     for number, panel in enumerate(panels):
-        own = panel.entry if isinstance(panel, SurfaceLight) else None
+        own = (panel.entry, panel.total_weight) if isinstance(panel, SurfaceLight) else None
         if own is not None and own == entry and len(groups[-1]) < MOST_TOGETHER:
             groups[-1].append(number)
         else:

@@ -13,11 +13,18 @@ from lightopt.report._charts import chart as chart
 from lightopt.report._contact_sheet import add_contact_sheets as add_contact_sheets, contact_sheet as contact_sheet
 from lightopt.report._drawing import figure_image as figure_image, fixed_style as fixed_style
 from lightopt.report._fit_pictures import fit_chart as fit_chart, residual_picture as residual_picture
+from lightopt.report._images import png_bytes as png_bytes
 from lightopt.report._page import (
+    Answer as Answer,
+    Gallery as Gallery,
+    Note as Note,
     Page as Page,
+    Picture as Picture,
     Section as Section,
     SurfaceView as SurfaceView,
     Table as Table,
+    Warnings as Warnings,
+    camera_picture as camera_picture,
     page_html as page_html,
 )
 from lightopt.report._rig_drawing import rig_drawing as rig_drawing

@@ -12,10 +12,13 @@ from importlib.resources import files
 from itertools import groupby
 from urllib.parse import quote
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
+from lightopt.core.arrays import Bool
 from lightopt.report import _surface as surfaces
-from lightopt.report._images import png_bytes
+from lightopt.report._images import png_bytes, thumbnail
 from lightopt.report._surface import ColouredSurface, SurfaceLayer
 
 # the browser itself then refuses every request
@@ -73,6 +76,12 @@ class Picture:
     png: bytes
     alt: str
     caption: str = ""
+
+
+def camera_picture(level: NDArray[np.floating], saturated: Bool, *, limit: int, alt: str, caption: str) -> Picture:
+    """An image of the camera as :func:`lightopt.report._images.thumbnail` makes it small."""
+    small = thumbnail(level, saturated, limit=limit)
+    return Picture(png=png_bytes(Image.fromarray(small.picture)), alt=alt, caption=caption)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -64,8 +64,8 @@ def part_box(scene: Scene, posture: Posture) -> Float64:
 
 
 def rig_size(scene: Scene) -> float:
-    """Distance of the farthest light or, without lights, of the camera [mm]: what signs are sized by."""
-    return max([light.distance for light in scene.lights] or [float(np.linalg.norm(scene.camera.position))])
+    """Distance of the farthest light or, without lights away from the origin, of the camera [mm]: sizes signs."""
+    return max((light.distance for light in scene.lights), default=0.0) or float(np.linalg.norm(scene.camera.position))
 
 
 def square(half: float, centre: Float64) -> Float64:

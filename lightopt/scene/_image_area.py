@@ -29,10 +29,10 @@ def image_area(camera: PinholeCamera, polygon: Float64) -> float:
     return camera.aspect * _area(local[:, :2] / local[:, 2:] * scale)
 
 
-def light_area(camera: PinholeCamera, light: PanelLight) -> float:
-    """How much of the image a light covers [px²], at most all of it; none of one behind a beam splitter.
+def area_in_view(camera: PinholeCamera, light: PanelLight) -> float:
+    """How much of the image a light covers, wherever the part is [px²]; what is behind another piece counts twice.
 
-    What is behind another piece of the light counts twice.
+    light: In the frame of the camera's vectors; a coaxial light covers nothing, as the camera looks past its mirror
     """
     if isinstance(light, SurfaceLight) and light.kind == "coaxial":
         return 0.0
@@ -42,7 +42,7 @@ def light_area(camera: PinholeCamera, light: PanelLight) -> float:
 
 def obstructions(camera: PinholeCamera, lights: Iterable[PanelLight]) -> Float64 | None:
     """Corners of the triangles of the lights in the camera's view [mm], shape (t, 3, 3); None where there are none."""
-    meshes = [surface_mesh(light) for light in lights if light_area(camera, light) > 0.0]
+    meshes = [surface_mesh(light) for light in lights if area_in_view(camera, light) > 0.0]
     return np.concatenate([vertices[faces] for vertices, faces in meshes]) if meshes else None
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -13,9 +14,11 @@ from lightopt.core.transforms import rotation_from_vector
 from lightopt.lights import (
     RADIANCE,
     PanelLight,
+    SurfaceLight,
     cone_elements,
     frame_elements,
     half_pipe_elements,
+    mixed_light,
     place_light,
     plane_elements,
     pose_light,
@@ -32,7 +35,7 @@ LEAST_AROUND = 4  # elements around of a segment
 def build_lights(
     rig: RigConfig, names: Sequence[str] | None = None, points: int | Literal["auto"] | None = None
 ) -> tuple[PanelLight, ...]:
-    """The rig's lights, world frame; each channel of a light is one.
+    """The rig's lights, world frame; each channel of a light is one, or each image of the rig's programme.
 
     names: Of the lights to keep; all by default
     points: Point lights per panel, instead of the rig's
@@ -43,7 +46,18 @@ def build_lights(
     if unknown:
         raise InputError(*(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown))
     chosen = [light for light in rig.lights if names is None or light.name in names]
-    return tuple(_panel(rig, one, points) if one.kind == "panel" else _surface_light(one) for one in chosen)
+    return tuple(_light(rig, one, points) for one in chosen)
+
+
+def _light(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | None) -> PanelLight:
+    if not light.mixture:
+        return _panel(rig, light, points) if light.kind == "panel" else _surface_light(light)
+    parts = [(_light(rig, one, points), weight) for one, weight in light.mixture]
+    first, weight = parts[0]
+    if not isinstance(first, SurfaceLight):
+        # panels are alone
+        return replace(first, name=light.name, gain=weight * first.gain)
+    return mixed_light(light.name, [(one, weight) for one, weight in parts if isinstance(one, SurfaceLight)])
 
 
 def _where(light: LightConfig) -> dict[str, Any]:
@@ -199,6 +213,7 @@ def _offset(size: float, index: int, count: int) -> float:
 def _pattern(light: LightConfig) -> Float64:
     pattern = light.pattern
     assert pattern is not None
-    direction, step = divmod(light.channel, pattern.phases)
+    block, step = divmod(light.channel, pattern.phases)
+    direction, period = divmod(block, len(pattern.periods_mm))
     axis = "uv".index(pattern.directions[direction])
-    return sine_terms(axis, period=pattern.period_mm, phase=-2.0 * math.pi * step / pattern.phases)
+    return sine_terms(axis, period=pattern.periods_mm[period], phase=-2.0 * math.pi * step / pattern.phases)

@@ -52,7 +52,7 @@ def take(bench, world, monkeypatch):
     # what the devices do is compared step by step: however slow the disk, lights wait for it
     monkeypatch.setattr(CapturePlan, "relighting_s", 60.0)
     rig, part = load_rig(bench.rig), load_part(bench.part)
-    scene = build_scene(rig, part)
+    scene = build_scene(rig.without_programme(), part)
 
     def run(folder=bench.out, truth=None, rig=rig, part=part, **options):
         control = {key: options.pop(key) for key in ("resume", "force", "run") if key in options}

@@ -83,7 +83,7 @@ def test_times_are_those_of_the_rig_file(wired):
     assert moves == [0.0, pytest.approx(170 / 50)]
     settling = [step.seconds for step in plan.steps() if step.kind == "settle"]
     assert sorted(set(settling)) == [0.05, 0.3]
-    assert plan.on_s() == pytest.approx(0.05 + 0.008 + 160 * 120 * 80e-9)
+    assert plan.on_s(plan.lights[0]) == pytest.approx(0.05 + 0.008 + 160 * 120 * 80e-9)
 
 
 def test_without_a_hardware_section_it_is_the_virtual_bench(bench):

@@ -192,3 +192,29 @@ def test_a_panel_inside_the_part_is_left_out_and_the_posture_named(tmp_path):
         (90.0, "is inside the part in posture (0°, 90°)"),
     ]
     assert len(find_candidates(rig, step_deg=45.0).angles[0]) == 3
+
+
+SEGMENTS = """\
+format: lightopt-rig/1
+name: test
+camera: {distance_mm: 550, elevation_deg: 90, resolution_px: [160, 120], pixel_size_um: 44, image_distance_mm: 55, sensor: {bit_depth: 8}}
+lights:
+  - {name: lcd, kind: display, size_mm: [120, 80], distance_mm: 250, elevation_deg: 40, azimuth_deg: 0,
+     azimuth_range_deg: [0, 40], pattern: {period_mm: 30, phases: 3, directions: [u]}}
+  - {name: bar, kind: bar, size_mm: [40, 20], distance_mm: 250, elevation_deg: 40, azimuth_deg: 180,
+     elevation_range_deg: [40, 60]}
+"""  # noqa: E501
+
+
+def test_channels_of_a_light_move_together(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(SEGMENTS, encoding="utf-8")
+    found = find_candidates(load_rig(path), step_deg=20.0)
+    assert found.names == ("lcd-1", "lcd-2", "lcd-3", "bar")
+    assert found.channels == ((0, 1, 2), (3,))
+    assert found.space.sizes == (3, 3, 3, 2)
+    groups = [tuple(tuple(map(int, row)) for row in rows) for rows in found.space.groups]
+    assert groups == [((k,), (k,), (k,), (0, 1)) for k in range(3)]
+    assert found.message == "3 × 3 × 3 × 2 positions of lcd-1, lcd-2, lcd-3, bar: 6 combinations at most"
+    # channels have the same place, and do not collide with each other
+    assert found.space.clashes == {}

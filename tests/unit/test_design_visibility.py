@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape
-from lightopt.design import BlindReason, LevelThresholds, LuminanceMatrix, blind_text, planned_catalogue
+from lightopt.design import (
+    BlindReason,
+    DetectabilityObjective,
+    LevelThresholds,
+    LuminanceMatrix,
+    blind_text,
+    planned_catalogue,
+)
 from lightopt.design.blind_spots._blind_spots import blind_spots, by_light, defect_visibility
+from lightopt.design.responses._evidence import spare_units
 from lightopt.design.responses._luminance_matrix import Visibility
+from lightopt.optics import Sensor
 
 THRESHOLDS = LevelThresholds(shade=10, saturation=255, black=2)
 
@@ -211,3 +221,32 @@ def test_images_of_other_postures_confirm_and_other_exposures_of_a_light_do_not(
     assert glare.codes.tolist() == [BlindReason.SATURATED]
     mended = blind_spots(np.ones(1), [defect_visibility(by_light([bright, dim]), THRESHOLDS, least=2)])
     assert mended.codes.tolist() == [BlindReason.CONTRAST]
+
+
+def test_fewer_images_decide_where_fewer_are_lit():
+    """Of three patches the first is lit in two images, the second in one, the third in none; two must show a defect."""
+    sensor = Sensor(bit_depth=8, read_noise_levels=1.0)
+    levels = [np.array([[200, 200, 1]], np.uint8), np.array([[50, 1, 1], [50, 1, 2]], np.uint8)]
+    spare = spare_units(levels, sensor, 2)
+    assert spare.tolist() == [0, 1, 1]
+    assert spare_units(levels, sensor, 1) is None
+    # saturated images show as little as dark ones
+    assert spare_units([levels[0], np.array([[255, 1, 1]], np.uint8)], sensor, 2).tolist() == [1, 1, 1]
+    assert spare_units(levels, sensor, 3).tolist() == [4, 5, 5]
+    defects = planned(dent(2.0))
+    units = [np.array([[[3], [3], [3]]]), np.array([[[0], [0], [0]], [[0], [0], [0]]])]
+    visibility = replace(visibility_of(units, defects, 3), spare=spare)
+    goal = DetectabilityObjective(defects, min_images=2)
+    matrix = LuminanceMatrix(levels=tuple(levels), areas=np.ones(3), visibility=visibility)
+    weights = np.array([1, 10, 100], np.int64)
+    each = defects[0].weight
+    assert goal.bound(matrix, weights, THRESHOLDS) == 110 * each
+    assert goal.scores(matrix, weights, THRESHOLDS, 1, None).tolist() == [110 * each, 110 * each]
+    assert goal.score(matrix.combination((0, 1)), weights, THRESHOLDS) == 110 * each
+    assert replace(visibility, spare=None).most_units(goal.needed)[-1].any() == 0
+    alone = defect_visibility(by_light([matrix]), THRESHOLDS, least=2)
+    assert blind_spots(np.ones(3), [alone]).share.tolist() == [0.0, 1.0, 1.0]
+    # images of several postures add up: which of them light a patch is not known
+    assert (
+        blind_spots(np.ones(3), [alone, replace(alone, counts=np.zeros_like(alone.counts))]).share.tolist() == [0.0] * 3
+    )

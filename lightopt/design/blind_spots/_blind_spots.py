@@ -184,6 +184,9 @@ def blind_spots(areas: Float64, postures: Sequence[DefectVisibility]) -> BlindSp
     codes[glaring] = BlindReason.SATURATED + first[glaring]
     codes[sight == 1] = BlindReason.GRAZING
     codes[sight == 0] = BlindReason.CAMERA
+    if len(postures) == 1 and (spare := first_posture.spare_flags) is not None:
+        # of several postures together, images of the others light what one leaves dark
+        counts[:, first_posture.patch] = add_counts(counts[:, first_posture.patch], spare)
     sums, every_defect = first_posture.weights(counts[-1]), sum(defect.weight for defect in first_posture.defects)
     codes[sums == every_defect] = BlindReason.SEEN
     return BlindSpots(codes=codes, share=sums / every_defect, areas=areas)

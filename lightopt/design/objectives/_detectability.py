@@ -114,7 +114,7 @@ class DetectabilityObjective(Objective):
         visibility = _visibility(matrix)
         masks, factors = visibility.planes
         pairs = PairWeights(areas=weights, masks=masks, factors=factors)
-        words, needed = visibility.words, self.needed
+        words, needed = visibility.counted, self.needed
         return combination_sums(words, pairs, needed, benefit=False, threads=threads, progress=progress)[0]
 
     def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:

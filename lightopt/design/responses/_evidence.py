@@ -9,8 +9,9 @@ defect, those but the k − 1 best must add up to 3² still, so that an image co
 Pixels around a patch see its neighbours: their levels are looked up in the image, where patches are found by their
 middles. The standard deviation is that of the sensor's noise and of a part that lies a tenth of a pixel off.
 
-Evidence is counted in whole units, 3 of which are enough where one image may decide, else 4 · (k − 1). An image's units
-are flags: flag j says that it has more than j (:mod:`lightopt.design.responses._packed_bits`).
+Evidence is counted in whole units, 3 of which are enough where one image may decide, else 4 · (k − 1). At a place that
+fewer images light, so many decide (:func:`spare_units`). An image's units are flags: flag j says that it has more than
+j (:mod:`lightopt.design.responses._packed_bits`).
 """
 
 import math
@@ -22,7 +23,7 @@ import numpy as np
 from scipy import ndimage
 
 from lightopt import defects
-from lightopt.core.arrays import Float32, Float64, Int16, Int32
+from lightopt.core.arrays import Float32, Float64, Int16, Int32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
@@ -37,6 +38,7 @@ from lightopt.design.responses._evidence_sums import (
     in_cells,
     owner_at,
 )
+from lightopt.design.responses._luminance_matrix import Levels
 from lightopt.design.responses._packed_bits import Words
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
@@ -82,6 +84,24 @@ _Camera = tuple[float, float, float, float]
 def units_needed(min_images: int) -> int:
     """Units of evidence of a defect that counts as found."""
     return UNITS_OF_IMAGE if min_images == 1 else (UNITS_OF_IMAGE + 1) * (min_images - 1)
+
+
+def spare_units(levels: Sequence[Levels], sensor: Sensor, min_images: int) -> UInt8 | None:
+    """Units of evidence that are not needed at patches which too few images light, shape (p,); None for none.
+
+    There the inspection asks for no more images than are lit. A light counts where any of its positions lights a patch.
+
+    levels: Delivered, of each light, shape (positions, p)
+    """
+    if min_images == 1:
+        return None
+    lit_from = DARK * math.sqrt(sensor.noise_variance(0.0))
+    for _ in range(3):  # noise grows with the level
+        lit_from = DARK * math.sqrt(sensor.noise_variance(lit_from))
+    low, high = sensor.black_level + lit_from, sensor.saturated_from
+    lit = sum(((layer >= low) & (layer < high)).any(axis=0).astype(np.int32) for layer in levels)
+    units = np.array([units_needed(images) for images in range(1, min_images + 1)])
+    return (units[-1] - units[np.clip(lit, 1, min_images) - 1]).astype(np.uint8)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Float64, Int32, Int64, read_only
+from lightopt.core.arrays import Float64, Int32, Int64, UInt8, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.design.responses._defect_hypotheses import PlannedDefect
@@ -35,6 +35,8 @@ class Visibility:
     words: tuple[Words, ...]  # flags of the units of each light, shape (candidates, units, p, ⌈t / 64⌉)
     patch: Int32  # indices of the inspectable patches among those of the run, ascending, shape (p,)
     grazing: Int32  # indices of the patches seen at a grazing angle, which are excluded, ascending
+    # units that are not needed where fewer images than must show a defect are lit, shape (p,); None for none
+    spare: UInt8 | None = None
 
     def __post_init__(self) -> None:
         shape = len(self.patch), -(-len(self.defects) // 64)
@@ -63,7 +65,30 @@ class Visibility:
 
     def patches(self, start: int, end: int) -> "Visibility":
         words = tuple(layer[:, :, start:end] for layer in self.words)
-        return replace(self, words=words, patch=self.patch[start:end])
+        spare = None if self.spare is None else self.spare[start:end]
+        return replace(self, words=words, patch=self.patch[start:end], spare=spare)
+
+    @property
+    def spare_flags(self) -> Words | None:
+        """Flags of the spare units, alike for all defects, shape (units, p, ⌈t / 64⌉); None where there are none."""
+        if self.spare is None or not self.spare.any():
+            return None
+        flags = np.zeros((int(self.spare.max()), *self.words[0].shape[2:]), np.uint64)
+        for unit in range(len(flags)):
+            flags[unit, self.spare > unit] = ~np.uint64(0)
+        return flags
+
+    @property
+    def counted(self) -> tuple[Words, ...]:
+        """The flags of each light, to be added up: those of the first light have the spare units, too."""
+        spare, first = self.spare_flags, self.words[0]
+        if spare is None:
+            return self.words
+        total = np.zeros((len(first), first.shape[1] + len(spare), *first.shape[2:]), np.uint64)
+        total[:, : first.shape[1]] = first
+        for counts in total:
+            add_units(counts, spare)
+        return total, *self.words[1:]
 
     def most_units(self, needed: int) -> Counts:
         """Units of evidence, up to `needed`, if each light takes for each defect the position that shows it best.
@@ -71,7 +96,7 @@ class Visibility:
         Returns flags of shape (needed, p, words).
         """
         counts = np.zeros((needed, *self.words[0].shape[2:]), np.uint64)
-        for layer in self.words:
+        for layer in self.counted:
             add_units(counts, np.bitwise_or.reduce(layer, axis=0))
         return counts
 

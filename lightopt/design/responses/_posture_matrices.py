@@ -20,7 +20,7 @@ from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._problem import Problem, detection_model_of
 from lightopt.design.responses._defect_hypotheses import PlannedDefect
-from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel
+from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, spare_units
 from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageCache, ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility
 from lightopt.images import make_folder, posture_folder, write_npz_atomic
@@ -148,14 +148,20 @@ class PostureMatrices:
             cached = read_matrix(path, key=key, lights=len(self.problem.candidates.names), defects=defects)
             if cached is not None:
                 self.reused += 1
-                return cached
+                return self._with_spare(cached)
         panels, stage = self.problem.candidates.panels, self.run.stage(f"casting rays, {posture}")
         most, evaluator = MOST_BYTES // held, self.evaluator(self.detection)
         (matrix,) = evaluator.matrices(posture, panels, most_bytes=most, progress=stage)
         if self.problem.options.keep_matrix:
             make_folder(path.parent)
             write_matrix(path, matrix, self.problem.candidates.angles, key=key)
-        return matrix
+        return self._with_spare(matrix)
+
+    def _with_spare(self, matrix: LuminanceMatrix) -> LuminanceMatrix:
+        if self.detection is None or matrix.visibility is None:
+            return matrix
+        spare = spare_units(matrix.levels, self.detection.sensor, self.detection.min_images)
+        return replace(matrix, visibility=replace(matrix.visibility, spare=spare))
 
     def fits_memory(self, candidates: Candidates) -> bool:
         """Whether memory suffices for the levels of other candidates, in all postures together."""

@@ -107,24 +107,23 @@ class AcquisitionEngine:
             self.devices.stage.confirm()
 
     def light_on(self, name: str) -> None:
-        """Light a panel, once the stage needs no longer to settle than the light; it settles while it is read back."""
+        """Light an image, once the stage needs no longer to settle than the lights; they settle while read back."""
         self.devices.step = f"lighting {name}"
         light_s = self._plan.wiring.hardware.timing.light_ms / 1e3
         self._wait_until(self._stage_settled - light_s)
-        channel = self._plan.wiring.light(name)
-        begun = time.monotonic()
-        held = self.devices.light_on(name)
-        sent = self.devices.controllers[channel.controller].level_set_s
+        begun, sent = time.monotonic(), 0.0
+        facts: list[dict[str, Any]] = []
+        for light, level in self._plan.wiring.levels(name).items():
+            channel = self._plan.wiring.light(light)
+            held = self.devices.light_on(light, level)
+            sent = self.devices.controllers[channel.controller].level_set_s
+            of_device = {"controller": channel.controller, "channel": channel.channel}
+            facts.append({**of_device, "level": {"requested": level, "read": held}})
         read_s = time.monotonic() - sent
         self._timing.settling_s += min(read_s, light_s)
         self._timing.lights_s += sent - begun + max(0.0, read_s - light_s)
         self._light_settled = sent + light_s
-        facts = {
-            "controller": channel.controller,
-            "channel": channel.channel,
-            "level": {"requested": channel.level, "read": held},
-        }
-        self._lit = (name, facts)
+        self._lit = (name, facts[0] if len(facts) == 1 else {"lights": facts})
         self._changed = True
 
     def light_off(self) -> None:

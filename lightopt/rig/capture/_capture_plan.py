@@ -87,7 +87,8 @@ class CapturePlan:
     options: CaptureOptions
     postures: tuple[Posture, ...]  # in the order of travel
     lights: tuple[str, ...]  # lit one after the other in each posture
-    exposures: tuple[float, ...]  # relative, the longest first
+    exposures: tuple[float, ...]  # relative, the longest first; of all images
+    exposures_of: Mapping[str, tuple[float, ...]]  # those of each light, the longest first
     home: bool  # whether the stage seeks its origin first
     pixels: int  # number of pixels of a frame
 
@@ -101,7 +102,7 @@ class CapturePlan:
             (light, posture, exposure)
             for posture in self.postures
             for light in self.lights
-            for exposure in self.exposures
+            for exposure in self.exposures_of[light]
         )
 
     @property
@@ -114,9 +115,9 @@ class CapturePlan:
         """Whether frames without light are taken first, only to check the others against."""
         return self.options.check and not self.options.dark
 
-    def on_s(self) -> float:
+    def on_s(self, light: str) -> float:
         """How long a light is on at a stretch [s]: settling and all its exposures."""
-        return self._light_settle_s + sum(map(self.frames_s, self.exposures))
+        return self._light_settle_s + sum(map(self.frames_s, self.exposures_of[light]))
 
     @property
     def _light_settle_s(self) -> float:
@@ -132,13 +133,13 @@ class CapturePlan:
             for exposure in (*self.dark_exposures, *references):
                 yield self._expose(posture, None, exposure)
             for light in self.lights:
-                yield from self._light(posture, light, self.exposures)
+                yield from self._light(posture, light, self.exposures_of[light])
             if self.options.check:  # does one stay on?
                 yield self._expose(posture, None, self.exposures[0])
             here, references = posture, ()
         if self.options.check_repeatability:
             yield from self._arrive(here, self.postures[0])
-            yield from self._light(self.postures[0], self.lights[0], self.exposures[:1])
+            yield from self._light(self.postures[0], self.lights[0], self.exposures_of[self.lights[0]][:1])
 
     def _start(self) -> Iterator[PlanStep]:
         for light in self.wiring.hardware.lights:
@@ -157,13 +158,15 @@ class CapturePlan:
         yield PlanStep("settle", "stage", self.wiring.hardware.timing.stage_ms / 1e3)
 
     def _light(self, posture: Posture, light: str, exposures: tuple[float, ...]) -> Iterator[PlanStep]:
-        channel = self.wiring.light(light)
-        what = f"{light} at level {channel.level} ({channel.controller}, channel {channel.channel})"
-        yield PlanStep("light on", what, _COMMAND_S, light)
+        for name, level in self.wiring.levels(light).items():
+            channel = self.wiring.light(name)
+            what = f"{name} at level {level} ({channel.controller}, channel {channel.channel})"
+            yield PlanStep("light on", what, _COMMAND_S, light)
         yield PlanStep("settle", "light", self._light_settle_s, light)
         for exposure in exposures:
             yield self._expose(posture, light, exposure)
-        yield PlanStep("light off", light, _COMMAND_S, light)
+        for name in self.wiring.levels(light):
+            yield PlanStep("light off", name, _COMMAND_S, light)
 
     def _expose(self, posture: Posture, light: str | None, exposure: float) -> PlanStep:
         frames = f"{self.options.average} × " if self.options.average > 1 else ""
@@ -185,10 +188,11 @@ class CapturePlan:
         lights = self.wiring.hardware.lights
         return {
             **self.options.as_dict(),
-            "lights": [light for light in lights if light in self.lights],
+            "lights": list(self.lights) if self.wiring.images else [light for light in lights if light in self.lights],
             "postures": sorted((posture.as_dict() for posture in self.postures), key=str),
             "levels": {name: channel.level for name, channel in lights.items()},
             "exposure_us": self.wiring.exposure_us,
+            **({"images": self.wiring.images} if self.wiring.images else {}),
         }
 
 
@@ -209,7 +213,8 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         )
     if options.seed is not None and not wiring.camera_is_virtual:
         problems.append("option 'seed': the rig's camera is a real one, whose noise has no seed; leave this out")
-    exposures = tuple(sorted(options.exposures, reverse=True))
+    exposures_of = {one: tuple(sorted(rig.exposures(one, options.exposures), reverse=True)) for one in known}
+    exposures = tuple(sorted({e for name in lights for e in exposures_of.get(name, ())}, reverse=True))
     problems += exposure_problems(rig, wiring, exposures)
     if problems:
         raise InputError(*problems)
@@ -219,15 +224,16 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         postures=tuple(travel_order(postures, start=_HOME, time=lambda a, b: _travel_s(wiring, a, b))),
         lights=tuple(name for name in known if name in lights),
         exposures=exposures,
+        exposures_of=exposures_of,
         home=wiring.hardware.stage is not None and (options.home or wiring.stage_is_virtual),
         pixels=rig.camera.resolution_px[0] * rig.camera.resolution_px[1],
     )
-    taken = f"{counted(len(exposures), 'exposure')} of {counted(options.average, 'frame')}"
-    for name in plan.lights:
-        longest_s = wiring.light(name).max_on_s
-        if longest_s is not None and plan.on_s() > longest_s:
+    for image, name in [(one, name) for one in plan.lights for name in wiring.levels(one)]:
+        longest_s, on_s = wiring.light(name).max_on_s, plan.on_s(image)
+        taken = f"{counted(len(exposures_of[image]), 'exposure')} of {counted(options.average, 'frame')}"
+        if longest_s is not None and on_s > longest_s:
             problems.append(
-                f"{rig.source.at('hardware', 'lights', name)}: would be on for {plan.on_s():.3g} s without a break "
+                f"{rig.source.at('hardware', 'lights', name)}: would be on for {on_s:.3g} s without a break "
                 f"(settling and {taken}), longer than max_on_s {longest_s:g}; take fewer or shorter exposures"
             )
     if problems:

@@ -93,7 +93,7 @@ class CapturedSet:
         The images of a posture count once a frame at its end has shown that no light stayed on. Means of frames are
         not on disk, only rounded, so that no linear image is made of them.
         """
-        exposures = self._plan.exposures
+        exposures = self._plan.exposures_of[light]
         if self._plan.options.check and not self.dark_checked(posture):
             return exposures
         if not all(self.writer.done(light, posture, exposure) for exposure in exposures):
@@ -173,9 +173,9 @@ class CapturedSet:
         """Merge the exposures of a light, those of this run and those on disk, and write the linear image."""
         images = [
             captured[exposure] if exposure in captured else self._read_exposure(light, posture, exposure)
-            for exposure in self._plan.exposures
+            for exposure in self._plan.exposures_of[light]
         ]
-        frames: Sequence[Float32] | None = [dark[e] for e in self._plan.exposures] if dark else None
+        frames: Sequence[Float32] | None = [dark[e] for e in self._plan.exposures_of[light]] if dark else None
         sensor, full_scale = self._scene.sensor, self._scene.reflectance.full_scale
         channels = merge_exposures(images, sensor=sensor, full_scale=full_scale, dark=frames)
         self.writer.add_linear(light, posture, channels)

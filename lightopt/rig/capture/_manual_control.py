@@ -35,7 +35,7 @@ def device_statuses(
     unreachable = unreachable or {}
     for name in wiring.hardware.controllers:
         yield _status(f"controller {name}", partial(_controller_state, devices, name), unreachable.get(name))
-    for light in rig.lights:
+    for light in rig.channels:
         channel = wiring.light(light.name)
         if channel.controller in unreachable:
             text = f"{channel.controller} channel {channel.channel}: its controller does not answer"

@@ -124,20 +124,23 @@ class Devices:
             self.check_watchdog(name)
         return held
 
-    def light_off(self, name: str) -> None:
-        """Darken a panel; HardwareError when the watchdog had to darken it before, after its `max_on_s`."""
-        self._darken(name)
-        self._lit.discard(name)
-        self._watchdog.stop(name)
-        self.check_watchdog(name)
+    def light_off(self, image: str) -> None:
+        """Darken the lights of an image; HardwareError when the watchdog had darkened one after its `max_on_s`."""
+        for name in self.wiring.levels(image):
+            self._darken(name)
+            self._lit.discard(name)
+            self._watchdog.stop(name)
+        self.check_watchdog(image)
 
-    def remaining_on_s(self, name: str) -> float | None:
-        return self._watchdog.remaining_s(name)
+    def remaining_on_s(self, image: str) -> float | None:
+        """How long all lights of an image may stay on [s]; None where nothing limits it."""
+        left = [self._watchdog.remaining_s(name) for name in self.wiring.levels(image)]
+        return min((s for s in left if s is not None), default=None)
 
-    def check_watchdog(self, name: str) -> None:
-        """Raise a :class:`HardwareError` when the watchdog darkened a panel that had been lit for its `max_on_s`."""
-        if problem := self._watchdog.pop_problem(name):
-            raise HardwareError(problem)
+    def check_watchdog(self, image: str) -> None:
+        """Raise a :class:`HardwareError` when the watchdog darkened a light that had been lit for its `max_on_s`."""
+        if problems := [p for name in self.wiring.levels(image) if (p := self._watchdog.pop_problem(name))]:
+            raise HardwareError(*problems)
 
     def grab(self, exposure_us: float, light: str | None) -> Frame:
         """Take a frame at the exposure time that the camera holds; waits no longer than the light may stay on."""

@@ -1,8 +1,8 @@
 """Which device plays which role on a rig: those of its file, or those of a virtual bench, which is started here."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from lightopt.config import (
@@ -27,6 +27,7 @@ VIRTUAL_EXPOSURE_US = 10_000.0  # exposure time of exposure 1 where all is virtu
 
 _CHANNELS_EACH = 4
 _VIRTUAL_LEVEL = 200
+_LEVEL_TOLERANCE = 0.005  # how far a whole level may be from the weight of an image, as a share
 _VIRTUAL_TILT = AxisConfig(axis="1", steps_per_deg=1000.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
 _VIRTUAL_ROTATION = AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
 
@@ -38,9 +39,15 @@ class Wiring:
     hardware: HardwareConfig  # from the rig file, or the virtual bench
     given: bool  # whether the rig file has it
     exposure_us: float  # exposure time of exposure 1 [µs]
+    # levels of the lights of each image of the rig's programme; none where each image is of one light
+    images: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
 
     def light(self, name: str) -> ChannelConfig:
         return self.hardware.lights[name]
+
+    def levels(self, image: str) -> Mapping[str, int]:
+        """Lights that are on together for an image, and their levels; of a light alone, that light."""
+        return self.images.get(image) or {image: self.light(image).level}
 
     def top_level(self, name: str) -> int:
         channel = self.light(name)
@@ -73,10 +80,10 @@ def wiring_of(rig: RigConfig) -> Wiring:
     hardware = rig.hardware
     exposure_us = rig.camera.exposure_us or VIRTUAL_EXPOSURE_US
     if hardware is not None:
-        return Wiring(hardware, given=True, exposure_us=exposure_us)
+        return Wiring(hardware, given=True, exposure_us=exposure_us, images=_image_levels(rig, hardware))
     controllers: dict[str, ControllerConfig] = {}
     lights: dict[str, ChannelConfig] = {}
-    for i, light in enumerate(rig.lights):
+    for i, light in enumerate(rig.channels):
         name = f"bench{i // _CHANNELS_EACH + 1}"
         controllers.setdefault(name, ControllerConfig(driver="ccs", port=VIRTUAL, channels=_CHANNELS_EACH))
         channel = i % _CHANNELS_EACH + 1
@@ -84,7 +91,26 @@ def wiring_of(rig: RigConfig) -> Wiring:
     stage = StageDeviceConfig(driver="shot", port=VIRTUAL, elevation=_VIRTUAL_TILT, rotation=_VIRTUAL_ROTATION)
     camera = CameraDeviceConfig(driver="virtual")
     hardware = HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
-    return Wiring(hardware, given=False, exposure_us=exposure_us)
+    return Wiring(hardware, given=False, exposure_us=exposure_us, images=_image_levels(rig, hardware))
+
+
+def _image_levels(rig: RigConfig, hardware: HardwareConfig) -> dict[str, dict[str, int]]:
+    found: dict[str, dict[str, int]] = {}
+    problems: list[str] = []
+    for i, image in enumerate(rig.programme or ()):
+        found[image.name] = own = {}
+        for light, weight in image.lights.items():
+            wanted = weight * hardware.lights[light].level
+            own[light] = round(wanted)
+            if abs(own[light] - wanted) > _LEVEL_TOLERANCE * wanted:
+                problems.append(
+                    f"{rig.source.at('programme', i, 'lights', light)}: weight {weight:g} of level "
+                    f"{hardware.lights[light].level} is {wanted:g}, and the controller has whole levels; choose a "
+                    "weight that gives one, or another level of the light"
+                )
+    if problems:
+        raise InputError(*problems)
+    return found
 
 
 def stage_axes(rig: RigConfig, stage: StageDeviceConfig) -> list[Axis]:
@@ -156,7 +182,7 @@ def _true_rig(rig: RigConfig) -> RigConfig:
         return rig
     true = load_rig(rig.source.resolve(rig.virtual_bench.rig))
     for what, own, there in (
-        ("lights", {light.name for light in rig.lights}, {light.name for light in true.lights}),
+        ("lights", {light.name for light in rig.channels}, {light.name for light in true.channels}),
         ("resolution_px", rig.camera.resolution_px, true.camera.resolution_px),
         ("bit_depth", rig.camera.sensor.bit_depth, true.camera.sensor.bit_depth),
     ):

@@ -43,13 +43,14 @@ class BenchCamera:
     def _build(self) -> BenchOptics:
         with self._building:
             if self._optics is None:
+                from lightopt.config import load_rig
                 from lightopt.rig.simulated._optics import BenchOptics
                 from lightopt.scene import build_scene
 
                 rig, part = Path(self._setup.rig), Path(self._setup.part)
                 try:
                     # postures come from the stage; those of the part's file may be beyond the rig's range
-                    scene = build_scene(rig, part, postures=())
+                    scene = build_scene(load_rig(rig).without_programme(), part, postures=())
                 except InputError as error:
                     raise ValueError(str(error)) from error
                 if scene.waviness is not None:

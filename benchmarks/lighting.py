@@ -1,0 +1,127 @@
+"""Is the lighting system that is predicted to find most the one that finds most: rendered, captured and inspected.
+
+``python -m benchmarks.lighting [--parts cover-knob spout] [--finishes as-filed polished] [--systems four-panel,coaxial]
+[--seeds N]``. Random defects of the built-in catalogue are placed on each part, the same ones for all systems. The
+simulated rig of each system captures the part 0.4 and 0.3 mm off its place, with noise of its own for each seed; what
+the inspection finds is set beside what is predicted of all places, and of the places where the defects lie.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks._case import write_records
+from benchmarks.inspection import replace_block
+from benchmarks.loop import FINISHES, Prediction, Tally, count_found, files, interval, run_command
+from lightopt import load_part, load_rig
+from lightopt.comparison import PRESETS, preset_files
+from lightopt.defects import DEFAULT_FALSE_ALARMS
+
+SYSTEMS = ("four-panel", "low-ring", "dome-quadrants", "coaxial", "led-array", "display")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A system on a part of a finish: shares of the kinds' mean."""
+
+    part: str
+    finish: str
+    system: str
+    min_images: int
+    planned: float
+    at_places: float
+    placed: int
+    found: int
+    false_alarms: int
+    postures: int
+
+
+def compare(folder: Path, name: str, finish: str, options: argparse.Namespace) -> Iterator[tuple[Row, list[Tally]]]:
+    """Predict and inspect all systems on one part of one finish."""
+    rig_file, part_file = files(folder, name, width=options.width, finish=finish)
+    placed: list[Path] = []
+    for seed in range(1, options.seeds + 1):
+        placed.append(folder / f"{part_file.stem}-{seed}.yaml")
+        command = ("defects", rig_file, part_file, "--seed", seed, "--count", options.count, "-o", placed[-1], "-q")
+        run_command(*command)
+    for path in preset_files(options.systems, folder / "presets", camera_of=load_rig(rig_file)):
+        rig, nominal = load_rig(path), load_part(part_file)
+        least = min(2, len(rig.lights))
+        counts = {least: Prediction(rig, nominal, least, options)}
+        tallies = list(count_found(folder, f"{part_file.stem}-{path.stem}", rig, placed, counts, options))
+        (whole,) = [one for one in tallies if one.kind == "all"]
+        facts = {key: getattr(whole, key) for key in ("planned", "at_places", "placed", "found")}
+        alarms = {"false_alarms": whole.false_alarms, "postures": whole.postures}
+        yield Row(part_file.stem, finish, path.stem, least, **facts, **alarms), tallies
+
+
+def table(rows: list[Row]) -> str:
+    """A line per part, finish and system, the winners in bold."""
+    lines = [
+        "| part | finish | system | images | planned | at these places | found | 95 % | false alarms |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    right = 0
+    cases = list(dict.fromkeys((row.part, row.finish) for row in rows))
+    for case in cases:
+        own = [row for row in rows if (row.part, row.finish) == case]
+        predicted, best = max(own, key=lambda row: row.planned), max(own, key=lambda row: row.found / row.placed)
+        right += predicted is best
+        for row in own:
+            low, high = interval(row.found, row.placed)
+            planned, found = f"{100 * row.planned:.0f} %", f"{100 * row.found / row.placed:.0f} %"
+            planned, found = (
+                f"**{text}**" if row is winner else text for text, winner in ((planned, predicted), (found, best))
+            )
+            lines.append(
+                f"| {row.part} | {row.finish} | {row.system} | {row.min_images} | {planned} | "
+                f"{100 * row.at_places:.0f} % | {found} of {row.placed} | {100 * low:.0f} to {100 * high:.0f} % | "
+                f"{row.false_alarms} in {row.postures} |"
+            )
+    near = sum(abs(row.planned - row.found / row.placed) <= 0.05 for row in rows)
+    lines += [
+        "",
+        f"The predicted winner wins in {right} of {len(cases)}; {near} of {len(rows)} shares are within 5 points.",
+    ]
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Compare the systems, print the table, write all rows."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.lighting", description=__doc__)
+    parser.add_argument("--parts", nargs="+", default=["cover-knob", "spout"], help="samples, or files of other parts")
+    parser.add_argument("--finishes", nargs="+", choices=FINISHES, default=list(FINISHES))
+    parser.add_argument("--systems", type=lambda text: text.split(","), default=list(SYSTEMS), help=", ".join(PRESETS))
+    parser.add_argument("--false-alarms", type=float, default=DEFAULT_FALSE_ALARMS, help="per posture of a good part")
+    parser.add_argument("--seeds", type=int, default=5, help="sets of defects per part")
+    parser.add_argument("--count", type=int, default=42, help="defects per set")
+    parser.add_argument("--width", type=int, default=400, help="of the images [px]")
+    parser.add_argument("--patches", type=int, default=3000, help="about how many patches are visible")
+    parser.add_argument("--out", type=Path, default=Path("out/lighting"), help="folder of lighting.csv")
+    parser.add_argument("--page", action="store_true", help="put the table into docs/validation/lighting.md")
+    options = parser.parse_args(arguments)
+    options.lobe, options.rays = 1.0, 1
+    rows: list[Row] = []
+    for name in options.parts:
+        for finish in options.finishes:
+            with tempfile.TemporaryDirectory(prefix="lightopt-lighting-") as folder:
+                for row, tallies in compare(Path(folder), name, finish, options):
+                    rows.append(row)
+                    print(row, flush=True)
+                    kinds = (
+                        f"{one.kind} {100 * one.planned:.0f}/{100 * one.found / one.placed:.0f}" for one in tallies
+                    )
+                    print("   planned/found [%]:", ", ".join(kinds), flush=True)
+    text = table(rows)
+    print(f"\n{text}")
+    write_records(options.out / "lighting.csv", rows)
+    if options.page:
+        replace_block("lighting", text, page="lighting.md")
+
+
+if __name__ == "__main__":
+    main()

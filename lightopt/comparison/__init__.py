@@ -1,0 +1,9 @@
+"""Lighting systems compared by what their images of the same part show.
+
+:func:`compare_lighting` designs each system for the part, writes each design with its report, and writes the
+comparison: ``comparison.json``, ``comparison.csv`` and ``report.html``.
+"""
+
+from lightopt.comparison._compare import compare_lighting as compare_lighting
+from lightopt.comparison._presets import PRESETS as PRESETS, preset_files as preset_files
+from lightopt.comparison._report import answer_text as answer_text, systems_table as systems_table

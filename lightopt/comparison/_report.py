@@ -1,0 +1,146 @@
+"""The report of a comparison of lighting systems: the answer, a table, a chart, images, and why defects are missed."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from lightopt.comparison._results import LightingComparison, SystemResult
+from lightopt.core.errors import counted, percent
+from lightopt.design import BLIND_SHARES_OF, finding_text, share_text
+from lightopt.report import (
+    Answer,
+    Gallery,
+    Note,
+    Page,
+    Picture,
+    Section,
+    Table,
+    Warnings,
+    camera_picture,
+    chart,
+    figure_image,
+    fixed_style,
+    page_html,
+    png_bytes,
+)
+
+SIDE = 300  # longest side of an image in the report [px]
+REASONS = 2  # reasons of each system in the table
+
+
+def comparison_report(comparison: LightingComparison, folder: Path) -> str:
+    """The report as HTML; `folder` is where it goes."""
+    sections = [
+        Section(heading="Systems", blocks=[systems_table(comparison, folder), _chart(comparison)]),
+        Section(heading="Kinds of defects", blocks=[_kinds_table(comparison)]),
+        Section(heading="Images", blocks=[_gallery(comparison)]),
+        Section(heading="Why defects are missed", blocks=[_reasons_table(comparison)]),
+    ]
+    if comparison.unusable:
+        rows = [[one.name, " ".join(one.messages)] for one in comparison.unusable]
+        table = Table(header=["system", "reason"], rows=rows, numbers_from=2)
+        sections.append(Section(heading="Systems that cannot be used", blocks=[table]))
+    first = comparison.systems[0]
+    answer = Answer(figure=share_text(first.share, first.grain), text=f"by {first.name}: {_meaning(comparison)}.")
+    lead = [answer, *(Note(text=text) for text in _others(comparison)), Warnings(texts=comparison.warnings)]
+    name = comparison.part.name
+    return page_html(Page(title=f"Lighting systems: {name}", subtitle=name, lead=lead, sections=sections))
+
+
+def answer_text(comparison: LightingComparison) -> str:
+    """The answer in a sentence."""
+    first = comparison.systems[0]
+    return f"{first.name} finds most: {share_text(first.share, first.grain)} {_meaning(comparison)}"
+
+
+def _meaning(comparison: LightingComparison) -> str:
+    return finding_text(comparison.options.min_images, comparison.options.false_alarms)
+
+
+def _others(comparison: LightingComparison) -> Iterator[str]:
+    rest = [one for one in comparison.best if one is not comparison.systems[0]]
+    if rest:
+        texts = ", ".join(f"{one.name} ({share_text(one.share, one.grain)}, {_cost(one)})" for one in rest)
+        yield f"Less time per part: {texts}. No other system finds as much in as little time."
+
+
+def _cost(one: SystemResult) -> str:
+    return f"{counted(one.images, 'image')}" if one.seconds is None else f"{one.seconds:.1f} s"
+
+
+def systems_table(comparison: LightingComparison, folder: Path | None = None) -> Table:
+    """The systems, the best first; with links to their designs for a page in `folder`."""
+    best = set(comparison.best)
+    rows = [
+        [
+            one.name,
+            share_text(one.share, one.grain),
+            "yes" if one in best else "",
+            str(one.images),
+            "-" if one.seconds is None else f"{one.seconds:.1f}",
+            " × ".join(f"{side:.0f}" for side in one.size_mm),
+            f"{one.footprint_mm:.3g}",
+            ", ".join(f"{reason} {percent(share, 0)}" for reason, share in [*one.reasons.items()][:REASONS]) or "-",
+        ]
+        for one in comparison.systems
+    ]
+    header = ["system", "found", "Pareto", "images", "s/part", "size [mm]", "pixel [mm]", "not found, mostly"]
+    caption = (
+        "Found: share of surface × defects. Pareto: no other system finds as much in less time per part. Size: of the "
+        "box around the lights along X, Y, Z. Pixel: its side at the origin."
+    )
+    links = (
+        []
+        if folder is None
+        else [f"{one.folder.relative_to(folder).as_posix()}/report.html" for one in comparison.systems]
+    )
+    return Table(header=header, rows=rows, numbers_from=1, caption=caption, links=links)
+
+
+def _kinds_table(comparison: LightingComparison) -> Table:
+    kinds = list(dict.fromkeys(kind for one in comparison.systems for kind in one.defects))
+    rows = [
+        [one.name, *(share_text(one.defects.get(kind, 0.0), one.grain) for kind in kinds)] for one in comparison.systems
+    ]
+    return Table(header=["system", *kinds], rows=rows, caption="Share of each kind that is found, all places alike.")
+
+
+def _reasons_table(comparison: LightingComparison) -> Table:
+    reasons = list(dict.fromkeys(reason for one in comparison.systems for reason in one.reasons))
+    rows = [
+        [one.name, *(share_text(one.reasons.get(reason, 0.0), one.grain) for reason in reasons), "; ".join(one.moved)]
+        for one in comparison.systems
+    ]
+    caption = (
+        f"Shares of {BLIND_SHARES_OF}, of what the camera sees. Moved: lights whose best place is not that of their "
+        "file."
+    )
+    return Table(header=["system", *reasons, "moved"], rows=rows, caption=caption)
+
+
+def _gallery(comparison: LightingComparison) -> Gallery:
+    most = max(len(one.pictures) for one in comparison.systems)
+    rows: list[tuple[str, list[Picture | None]]] = []
+    for one in comparison.systems:
+        pictures: list[Picture | None] = [
+            camera_picture(
+                shown.level, shown.saturated, limit=SIDE, alt=f"{one.name}, {shown.light}", caption=shown.light
+            )
+            for shown in one.pictures
+        ]
+        rows.append((one.name, [*pictures, *[None] * (most - len(pictures))]))
+    caption = "The first posture under the first lights of each system, at exposure 1; red: saturated pixels."
+    return Gallery(header=[f"image {i + 1}" for i in range(most)], rows=rows, caption=caption)
+
+
+@fixed_style()
+def _chart(comparison: LightingComparison) -> Picture:
+    known = all(one.seconds is not None for one in comparison.systems)
+    label = "seconds per part" if known else "images per part"
+    figure, (panel,) = chart(title="What is found, and what it takes", x_label=label, labels=["defects found [%]"])
+    for one in comparison.systems:
+        x = one.cost if known else float(one.images)
+        panel.plot([x], [100.0 * one.share], "o", color="#c2410c" if one in comparison.best else "#8a8f98")
+        panel.annotate(one.name, (x, 100.0 * one.share), xytext=(6, 4), textcoords="offset points", fontsize=9)
+    panel.set_ylim(bottom=0.0)
+    panel.margins(x=0.15)
+    return Picture(png=png_bytes(figure_image(figure)), alt="Defects found against time", caption="Red: Pareto.")
