@@ -74,5 +74,6 @@ def test_a_stain_is_captured_and_found(name, tmp_path, cli):
     )
     assert ran.status == 0, ran.err
     found = json.loads((out / "defects.json").read_text(encoding="utf-8"))
-    places = [region["centroid_px"] for posture in found["postures"] for region in posture["regions"]]
-    assert any(np.hypot(x - 62, y - 52) < 5 for x, y in places)
+    (defect,) = found["defects"]
+    assert defect["sightings"][0]["centre_px"] == pytest.approx([62, 52], abs=1.5)
+    assert defect["area_mm2"] == pytest.approx(np.pi * 2.5**2, rel=0.35)
