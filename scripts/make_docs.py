@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from displaced_picture import displaced_picture
 from frames_drawing import frames_drawing
-from PIL import Image
 from lighting_picture import lighting_picture
+from PIL import Image
 from statistic_picture import statistic_picture
 
 from lightopt import build_scene, render

@@ -69,9 +69,7 @@ def test_a_stain_is_captured_and_found(name, tmp_path, cli):
     captured, out = tmp_path / "captured", tmp_path / "inspected"
     ran = cli("capture", rig, stained, "-o", captured)
     assert ran.status == 0, ran.err
-    ran = cli(
-        "inspect", rig, good, captured, "-o", out, "--detector", "residual", "--no-register", "--no-report"
-    )
+    ran = cli("inspect", rig, good, captured, "-o", out, "--detector", "residual", "--no-register", "--no-report")
     assert ran.status == 0, ran.err
     found = json.loads((out / "defects.json").read_text(encoding="utf-8"))
     (defect,) = found["defects"]
