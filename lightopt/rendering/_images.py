@@ -307,7 +307,7 @@ class _PostureJob:
         for numbers in self.together:
             lights = self._shade(surface, numbers, sample, grid)
             for number, light in zip(numbers, lights, strict=True):
-                for pixels, values in self._light(surface, marked, number, light, sample, grid, passed):
+                for pixels, values in self._light(marked, number, light, sample, grid, passed):
                     if places is None:
                         pixels[target] = self._means(values, hits, grid, own)
                     else:
@@ -315,7 +315,6 @@ class _PostureJob:
 
     def _light(
         self,
-        surface: SurfacePoints,
         marked: tuple[DefectSamples, ...],
         number: int,
         light: tuple[Float64, Float64, PanelVisibility | None],
@@ -374,7 +373,7 @@ class _PostureJob:
         grid = (len(pixels) * (n + 1), n)
         sample = hits.ray.astype(np.intp) + hits.ray // n**2 * n
         [light] = self._shade(surface, [number], sample, grid)
-        for target, values in self._light(surface, self._in_defects(surface), number, light, sample, grid, passed):
+        for target, values in self._light(self._in_defects(surface), number, light, sample, grid, passed):
             means = np.bincount(hits.ray // n**2, values, len(pixels)) / n**2
             target.ravel()[pixels] = means
 

@@ -98,7 +98,7 @@ def specular_of_element(
     most: float,
     found: Float64,
 ) -> None:
-    """Add the specular light of a piece of an element per unit of R_s (paper, equation 3), for each term of the pattern.
+    """Add the specular light of a piece of an element per unit of R_s (paper, equation 3), for each pattern term.
 
     area: The piece, by u and v
     terms: Of the pattern, shape (b, TERM_NUMBERS)

@@ -12,7 +12,7 @@ from PIL import Image
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
-from lightopt.lights import panel_corners
+from lightopt.lights import outlines
 from lightopt.rendering import cast_rays_at
 from lightopt.report import _rig_elements as elements
 from lightopt.report._drawing import CAP_HEIGHT, FAINT, LINE_HEIGHT, SOFT, Box, Drawing, fit_text, fixed_style, sub
@@ -80,7 +80,7 @@ def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> Pa
     table = square(half, np.zeros(3))
     arrows = camera.position + shape.arrow * np.stack([camera.right, camera.up])
     axes = np.diag(_axis_lengths(scene, half))
-    panels = [panel_corners(light) for light in scene.lights]
+    panels = [outlines(light).reshape(-1, 3) for light in scene.lights]
     points = np.concatenate([table, shape.body, arrows, axes, part_box(scene, posture), shape.footprint, *panels])
     # labels stand outside of what they name
     box = (MARGIN + 50.0, MARGIN + 20.0, MAIN_WIDTH - MARGIN - 50.0, height - MARGIN - 20.0)
@@ -120,7 +120,9 @@ def _draw_rig(scene: Scene, caster: RayCaster, shape: CameraShape, posture: Post
     # what lies on the table is drawn around the part, what stands up may pass in front of it
     pen = replace(pen, part=part)
     pen.axes(_axis_lengths(scene, half))
-    arcs = scene.lights[: _arcs(scene)]
+    # channels of one light stand in one place
+    first = scene.lights[: _arcs(scene)]
+    arcs = list({(light.distance, light.elevation, light.azimuth): light for light in first}.values())
     reach = max(0.5 * half, *(float(np.hypot(*light.centre[:2])) for light in scene.lights), 0.0)
     for i, light in enumerate(arcs):
         pen.azimuth_arc(light, reach * (0.42 + 0.45 * (i + 1) / len(arcs)), spoke=_ARC * light.distance)

@@ -8,7 +8,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
-from lightopt.lights import PanelLight, panel_corners, panel_grid
+from lightopt.lights import PanelLight, SurfaceLight, outlines, panel_corners, panel_grid
 from lightopt.report._drawing import INK, SOFT, Drawing, Label, sub
 from lightopt.report._view import ORIGIN, ParallelView, PartPicture, X, Y, Z, arc
 from lightopt.scene import PinholeCamera, Scene, pixel_directions
@@ -76,7 +76,7 @@ def square(half: float, centre: Float64) -> Float64:
 
 def table_grid(scene: Scene, posture: Posture) -> tuple[float, float]:
     """Half the side of the piece of table to draw, below all lights and the part, and the step of its grid [mm]."""
-    under = [np.abs(panel_corners(light)[:, :2]).max() for light in scene.lights]
+    under = [np.abs(outlines(light)[..., :2]).max() for light in scene.lights]
     part = np.abs(part_box(scene, posture)[:, :2]).max()
     return round_up(float(max([*under, 1.2 * part, 0.4 * rig_size(scene)])))
 
@@ -152,12 +152,27 @@ class Pen:
         self.line(np.stack([ORIGIN, light.centre]), LIGHT, 1.2)
         if np.hypot(*light.centre[:2]) > 0.02 * light.distance:
             self.line(np.stack([light.centre, light.centre * [1, 1, 0]]), SOFT, 1.0, dash=(3, 5))
-        self.polygon(panel_corners(light), fill="#ffd766e0" if shines_here else "#cfa54de0", outline=LIGHT, width=2.0)
+        if isinstance(light, SurfaceLight):
+            self.surface(light)
+        else:
+            fill = "#ffd766e0" if shines_here else "#cfa54de0"
+            self.polygon(panel_corners(light), fill=fill, outline=LIGHT, width=2.0)
         if shines_here and light.points != "auto" and light.points <= 64:
             for point in panel_grid(light, light.points):
                 self.drawing.disc(self.view.place(point), 1.7, fill=LIGHT)
-        outer = max(panel_corners(light), key=lambda corner: float(corner @ self.view.up))
+        outer = max(outlines(light).reshape(-1, 3), key=lambda corner: float(corner @ self.view.up))
         self.label(light.name, outer, INK, away_from=light.centre)
+
+    def surface(self, light: SurfaceLight) -> None:
+        """Draw the pieces of a light's surface, the far ones first; where it shines to the viewer they are brighter."""
+        radiance = light.elements[:, 21]
+        own = radiance > 0.5 * radiance.max()  # without what a dome's wall scatters
+        pieces, sides = outlines(light)[own], light.elements[own, 20]
+        for number in np.argsort(self.view.nearness(pieces.mean(axis=1))):
+            corners = pieces[number]
+            normal = sides[number] * np.cross(corners[2] - corners[0], corners[3] - corners[1])
+            fill = "#ffd76680" if float(normal @ self.view.toward) > 0.0 else "#cfa54d60"
+            self.polygon(corners, fill=fill, outline="#b07d0480", width=0.8)
 
     def azimuth_arc(self, light: PanelLight, radius: float, *, spoke: float) -> None:
         """Draw the azimuth φ from +X in the table plane, and its direction as far as `spoke` [mm]."""
