@@ -1,6 +1,7 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
 from lightopt.rendering._converged_panel import (
+    channel_groups as channel_groups,
     highlight_level as highlight_level,
     panel_to_shade as panel_to_shade,
     shade_isolated as shade_isolated,
@@ -52,4 +53,8 @@ from lightopt.rendering._surface import (
     trace_samples as trace_samples,
 )
 from lightopt.rendering._surface_light import light_of_elements as light_of_elements
-from lightopt.rendering._surface_variants import shade_variants as shade_variants, surface_variants as surface_variants
+from lightopt.rendering._surface_variants import (
+    shade_variants as shade_variants,
+    shade_variants_together as shade_variants_together,
+    surface_variants as surface_variants,
+)

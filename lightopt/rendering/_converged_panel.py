@@ -8,6 +8,7 @@ between these by :mod:`lightopt.rendering._penumbra_squares`.
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +38,8 @@ PENUMBRA_BATCH = 2048  # penumbra pixels that are shaded at once: some 10 MiB of
 LEAST_POINTS, MOST_POINTS = 4, 6
 
 # what the coarse rays of a pixel to a light show
+MOST_TOGETHER = 16  # channels of a light that are shaded at once
+
 _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
 
 
@@ -370,3 +373,17 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
         surface, panel, sample=np.zeros(1, np.intp), shape=(1, 1), reflectance=scene.reflectance, caster=None
     )
     return float(scene.reflectance.R_s * specular[0] * light.total_weight / whole.total_weight)
+
+
+def channel_groups(panels: Sequence[PanelLight | ConvergedPanel]) -> list[list[int]]:
+    """Numbers of the lights that are shaded together: channels of one light, unless a programme's weights differ."""
+    groups: list[list[int]] = []
+    entry: tuple[int, float] | None = None
+    for number, panel in enumerate(panels):
+        own = (panel.entry, panel.total_weight) if isinstance(panel, SurfaceLight) else None
+        if own is not None and own == entry and len(groups[-1]) < MOST_TOGETHER:
+            groups[-1].append(number)
+        else:
+            groups.append([number])
+        entry = own
+    return groups

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from time import monotonic
 from typing import Any
@@ -19,10 +19,11 @@ from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.core.vectors import dot, vector_at
 from lightopt.geometry import Hits, Patches, RayCaster
-from lightopt.lights import PanelLight, SurfaceLight
+from lightopt.lights import SurfaceLight
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
     PanelVisibility,
+    channel_groups,
     panel_to_shade,
     shade_converged,
     shade_light,
@@ -44,7 +45,6 @@ BLOCK_SAMPLES = 49_152
 # camera's noise. Elsewhere a twenty-fourth of the second differences is the mean's, to a few hundredths of the noise.
 RAYS_ACROSS = 3
 
-MOST_TOGETHER = 16  # channels of a light that are shaded at once
 
 TILE = 4  # rows and columns of the tiles of an image whose rays are cast together
 
@@ -266,7 +266,7 @@ class _PostureJob:
         self.geometry = _no_hit(shape, defects=bool(scene.defects)) if geometry else None
         self.back = np.zeros(shape, np.bool_)
         self.panels = [panel_to_shade(light, caster) for light in view.lights]
-        self.together = _together(self.panels)
+        self.together = channel_groups(self.panels)
         # neighbouring samples show where penumbrae are, so that blocks then overlap by a row
         self.halo = int(shadows and any(isinstance(panel, ConvergedPanel) for panel in self.panels))
 
@@ -442,20 +442,6 @@ class _PostureJob:
             for some in marked:
                 label[some.index] = some.label
             _store_values(*places, label, g.defect)
-
-
-def _together(panels: Sequence[PanelLight | ConvergedPanel]) -> list[list[int]]:
-    # numbers of lights that are shaded together: the channels of one light, unless a programme's weights differ
-    groups: list[list[int]] = []
-    entry: tuple[int, float] | None = None
-    for number, panel in enumerate(panels):
-        own = (panel.entry, panel.total_weight) if isinstance(panel, SurfaceLight) else None
-        if own is not None and own == entry and len(groups[-1]) < MOST_TOGETHER:
-            groups[-1].append(number)
-        else:
-            groups.append([number])
-        entry = own
-    return groups
 
 
 def _no_hit(shape: tuple[int, int], *, defects: bool) -> Geometry:

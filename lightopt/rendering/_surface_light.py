@@ -285,7 +285,7 @@ def _replace_pieces(
 
 
 @dataclass(frozen=True)
-class _Channels:
+class Channels:
     """Channels of one light: the surface that they have in common, and what each makes of it.
 
     elements: Of all channels, of radiance 1, shape (e, ELEMENT_NUMBERS)
@@ -298,7 +298,8 @@ class _Channels:
     shares: Float64
 
 
-def _channels(lights: Sequence[SurfaceLight]) -> _Channels:
+def channels_of(lights: Sequence[SurfaceLight]) -> Channels:
+    """What channels of a light have in common, and what each makes of it."""
     shapes = [np.delete(light.elements, RADIANCE, axis=1) for light in lights]
     elements, element = _different(shapes, np.concatenate([light.elements for light in lights]))
     terms, term = _different([light.pattern[:, 1:] for light in lights], np.concatenate([x.pattern for x in lights]))
@@ -306,7 +307,7 @@ def _channels(lights: Sequence[SurfaceLight]) -> _Channels:
     shares = np.zeros((len(lights), len(elements), len(terms)))
     for share, light, m, b in zip(shares, lights, element, term, strict=True):
         share[np.ix_(m, b)] = light.elements[:, RADIANCE, None] * light.pattern[:, 0]
-    return _Channels(elements, terms, shares)
+    return Channels(elements, terms, shares)
 
 
 def _different(rows: Sequence[Float64], all_rows: Float64) -> tuple[Float64, list[Index]]:
@@ -329,7 +330,7 @@ def shade_surface_lights(
     reflectance: Its σ shapes the lobe; R_s decides which shadows in highlights are worked out
     caster: For shadows; None for none
     """
-    channels = _channels(lights)
+    channels = channels_of(lights)
     step = max(1, AT_ONCE // (len(channels.elements) * len(channels.terms)))
     shape = len(lights), len(surface)
     diffuse, specular = np.zeros(shape), np.zeros(shape)
@@ -342,7 +343,7 @@ def shade_surface_lights(
 
 
 def _shade_chunk(
-    surface: SurfacePoints, channels: _Channels, weight: float, reflectance: Reflectance, caster: RayCaster | None
+    surface: SurfacePoints, channels: Channels, weight: float, reflectance: Reflectance, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     end_if_stopped()
     elements, terms, shares = channels.elements, channels.terms, channels.shares

@@ -5,6 +5,7 @@ is integrated for each variant.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +22,8 @@ from lightopt.rendering._pattern_weights import pattern_weights
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._surface_light import (
     AT_ONCE,
+    LEAST_LEVEL,
+    channels_of,
     diffuse_nodes,
     diffuse_of_element,
     elements_seen,
@@ -29,14 +32,15 @@ from lightopt.rendering._surface_light import (
 )
 from lightopt.rendering._variant_numbers import VariantNumbers, leaning
 
+NEGLIGIBLE_CHANGE = 0.05  # what the lobe of an element adds at most where it is left out [grey level]
 MOST_SHARED = 12  # nodes a side of an element that all variants share
 LEAST_SHARED = 3
 
 
 @kernel
 def _shared_count(width: float) -> int:
-    # nodes a side that resolve a lobe, by the side's width in half vectors [σ]: to 1e-3 of the light of the whole lobe
-    return max(LEAST_SHARED, math.ceil(2.0 + 0.75 * width))
+    # nodes a side that resolve a lobe, by the side's width in half vectors [σ]: to half a percent of a large light
+    return max(LEAST_SHARED, math.ceil(1.5 + 0.6 * width))
 
 
 @kernel
@@ -109,14 +113,15 @@ def _variant_levels(
     views: Float64,
     elements: Float64,
     terms: Float64,
+    shares: Float64,
     clear: Bool,
     variants: VariantNumbers,
     levels: Float64,
 ) -> None:
-    # levels of the variants of each point, shape (t, k)
+    # levels of the variants of each point under each channel, shape (channels, t, k)
     lean, R_d, R_s, inverse, most = variants
     sharpest = inverse.max()
-    found, whole = np.empty(len(terms)), np.empty((len(terms), 3))
+    found, level, whole = np.empty(len(terms)), np.empty(len(terms)), np.empty((len(terms), 3))
     nodes, shared = np.empty((MOST_SHARED**2, 4)), np.empty((len(terms), MOST_SHARED**2))
     for m in range(len(elements)):
         e = element_at(elements, m)
@@ -136,45 +141,58 @@ def _variant_levels(
                     continue
                 if height >= e.reach:
                     for b in range(len(terms)):
-                        levels[t, i] += terms[b, 0] * R_d[t] * dot(vector_at(whole, b), turned)
+                        level[b] = R_d[t] * dot(vector_at(whole, b), turned)
                 else:
                     diffuse_of_element(p, turned, places, light, weights, found)
                     for b in range(len(terms)):
-                        levels[t, i] += terms[b, 0] * R_d[t] * found[b]
+                        level[b] = R_d[t] * found[b]
                 n_dot_v = dot(turned, v)
                 nearest = max(0.0, length(minus(turned, half)) - spread)
-                if n_dot_v <= 0.0 or (spread < math.pi and nearest * nearest * inverse[t] > most[t]):
-                    continue
-                if counts[0] == 0:
-                    counts = _shared_counts(p, n, v, e, sharpest)
+                if n_dot_v > 0.0 and (spread >= math.pi or nearest * nearest * inverse[t] <= most[t]):
+                    if counts[0] == 0:
+                        counts = _shared_counts(p, n, v, e, sharpest)
+                        if max(counts) <= MOST_SHARED:
+                            _set_shared_nodes(p, v, e, terms, counts, nodes, shared)
+                    found[:] = 0.0
                     if max(counts) <= MOST_SHARED:
-                        _set_shared_nodes(p, v, e, terms, counts, nodes, shared)
-                found[:] = 0.0
-                if max(counts) <= MOST_SHARED:
-                    _specular_of_nodes(turned, n_dot_v, nodes, shared, counts[0] * counts[1], inverse[t], found)
-                else:
-                    specular_of_element(p, turned, v, e, whole_element(e), terms, inverse[t], most[t], found)
-                for b in range(len(terms)):
-                    levels[t, i] += terms[b, 0] * R_s[t] * found[b]
+                        _specular_of_nodes(turned, n_dot_v, nodes, shared, counts[0] * counts[1], inverse[t], found)
+                    else:
+                        specular_of_element(p, turned, v, e, whole_element(e), terms, inverse[t], most[t], found)
+                    for b in range(len(terms)):
+                        level[b] += R_s[t] * found[b]
+                for c in range(len(shares)):
+                    for b in range(len(terms)):
+                        levels[c, t, i] += shares[c, m, b] * level[b]
 
 
 def surface_light_variants(
-    surface: SurfacePoints, references: Float64, light: SurfaceLight, variants: VariantNumbers, caster: RayCaster | None
+    surface: SurfacePoints,
+    references: Float64,
+    lights: Sequence[SurfaceLight],
+    variants: VariantNumbers,
+    caster: RayCaster | None,
 ) -> Float64:
-    """Levels of variants of a surface under a light, shape (t, k); elements are seen or hidden as wholes.
+    """Levels of variants of a surface under channels of a light, shape (channels, t, k).
+
+    Elements are seen or hidden as wholes.
 
     surface, references: As :func:`lightopt.rendering.shade_variants` takes them
+    lights: The channels, of the same gain
     variants: With coefficients times the light's weight
     """
-    elements, terms = light.elements, light.pattern
-    levels = np.zeros((len(variants.lean), len(surface)))
-    step = max(1, AT_ONCE // len(light.elements))
+    channels = channels_of(lights)
+    elements, terms, shares = channels.elements, channels.terms, channels.shares
+    # what is far below the noise does not count
+    variants = variants._replace(most=variants.most - math.log(NEGLIGIBLE_CHANGE / LEAST_LEVEL))
+    levels = np.zeros((len(lights), len(variants.lean), len(surface)))
+    step = max(1, AT_ONCE // len(elements))
     for start in range(0, len(surface), step):
         end_if_stopped()
         part = slice(start, start + step)
-        some, own = surface.take(part), np.zeros((len(variants.lean), len(surface.points[part])))
+        some = surface.take(part)
+        own = np.zeros((*levels.shape[:2], len(some)))
         clear, _ = elements_seen(replace(some, normals=some.facets), elements, caster)
         geometry = some.points, some.normals, references[part], some.views
-        _variant_levels(*geometry, elements, terms, clear, variants, own)
-        levels[:, part] = own
+        _variant_levels(*geometry, elements, terms, shares, clear, variants, own)
+        levels[..., part] = own
     return levels

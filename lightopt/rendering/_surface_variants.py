@@ -7,6 +7,7 @@ does not.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,7 +29,7 @@ from lightopt.optics import (
     specular_cosine,
     specular_lobe,
 )
-from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes, probe_targets
+from lightopt.rendering._converged_panel import ConvergedPanel, channel_groups, panel_probes, probe_targets
 from lightopt.rendering._converged_variants import panel_variants
 from lightopt.rendering._point_lights import PAIRS_AT_ONCE, add_points, clear_targets
 from lightopt.rendering._surface import SurfacePoints
@@ -125,9 +126,8 @@ def shade_variants(
     if isinstance(panel, ConvergedPanel) and (points := panel.points_for(float(variants.sigma.min()))):
         panel = replace(panel.light, points=points, normalisation="mean")
     if isinstance(panel, SurfaceLight):
-        numbers = _with_plain(variants, reflectance, panel.total_weight)
-        levels = surface_light_variants(surface, references, panel, numbers, caster)
-        return VariantLevels(good=levels[0], varied=levels[1:].astype(dtype))
+        how: dict[str, Any] = {"reflectance": reflectance, "caster": caster, "dtype": dtype}
+        return shade_variants_together(surface, references, [panel], variants, **how)[0]
     if isinstance(panel, ConvergedPanel):
         step = CONVERGED_AT_ONCE
     else:
@@ -140,6 +140,33 @@ def shade_variants(
         good=np.concatenate([chunk.good for chunk in chunks]),
         varied=np.concatenate([chunk.varied for chunk in chunks], axis=1),
     )
+
+
+def shade_variants_together(
+    surface: SurfacePoints,
+    references: Float64,
+    panels: Sequence[PanelLight | ConvergedPanel],
+    variants: SurfaceVariants,
+    *,
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+    dtype: type[np.floating[Any]] = np.float64,
+) -> list[VariantLevels]:
+    """As :func:`shade_variants` for each of some lights, of which channels of one light are worked out together."""
+    found: dict[int, VariantLevels] = {}
+    for group in channel_groups(panels):
+        own = [panel for i in group if isinstance(panel := panels[i], SurfaceLight)]
+        if own:
+            numbers = _with_plain(variants, reflectance, own[0].total_weight)
+            levels = surface_light_variants(surface, references, own, numbers, caster)
+            found |= {
+                i: VariantLevels(good=one[0], varied=one[1:].astype(dtype))
+                for i, one in zip(group, levels, strict=True)
+            }
+        else:
+            how: dict[str, Any] = {"reflectance": reflectance, "caster": caster, "dtype": dtype}
+            found |= {i: shade_variants(surface, references, panels[i], variants, **how) for i in group}
+    return [found[i] for i in range(len(panels))]
 
 
 def _point_variants(

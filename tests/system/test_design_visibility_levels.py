@@ -86,7 +86,8 @@ def test_evidence_on_patches_is_that_of_rendered_images(tmp_path, part):
     )
     surface, seen = patch_points(scene, table, posture)
     expected = PatchEvidence(scene, table, surface, posture, model)
-    words = [expected.evaluate(light, caster, caster, (1.0,))[1][0] for light in view_from_part(scene, posture).lights]
+    lights = view_from_part(scene, posture).lights
+    words = [units[0] for _, units in expected.evaluate(lights, caster, caster, (1.0,))]
     clean = mask_pixels(scene, posture, caster).clean
     good = render_posture(scene, posture, caster=caster)
     columns, rows = (np.floor(a[seen]).astype(int) for a in patch_positions(table, scene, posture))

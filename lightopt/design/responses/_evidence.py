@@ -15,7 +15,7 @@ j (:mod:`lightopt.design.responses._packed_bits`).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -48,7 +48,7 @@ from lightopt.rendering import (
     SurfacePoints,
     panel_to_shade,
     shade_isolated,
-    shade_variants,
+    shade_variants_together,
     surface_variants,
 )
 from lightopt.scene import Scene, project, surface_footprint, surface_share, view_from_part
@@ -294,31 +294,32 @@ class PatchEvidence:
         )
 
     def evaluate(
-        self, panel: PanelLight, caster: RayCaster, blocker: RayCaster | None, exposures: Sequence[float]
-    ) -> tuple[Float32, list[Words]]:
-        """Levels of the patches, and the units of evidence of an image at each exposure.
+        self, panels: Sequence[PanelLight], caster: RayCaster, blocker: RayCaster | None, exposures: Sequence[float]
+    ) -> Iterator[tuple[Float32, list[Words]]]:
+        """Levels of the patches, and the units of evidence of an image at each exposure, of each of some lights.
 
-        panel: Part frame.
-        Returns levels at exposure 1 [grey level], shape (p,), and per exposure flags of shape (units, p, words).
+        panels: Part frame; channels of a light are worked out together
+        Yields levels at exposure 1 [grey level], shape (p,), and per exposure flags of shape (units, p, words).
         """
-        shaded = shade_variants(
+        found = shade_variants_together(
             self._surface,
             self._references,
-            panel_to_shade(panel, caster),
+            [panel_to_shade(panel, caster) for panel in panels],
             self._variants,
             reflectance=self._scene.reflectance,
             caster=blocker,
             dtype=np.float32,
         )
         passed = self._passed
-        plain = shaded.good
-        if panel.points == "auto":
-            reflectance, shadows = self._scene.reflectance, blocker is not None
-            plain = shade_isolated(self._surface, panel, reflectance=reflectance, caster=caster, shadows=shadows)
-        levels = np.empty(len(plain), np.float32)
-        levels[self._order] = plain.astype(np.float32) * np.float32(passed)
-        good, varied = shaded.good * passed, (shaded.varied * passed).astype(np.float32, copy=False)
-        return levels, [self._units(good, varied, exposure) for exposure in exposures]
+        for panel, shaded in zip(panels, found, strict=True):
+            plain = shaded.good
+            if panel.points == "auto":
+                reflectance, shadows = self._scene.reflectance, blocker is not None
+                plain = shade_isolated(self._surface, panel, reflectance=reflectance, caster=caster, shadows=shadows)
+            levels = np.empty(len(plain), np.float32)
+            levels[self._order] = plain.astype(np.float32) * np.float32(passed)
+            good, varied = shaded.good * passed, (shaded.varied * passed).astype(np.float32, copy=False)
+            yield levels, [self._units(good, varied, exposure) for exposure in exposures]
 
     def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
         sensor, variants = self._detection.sensor, self._planned.variants

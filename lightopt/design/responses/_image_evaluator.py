@@ -8,6 +8,7 @@ grid. Where images are tested for defects, the same rays decide how much evidenc
 at edges then counts as little as what is seen at a grazing angle, since an inspection leaves it out.
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -34,12 +35,13 @@ from lightopt.design.responses._packed_bits import (
     widen_octets,
 )
 from lightopt.geometry import RayCaster, face_normals
-from lightopt.lights import PanelLight
+from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import expose
 from lightopt.rendering import PatchTable, SurfacePoints, shade_isolated, shadow_targets
 from lightopt.scene import Scene, surface_share, view_from_part
 
 BLOCK_PATCHES = 1 << 12  # patches whose levels, under all hypotheses, are in the processor's caches together
+AT_ONCE = 8  # channels of a light that are worked out together: bounds their levels in memory
 BLOCKS_AT_ONCE = 8  # that a thread works on before it takes others
 
 # of the levels that are held at a time: with a part of some hundred thousand triangles, its patches and the search the
@@ -58,6 +60,16 @@ def _image_key(posture: Posture, exposures: Sequence[float], panel: PanelLight) 
     # the same wherever a light of these properties stands at this place, whichever object that is
     place = (value.tobytes() if isinstance(value, np.ndarray) else value for value in vars(panel).values())
     return posture, tuple(exposures), *place
+
+
+def _channels_of_places(lights: Sequence[PanelLight], some: Sequence[int]) -> list[list[int]]:
+    # numbers of the lights that are worked out together: channels of a light in one place
+    found: dict[Any, list[int]] = {}
+    for at in some:
+        light = lights[at]
+        key = (light.entry, light.centre.tobytes()) if isinstance(light, SurfaceLight) else at
+        found.setdefault(key, []).append(at)
+    return [own[i : i + AT_ONCE] for own in found.values() for i in range(0, len(own), AT_ONCE)]
 
 
 class ImageCache:
@@ -179,15 +191,17 @@ class ImageEvaluator:
         groups = groups if evidence is None else [blocks]
         work = WorkCounter(len(missing) * len(groups), progress)
 
-        def evaluate(at: int, panel: PanelLight, some: Sequence[_Block]) -> None:
+        def evaluate(some: Sequence[int], own: Sequence[_Block]) -> None:
             if evidence is not None:
-                level, units = evidence.evaluate(panel, caster, caster if self.shadows else None, exposures)
-                store(at, slice(None), level)
-                words[:, at] = units
+                blocker = caster if self.shadows else None
+                found = evidence.evaluate([moved[at] for at in some], caster, blocker, exposures)
+                for at, (level, units) in zip(some, found, strict=True):
+                    store(at, slice(None), level)
+                    words[:, at] = units
             else:
-                for here, block, passed in some:
-                    store(at, here, _levels(scene, block, panel, caster, self.shadows, passed))
-            work.add(1)
+                for at, (here, block, passed) in itertools.product(some, own):
+                    store(at, here, _levels(scene, block, moved[at], caster, self.shadows, passed))
+            work.add(len(some))
 
         def store(at: int, here: slice, level: Float32) -> None:
             for index, exposure in enumerate(exposures):
@@ -196,11 +210,12 @@ class ImageEvaluator:
                 )[0]
 
         def tasks() -> Iterator[Task]:
-            for at in missing:
+            for together in _channels_of_places(flat, missing):
                 if self.shadows:
-                    caster.map_blockers(shadow_targets(moved[at]), rays=len(seen), threads=1)
+                    targets = np.concatenate([shadow_targets(moved[at]) for at in together])
+                    caster.map_blockers(targets, rays=len(seen), threads=1)
                 for group in groups:
-                    yield evaluate, (at, moved[at], group)
+                    yield evaluate, (together, group)
 
         run_all(tasks(), threads=self.threads or available_processors(), done=work.report)
         if self.images is not None and self.keeps_images:

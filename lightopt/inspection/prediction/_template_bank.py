@@ -37,8 +37,9 @@ from lightopt.lights import PanelLight
 from lightopt.rendering import (
     PosturePixels,
     SurfacePoints,
+    channel_groups,
     panel_to_shade,
-    shade_variants,
+    shade_variants_together,
     surface_variants,
     trace_pixels,
 )
@@ -224,25 +225,31 @@ def _templates(
     )
     at = np.flatnonzero(index >= 0)
     pixel = index.ravel()[at].astype(np.intp)
-    unit = MOST_CHANGE * ratio / CODES
-    tasks = [(i, start, end) for i in range(lights) for start, end in blocks(len(at), _POINTS)]
+    unit, slopes = MOST_CHANGE * ratio / CODES, own.slope
     sources = [panel_to_shade(panel, caster) for panel in panels]
+    tasks = [
+        (group, start, end)
+        for group in channel_groups(sources)
+        for start, end in blocks(len(at), max(1, _POINTS // len(group)))
+    ]
 
     def shade(number: int) -> None:
-        i, start, end = tasks[number]
+        group, start, end = tasks[number]
         some, to = pixel[start:end], at[start:end]
         points: SurfacePoints = surface.pixels.surface.take(some)
-        levels = shade_variants(
-            points, surface.references[some], sources[i], variants, reflectance=scene.reflectance, caster=caster
-        )
+        own, references = [sources[i] for i in group], surface.references[some]
         place = surface.pixels.row[some], surface.pixels.column[some]
-        good, noise, limit = (a[i][place].astype(np.float64)[:, None] for a in (view.predicted, deviation, view.limit))
         share = lens_share(scene.camera, place[1] + 0.5, place[0] + 0.5)
         passed = 1.0 if share is None else share[:, None]
-        change_of_level = passed * (levels.varied.T - levels.good[:, None])
-        off = expected_change(good, good + change_of_level, deviation=noise, limit=limit)
-        off *= np.sqrt(count.reshape(-1, lights)[to, i])[:, None]
-        change.reshape(-1, lights, len(own.slope))[to, i] = np.rint(off / unit)
+        found = shade_variants_together(points, references, own, variants, reflectance=scene.reflectance, caster=caster)
+        for i, levels in zip(group, found, strict=True):
+            good, noise, limit = (
+                a[i][place].astype(np.float64)[:, None] for a in (view.predicted, deviation, view.limit)
+            )
+            change_of_level = passed * (levels.varied.T - levels.good[:, None])
+            off = expected_change(good, good + change_of_level, deviation=noise, limit=limit)
+            off *= np.sqrt(count.reshape(-1, lights)[to, i])[:, None]
+            change.reshape(-1, lights, len(slopes))[to, i] = np.rint(off / unit)
 
     in_threads(shade, range(len(tasks)), threads)
     pieces = _pieces(own, halves, np.unique(foreshortening[foreshortening >= 0]).tolist(), footprint, breadth)
