@@ -27,7 +27,7 @@ from lightopt.rendering._panel_quadrature import (
 )
 from lightopt.rendering._point_lights import point_terms
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._surface_light import least_deflection, light_of_elements
+from lightopt.rendering._surface_light import least_deflection, light_of_channels
 
 _CHUNK = 8192
 
@@ -60,7 +60,7 @@ class LightLayer:
     def specular(self, sigma: float, *, threads: int | None = None) -> Float64:
         """Specular light per unit of R_s for a lobe of width σ [rad], shape (n,) (paper, equations 3 and 4)."""
         if isinstance(self.light, SurfaceLight):
-            return light_of_elements(self.surface, self.light, sigma, threads=threads)[1]
+            return light_of_channels(self.surface, [self.light], sigma, threads=threads)[1][0]
         inverse = 0.5 / sigma**2
         panel = panel_numbers(self.light)
         s = self.surface
@@ -85,7 +85,7 @@ def light_layer(
     caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for
     """
     if isinstance(light, SurfaceLight):
-        diffuse, _ = light_of_elements(surface, light, None, threads=threads)
+        (diffuse,), _ = light_of_channels(surface, [light], None, threads=threads)
         none = np.zeros((0, 3))
         return LightLayer(
             surface=surface,

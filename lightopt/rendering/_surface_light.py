@@ -393,11 +393,12 @@ def _free_pieces(surface: SurfacePoints, elements: Float64, caster: RayCaster, e
     return ~blocked.reshape(-1, number)
 
 
-def light_of_elements(
-    surface: SurfacePoints, light: SurfaceLight, sigma: float | None, *, threads: int | None = None
+def light_of_channels(
+    surface: SurfacePoints, lights: Sequence[SurfaceLight], sigma: float | None, *, threads: int | None = None
 ) -> tuple[Float64, Float64]:
-    """Diffuse and specular light at points that see all of a light, per unit of R_d and R_s; shapes (k,).
+    """Diffuse and specular light at points that see all of a light, per unit of R_d and R_s; shapes (channels, k).
 
+    lights: The channels, of the same gain
     sigma: Width of the lobe [rad]; None for diffuse light alone
     """
     reflectance = Reflectance(R_d=1.0, R_s=0.0, sigma=1e-3)
@@ -406,13 +407,13 @@ def light_of_elements(
 
     def chunk(start: int) -> tuple[Float64, Float64]:
         some = surface.take(slice(start, start + _CHUNK))
-        diffuse, specular = shade_surface_lights(some, (light,), reflectance=reflectance, caster=None)
-        return diffuse[0], specular[0]
+        return shade_surface_lights(some, lights, reflectance=reflectance, caster=None)
 
     # light is per unit of R_s: only where it is negligible depends on R_s
     found = in_threads(chunk, range(0, len(surface), _CHUNK), threads)
-    empty = [np.zeros(0)]
-    return np.concatenate([d for d, _ in found] or empty), np.concatenate([s for _, s in found] or empty)
+    empty = [np.zeros((len(lights), 0))]
+    diffuse, specular = (np.concatenate([one[k] for one in found] or empty, axis=1) for k in range(2))
+    return diffuse, specular
 
 
 @kernel

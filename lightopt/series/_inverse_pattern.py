@@ -19,7 +19,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import rotation_x, rotation_y
 from lightopt.defects import SHAPE_KINDS, mark_surface
 from lightopt.lights import SurfaceLight, picture_light
-from lightopt.rendering import PosturePixels, SurfacePoints, cast_rays_at, light_of_elements, trace_pixels
+from lightopt.rendering import PosturePixels, SurfacePoints, cast_rays_at, light_of_channels, trace_pixels
 from lightopt.scene import Scene, move_part
 
 MOST_CAMERA_PIXELS = 20_000  # that the picture is fitted to; of more, every second or third row and column
@@ -180,7 +180,7 @@ def _in_part_frame(seen: PosturePixels, scene: Scene, display: SurfaceLight) -> 
 
 
 def _levels(surface: SurfacePoints, light: SurfaceLight, scene: Scene) -> Float64:
-    diffuse, specular = light_of_elements(surface, light, scene.reflectance.sigma)
+    (diffuse,), (specular,) = light_of_channels(surface, [light], scene.reflectance.sigma)
     return scene.reflectance.R_d * diffuse + scene.reflectance.R_s * specular
 
 
@@ -220,7 +220,8 @@ def _responses(surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, in
         near = near[np.hypot(u[near] - at_u, v[near] - at_v) <= reach[near] + math.hypot(wide, high)]
         if len(near):
             one[i, j] = 1.0
-            _, specular = light_of_elements(surface.take(near), picture_light(light, one), scene.reflectance.sigma)
+            own = [picture_light(light, one)]
+            _, (specular,) = light_of_channels(surface.take(near), own, scene.reflectance.sigma)
             one[i, j] = 0.0
             columns.append(np.full(len(near), i * shape[1] + j))
             points.append(near)
@@ -239,7 +240,7 @@ def _diffuse_responses(
     found = np.zeros((len(surface.points), len(numbers)))
     for number in range(len(numbers)):
         own = picture_light(light, (block == number).reshape(shape).astype(np.float64))
-        found[:, number] = scene.reflectance.R_d * light_of_elements(surface, own, scene.reflectance.sigma)[0]
+        found[:, number] = scene.reflectance.R_d * light_of_channels(surface, [own], None)[0][0]
     share = 1.0 / np.bincount(block)[block]
     means = sparse.csr_array((share, (block, np.arange(len(block)))), shape=(len(numbers), len(block)))
     return found, means

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,18 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import Placement
 from lightopt.geometry import RayCaster
-from lightopt.rendering import UNLIT, WHOLE, PosturePixels, light_layer, panel_visibility, trace_samples
+from lightopt.lights import PanelLight, SurfaceLight
+from lightopt.rendering import (
+    UNLIT,
+    WHOLE,
+    PosturePixels,
+    SurfacePoints,
+    channel_groups,
+    light_layer,
+    light_of_channels,
+    panel_visibility,
+    trace_samples,
+)
 from lightopt.scene import PartView, Scene, lens_share, view_from_part
 
 _LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
@@ -76,6 +87,22 @@ def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> Part
     )
 
 
+def _layers(
+    surface: SurfacePoints, group: Sequence[PanelLight], caster: RayCaster, sigmas: Sequence[float]
+) -> Iterator[Float64]:
+    # diffuse light, and specular light for each σ, of channels of a light or of one panel, shape (lights, n) each
+    channels = [light for light in group if isinstance(light, SurfaceLight)]
+    if channels:
+        yield light_of_channels(surface, channels, None, threads=1)[0]
+        for sigma in sigmas:
+            yield light_of_channels(surface, channels, sigma, threads=1)[1]
+        return
+    layer = light_layer(surface, group[0], caster, threads=1)
+    yield layer.diffuse[None]
+    for sigma in sigmas:
+        yield layer.specular(sigma, threads=1)[None]
+
+
 def light_at(
     scene: Scene,
     pixels: PixelSet,
@@ -105,21 +132,22 @@ def light_at(
     names = list(dict.fromkeys(image.light for image in pixels.images))
     panels = {panel.name: panel for panel in view.lights}
 
-    def shade(number: int) -> None:
-        name = names[number]
-        verdict = panel_visibility(some, panels[name], caster, moving=True, threads=1)
-        whole = np.flatnonzero(verdict == WHOLE)
-        layer = light_layer(surface.take(whole), panels[name], caster, threads=1)
-        known = np.where((verdict == WHOLE) | (verdict == UNLIT), 0.0, np.nan)
-        found = np.stack([known] * (1 + len(sigmas)))
-        found[0, whole] = layer.diffuse
-        for place, sigma in enumerate(sigmas, start=1):
-            found[place, whole] = layer.specular(sigma, threads=1)
-        for i, image in enumerate(pixels.images):
-            if image.light == name:
-                light[:, i, hits.ray] = found
+    groups = channel_groups([panels[name] for name in names])
 
-    in_threads(shade, range(len(names)), threads)
+    def shade(number: int) -> None:
+        group = [panels[names[i]] for i in groups[number]]
+        verdicts = np.stack([panel_visibility(some, panel, caster, moving=True, threads=1) for panel in group])
+        whole = verdicts == WHOLE
+        found = np.stack([np.where(whole | (verdicts == UNLIT), 0.0, np.nan)] * (1 + len(sigmas)))
+        seen = np.flatnonzero(whole.any(axis=0))
+        for place, level in enumerate(_layers(surface.take(seen), group, caster, sigmas)):
+            found[place][:, seen] = np.where(whole[:, seen], level, found[place][:, seen])
+        for i, image in enumerate(pixels.images):
+            for panel, own in zip(group, found.swapaxes(0, 1), strict=True):
+                if image.light == panel.name:
+                    light[:, i, hits.ray] = own
+
+    in_threads(shade, range(len(groups)), threads)
     passed = lens_share(view.camera, columns, rows)
     if passed is not None:
         light *= passed
