@@ -280,7 +280,7 @@ def test_a_lobe_that_sees_nothing_but_the_light(sigma: float) -> None:
 
 
 def test_a_light_gives_as_much_as_a_panel() -> None:
-    """A surface at the origin that faces a small light gets its gain, as from a panel that falls off and emits alike."""
+    """A surface at the origin that faces a small light gets its gain, as from a panel that shines alike."""
     for name in ("bar", "spot", "coaxial"):
         small = {"bar": {"size_mm": [4, 4]}, "spot": {"half_angle_deg": 0.5}, "coaxial": {"size_mm": [4, 4]}}[name]
         file = KINDS[name][0] | small | {"gain": 1.7}
