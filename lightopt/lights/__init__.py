@@ -36,4 +36,4 @@ from lightopt.lights._panel_emission import (
     panel_numbers as panel_numbers,
     panel_point as panel_point,
 )
-from lightopt.lights._pattern import TERM_NUMBERS as TERM_NUMBERS, bar_terms as bar_terms, sine_terms as sine_terms
+from lightopt.lights._pattern import bar_terms as bar_terms, sine_terms as sine_terms
