@@ -25,6 +25,7 @@ from lightopt.report import (
 
 SIDE = 300  # longest side of an image in the report [px]
 REASONS = 2  # reasons of each system in the table
+LEAST_REASON = 0.005  # share of the least of them
 
 
 def comparison_report(comparison: LightingComparison, folder: Path) -> str:
@@ -79,7 +80,7 @@ def systems_table(comparison: LightingComparison, folder: Path | None = None) ->
             "-" if one.seconds is None else f"{one.seconds:.1f}",
             " × ".join(f"{side:.0f}" for side in one.size_mm),
             f"{one.footprint_mm:.3g}",
-            ", ".join(f"{reason} {percent(share, 0)}" for reason, share in [*one.reasons.items()][:REASONS]) or "-",
+            ", ".join(f"{reason} {percent(share, 0)}" for reason, share in _main_reasons(one)) or "-",
         ]
         for one in comparison.systems
     ]
@@ -94,6 +95,10 @@ def systems_table(comparison: LightingComparison, folder: Path | None = None) ->
         else [f"{one.folder.relative_to(folder).as_posix()}/report.html" for one in comparison.systems]
     )
     return Table(header=header, rows=rows, numbers_from=1, caption=caption, links=links)
+
+
+def _main_reasons(one: SystemResult) -> list[tuple[str, float]]:
+    return [(reason, share) for reason, share in one.reasons.items() if share >= LEAST_REASON][:REASONS]
 
 
 def _kinds_table(comparison: LightingComparison) -> Table:
