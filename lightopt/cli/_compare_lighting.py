@@ -18,7 +18,10 @@ def compare_lighting(
     out: common.Out,
     rigs: list[Path] | None = typer.Argument(None, metavar="[RIG]...", help="Rig files, one per lighting system."),
     preset: str | None = typer.Option(
-        None, metavar="NAME,…", help="Sample systems to compare as well; --preset list names them."
+        None,
+        metavar="NAME,…",
+        help="Sample systems to compare as well: four-panel, bars, ring-quadrants, low-ring, dome-quadrants, "
+        "flat-dome, tunnel, coaxial, spot, led-array, display.",
     ),
     posture: common.Postures = None,
     choose_postures: int | None = system_option(
@@ -53,9 +56,6 @@ def compare_lighting(
     from lightopt.config import load_rig
     from lightopt.design import OptimizeOptions, PlanOptions
 
-    if preset == "list":
-        echo(", ".join(comparison.PRESETS))
-        return
     names = [] if preset is None else [name.strip() for name in preset.split(",")]
     files = rigs or []
     if names:

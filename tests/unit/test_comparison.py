@@ -138,3 +138,8 @@ def test_too_few_equal_or_missing_files(names, message, bench, tmp_path, cli):
     ran = cli("compare-lighting", bench.part, *(tmp_path / f"{name}.yaml" for name in names), "-o", tmp_path / "out")
     assert ran.status == 2
     assert message in ran.err
+
+
+def test_help_names_all_presets(cli):
+    words = " ".join(cli("compare-lighting", "--help").out.split())
+    assert f"{', '.join(PRESETS)}." in words
