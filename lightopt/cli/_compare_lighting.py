@@ -16,7 +16,7 @@ system_option = partial(typer.Option, rich_help_panel="Adjustment of each system
 def compare_lighting(
     part: common.PartFile,
     out: common.Out,
-    rigs: list[Path] | None = typer.Argument(None, metavar="[RIG]...", help="Rig files, one per lighting system."),
+    rigs: list[Path] | None = typer.Argument(None, metavar="RIG", help="Rig files, one per lighting system."),
     preset: str | None = typer.Option(
         None,
         metavar="NAME,…",
