@@ -24,6 +24,9 @@ PRESETS: Final[Mapping[str, str]] = MappingProxyType(
         "spot": "spot",
         "led-array": "led-array",
         "display": "display-stripes",
+        "binary-stripes": "binary-stripes",
+        "grid-backlight": "moving-grid",
+        "dome-sines": "dome-stripes",
     }
 )
 """Name of each preset, and of the sample rig that it is."""

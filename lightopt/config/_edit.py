@@ -183,6 +183,8 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
         moved = _moved(config.source.resolve(name), name, folder)
         if moved != name:
             changes[keys] = json.dumps(moved, ensure_ascii=False)
+    for keys, name in _pictures(config):
+        changes[keys] = json.dumps(_moved(config.source.resolve(name), name, folder), ensure_ascii=False)
     text = with_values(config.source.text, changes)
     comment = _SCHEMA.search(text)
     # an address, or a schema that is not there, stays as it is
@@ -190,6 +192,14 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
         return text
     schema = _moved(config.source.resolve(comment[2]), comment[2], folder)
     return text[: comment.start(2)] + schema + text[comment.end(2) :]
+
+
+def _pictures(config: RigConfig | PartConfig) -> Iterator[tuple[Keys, str]]:
+    # of the patterns of a rig's lights, by their place in the file
+    for light in () if isinstance(config, PartConfig) else config.channels:
+        if light.channel == 0 and light.pattern is not None:
+            for number, name in enumerate(light.pattern.files or ()):
+                yield ("lights", light.entry, "pattern", "files", number), name
 
 
 def _moved(target: Path, name: str, folder: Path) -> str:

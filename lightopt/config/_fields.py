@@ -1,8 +1,11 @@
 """Kinds of values in the files, each with a description of what is expected, and how errors are reported."""
 
+import contextlib
 import math
+import os.path
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
+from difflib import get_close_matches
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
@@ -223,3 +226,21 @@ class PostureConfig(Frozen):
     """Tilt of the cradle about X [deg]."""
     rotation_deg: Azimuth
     """Rotation of the part about the stage's own axis [deg]."""
+
+
+def require_file(folder: Path, file: str) -> None:
+    """Raise unless a file exists, with its full path and a file of similar name."""
+    path = folder / file
+    is_folder, near = False, list[str]()
+    with contextlib.suppress(OSError, ValueError):
+        if path.is_file():
+            return
+        is_folder = path.is_dir()
+        near = get_close_matches(path.name, sorted(p.name for p in path.parent.iterdir()), n=1, cutoff=0.5)
+    full_path = os.path.normpath(folder.resolve() / file)
+    if is_folder:
+        raise complaint(f"{full_path} is a folder; expected a file")
+    hint = f'; did you mean "{(PurePath(file).parent / near[0]).as_posix()}"?' if near else ""
+    if "\\" in file and os.sep == "/":
+        hint = "; separate folders with / , which works everywhere"
+    raise complaint(f"no such file: {full_path}{hint}")

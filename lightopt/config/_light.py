@@ -15,12 +15,25 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from lightopt.config import _fields as fields
+from lightopt.config._pattern import PatternConfig, pattern_misfits
 from lightopt.config._pose import PanelPoseConfig, with_pose
 
 LightKind = Literal[
-    "panel", "bar", "ring", "low_angle_ring", "dome", "flat_dome", "tunnel", "coaxial", "spot", "led_array", "display"
+    "panel",
+    "bar",
+    "ring",
+    "low_angle_ring",
+    "dome",
+    "flat_dome",
+    "tunnel",
+    "coaxial",
+    "spot",
+    "led_array",
+    "display",
+    "backlight",
 ]
 
 # keys of each kind but panel, beside those of where it stands: needed ones, and others
@@ -28,13 +41,14 @@ _KEYS_OF_KIND: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "bar": (("size_mm",), ()),
     "ring": (("inner_radius_mm", "outer_radius_mm"), ("ring_tilt_deg", "segments")),
     "low_angle_ring": (("radius_mm", "height_mm"), ("segments",)),
-    "dome": (("radius_mm",), ("camera_hole_mm", "lower_elevation_deg", "leak", "segments")),
+    "dome": (("radius_mm",), ("camera_hole_mm", "lower_elevation_deg", "leak", "segments", "pattern")),
     "flat_dome": (("size_mm",), ("camera_hole_mm",)),
     "tunnel": (("radius_mm", "length_mm"), ("slot_mm",)),
     "coaxial": (("size_mm",), ("transmission", "reflection")),
     "spot": (("half_angle_deg",), ()),
     "led_array": (("size_mm", "rows", "columns", "led_mm"), ()),
     "display": (("size_mm",), ("pattern",)),
+    "backlight": (("size_mm",), ("pattern", "direct_level")),
 }
 _PLACE_KEYS = ("name", "kind", "distance_mm", "elevation_deg", "azimuth_deg", "gain")
 _RANGE_KEYS = ("elevation_range_deg", "azimuth_range_deg")
@@ -47,6 +61,8 @@ _Distance = Annotated[
     Field(ge=0, le=1e6),
     fields.expecting("a length between 0.001 and 1000000 (a number); a light around the part may be at 0"),
 ]
+_ABOVE_TABLE = "a number between 0 and 180 (degrees above the table, ends excluded)"
+_LightElevation = Annotated[float, Field(ge=-90, lt=180), fields.expecting(_ABOVE_TABLE)]
 _Segments = Annotated[int, Field(ge=1, le=MOST_CHANNELS), fields.expecting(f"a whole number from 1 to {MOST_CHANNELS}")]
 _Tilt = Annotated[float, Field(ge=0, lt=90), fields.expecting("degrees from 0 to less than 90 (a number)")]
 _HalfAngle = Annotated[float, Field(gt=0, lt=60), fields.expecting("degrees above 0 and below 60 (a number)")]
@@ -58,58 +74,8 @@ _Exponent = Annotated[float, Field(ge=0, le=1000), fields.expecting("a number fr
 _AUTO_SUM = "sum cannot be used with points: auto, a continuous panel; use mean"
 
 
-class PatternConfig(fields.Frozen):
-    """Stripes of a display that move by steps of a period: one image for each step and direction."""
-
-    kind: Literal["sine", "bars"] = "sine"
-    """Kind of pattern: sine, of levels from black to full; bars, full or black."""
-    period_mm: fields.Length
-    """Length of a period on the display [mm]."""
-    second_period_mm: fields.Length | None = None
-    """sine: length of the period of as many further images of each direction, longer than period_mm [mm]: both phases
-    together give the place on the display; no such images if absent."""
-    phases: Annotated[int, Field(ge=3, le=64), fields.expecting("a whole number from 3 to 64: fewer give no phase")] = 4
-    """sine: images of each direction, each moved by period / phases."""
-    shifts: Annotated[int, Field(ge=1, le=64), fields.expecting("a whole number from 1 to 64")] = 4
-    """bars: images of each direction, each moved by period / shifts."""
-    duty: Annotated[float, Field(gt=0, lt=1), fields.expecting("a number between 0 and 1")] = 0.5
-    """bars: share of a period that is bright."""
-    directions: Annotated[tuple[Literal["u", "v"], ...], Field(strict=False, min_length=1, max_length=2)] = ("u", "v")
-    """Directions that the stripes change along: u along the azimuth, v along the elevation."""
-
-    @field_validator("second_period_mm")
-    @classmethod
-    def _longer(cls, second: float | None, info: ValidationInfo) -> float | None:
-        if second is not None and second <= info.data.get("period_mm", 0.0):
-            raise fields.complaint(f"expected more than period_mm, {info.data['period_mm']:g}")
-        return second
-
-    @property
-    def periods_mm(self) -> tuple[float, ...]:
-        """One period, or both [mm]."""
-        return (self.period_mm,) if self.second_period_mm is None else (self.period_mm, self.second_period_mm)
-
-    @property
-    def unambiguous_mm(self) -> float:
-        """Length on the display after which the phases repeat, as far as noise lets them differ [mm]."""
-        if self.second_period_mm is None:
-            return self.period_mm
-        beat = self.period_mm * self.second_period_mm / (self.second_period_mm - self.period_mm)
-        return max(self.second_period_mm, beat)
-
-    @property
-    def steps(self) -> int:
-        """Images of each direction."""
-        return self.phases if self.kind == "sine" else self.shifts
-
-    @field_validator("phases", "shifts", "duty", "second_period_mm")
-    @classmethod
-    def _of_kind(cls, value: float | None, info: ValidationInfo) -> float | None:
-        kind = info.data.get("kind")
-        of_sine = info.field_name in ("phases", "second_period_mm")
-        if kind is not None and value is not None and (kind == "sine") != of_sine:
-            raise fields.complaint(f"a pattern of kind {kind} has no such key; leave it out")
-        return value
+def _not_above(elevation: float) -> PydanticCustomError:
+    return fields.complaint(f"expected {_ABOVE_TABLE}, found {elevation:g}")
 
 
 def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
@@ -127,16 +93,10 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
         yield ("rows",), raw["rows"], fields.complaint(f"expected at most {MOST_CHANNELS} LEDs in all")
     if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
         yield ("inner_radius_mm",), raw["inner_radius_mm"], fields.complaint("expected less than outer_radius_mm")
+    yield from pattern_misfits(kind, raw)
+    if kind != "backlight" and numbers.get("elevation_deg", 90.0) <= 0.0:
+        yield ("elevation_deg",), raw["elevation_deg"], _not_above(raw["elevation_deg"])
     size = [side for side in fields.entries(raw.get("size_mm")) if isinstance(side, (int, float))]
-    pattern = fields.mapping(raw.get("pattern"))
-    lengths = [one for key in ("period_mm", "second_period_mm") if isinstance(one := pattern.get(key), (int, float))]
-    if len(lengths) == 2 and 0 < lengths[0] < lengths[1] and len(size) == 2:
-        unambiguous = PatternConfig(period_mm=lengths[0], second_period_mm=lengths[1]).unambiguous_mm
-        if unambiguous < max(size) + lengths[0]:
-            reason = f"the phases repeat after {unambiguous:.4g} mm; expected at least the display's longer side and a"
-            reason += f" period, {max(size) + lengths[0]:g} mm: a longer second period, or one closer to period_mm"
-            where = ("pattern", "second_period_mm")
-            yield where, lengths[1], fields.complaint(reason)
     widest = {"dome": numbers.get("radius_mm"), "flat_dome": min(size, default=None)}.get(kind)
     if widest is not None and numbers.get("camera_hole_mm", 0.0) >= widest:
         yield ("camera_hole_mm",), raw["camera_hole_mm"], fields.complaint(f"expected less than {widest:g}")
@@ -196,9 +156,9 @@ class LightConfig(fields.Frozen):
     distance_mm: _Distance
     """Distance from the origin to the centre of the panel, ring, dome (of its sphere) or other light [mm]; 0 for a dome
     if absent."""
-    elevation_deg: fields.Elevation
+    elevation_deg: _LightElevation
     """Elevation of the light's centre above the table plane [deg]; 90 is straight above, which lights other than panels
-    have if absent."""
+    have if absent. A backlight may be below the table, down to -90, which it has if absent."""
     azimuth_deg: fields.Azimuth
     """Azimuth of the light's centre about Z, from X [deg]; 270 if absent of lights other than panels."""
     pose: PanelPoseConfig | None = None
@@ -258,7 +218,10 @@ class LightConfig(fields.Frozen):
     reflection: _Share | None = None
     """coaxial: share of the light that the beam splitter reflects; 0.5 if absent."""
     pattern: PatternConfig | None = None
-    """display: stripes (sine) or bars, each image of which is a channel; a uniform display if absent."""
+    """display, backlight, dome: stripes, bars or pictures, each image of which is a channel; uniform if absent."""
+    direct_level: fields.Coefficient | None = None
+    """backlight: level of a pixel that looks straight at its full radiance, at exposure 1 [grey level]: the part is a
+    silhouette before it; black if absent."""
 
     _channel: int = PrivateAttr(default=0)
     _entry: int = PrivateAttr(default=0)
@@ -314,7 +277,7 @@ class LightConfig(fields.Frozen):
             assert self.columns is not None
             return self.rows * self.columns
         if self.pattern is not None:
-            return self.pattern.steps * len(self.pattern.directions) * len(self.pattern.periods_mm)
+            return self.pattern.images
         return self.segments or 1
 
     @field_serializer("pattern")
@@ -328,7 +291,9 @@ class LightConfig(fields.Frozen):
         raw = {key: one for key, one in fields.mapping(value).items() if one is not None}
         kind = raw.get("kind", "panel")
         if isinstance(kind, str) and kind in _KEYS_OF_KIND:
-            filled = {"elevation_deg": 90.0, "azimuth_deg": 270.0} | ({"distance_mm": 0.0} if kind == "dome" else {})
+            filled = {"elevation_deg": -90.0 if kind == "backlight" else 90.0, "azimuth_deg": 270.0}
+            if kind == "dome":
+                filled["distance_mm"] = 0.0
             shaped = {**raw, **{key: v for key, v in filled.items() if key not in raw}}
             return fields.with_complaints(shaped, handler, _wrong_keys(kind, raw))
         of_others = {key for keys in _KEYS_OF_KIND.values() for key in (*keys[0], *keys[1])} - {"size_mm"}
@@ -336,6 +301,9 @@ class LightConfig(fields.Frozen):
             ((key,), raw[key], fields.complaint("a panel has no such key; give the kind of light that has it"))
             for key in sorted(of_others & {key for key, given in raw.items() if given is not None})
         ]
+        elevation = raw.get("elevation_deg")
+        if isinstance(elevation, (int, float)) and -90.0 <= elevation <= 0.0:
+            complaints.append((("elevation_deg",), elevation, _not_above(elevation)))
         if raw.get("distance_mm") == 0:
             complaints.append((("distance_mm",), 0, fields.complaint("a panel cannot stand at the origin")))
         if complaints:

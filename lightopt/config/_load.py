@@ -151,9 +151,12 @@ def _decode(data: bytes, path: Path) -> str:
 
 
 def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str, str]]:
-    """Names and SHA-256 of the files as they were read, and that of the mesh, which may raise an OSError."""
+    """Names and SHA-256 of the files as they were read, and those of mesh and pictures, which may raise an OSError."""
     files = {"rig": rig} if part is None else {"rig": rig, "part": part}
     hashes = {kind: {"file": one.source.path.name, "sha256": one.source.sha256} for kind, one in files.items()}
+    pictures = [name for light in rig.channels if light.pattern is not None for name in light.pattern.files or ()]
+    for name in dict.fromkeys(pictures):
+        hashes[f"picture {name}"] = {"sha256": file_sha256(rig.source.resolve(name))}
     if part is not None:
         hashes["mesh"] = {"sha256": file_sha256(part.source.resolve(part.mesh.file))}
     return hashes

@@ -1,9 +1,7 @@
 """A part file: mesh, placement, postures, reflectance and defects."""
 
 import contextlib
-import os.path
-from difflib import get_close_matches
-from pathlib import Path, PurePath
+from pathlib import PurePath
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
@@ -68,7 +66,7 @@ class MeshConfig(Frozen):
         if PurePath(file).suffix.lower() not in _SUFFIXES:
             raise complaint(f'expected a file ending in {", ".join(_SUFFIXES)}, found "{file}"')
         if info.context is not None:
-            _require(info.context["folder"], file)
+            fields.require_file(info.context["folder"], file)
         return file
 
     @field_validator("units")
@@ -184,21 +182,3 @@ class PartConfig(fields.FileConfig):
     @classmethod
     def _differ_in_name(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
         return fields.with_complaints(value, handler, fields.same_names(fields.entries(value), str(info.field_name)))
-
-
-def _require(folder: Path, file: str) -> None:
-    """Raise unless the mesh file exists, with its full path and a file of similar name."""
-    path = folder / file
-    is_folder, near = False, list[str]()
-    with contextlib.suppress(OSError, ValueError):
-        if path.is_file():
-            return
-        is_folder = path.is_dir()
-        near = get_close_matches(path.name, sorted(p.name for p in path.parent.iterdir()), n=1, cutoff=0.5)
-    full_path = os.path.normpath(folder.resolve() / file)
-    if is_folder:
-        raise complaint(f"{full_path} is a folder; expected a file")
-    hint = f'; did you mean "{(PurePath(file).parent / near[0]).as_posix()}"?' if near else ""
-    if "\\" in file and os.sep == "/":
-        hint = "; separate folders with / , which works everywhere"
-    raise complaint(f"no such file: {full_path}{hint}")

@@ -36,4 +36,11 @@ from lightopt.lights._panel_emission import (
     panel_numbers as panel_numbers,
     panel_point as panel_point,
 )
-from lightopt.lights._pattern import bar_terms as bar_terms, sine_terms as sine_terms
+from lightopt.lights._pattern import (
+    PICTURE as PICTURE,
+    Pattern as Pattern,
+    bar_pattern as bar_pattern,
+    pattern_at as pattern_at,
+    picture_patterns as picture_patterns,
+    sine_pattern as sine_pattern,
+)

@@ -22,7 +22,7 @@ from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, dot, length, minus, plus, scaled
 from lightopt.lights._panel import PanelLight, panel_corners
-from lightopt.lights._pattern import UNIFORM
+from lightopt.lights._pattern import UNIFORM, Pattern
 
 PLANE, CONE, SPHERE, FRAME = 0, 1, 2, 3
 
@@ -162,13 +162,15 @@ class SurfaceLight(PanelLight):
     kind: Of the light, as in the rig file
     entry: Number of its entry in the rig file; channels of one entry have the surface in common
     elements: Of its surface, shape (e, ELEMENT_NUMBERS)
-    pattern: Its terms, whose sum multiplies the radiance, shape (b, TERM_NUMBERS); of plane elements
+    pattern: What multiplies the radiance
+    direct_level: Of a pixel that looks straight at its full radiance at exposure 1, per unit of gain [grey level]
     """
 
     kind: str
     entry: int
     elements: Float64
-    pattern: Float64
+    pattern: Pattern
+    direct_level: float = 0.0
 
     def moved(self, rotation: Float64, translation: Float64) -> SurfaceLight:
         """The light after x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
@@ -344,7 +346,8 @@ def surface_light(
     entry: int,
     elements: Float64,
     whole: Float64 | None = None,
-    pattern: Float64 = UNIFORM,
+    pattern: Pattern = UNIFORM,
+    direct_level: float = 0.0,
 ) -> SurfaceLight:
     """A light of a shape, or a channel of it, where a panel would stand.
 
@@ -354,7 +357,7 @@ def surface_light(
     panel: With the frame, name and gain of the light; world frame
     elements: Of this channel, in the frame of the panel about its centre; their radiances relative to the whole light
     whole: Those of the whole light; as `elements` if None
-    entry, pattern: As :class:`SurfaceLight` has them; the pattern is left out of the whole light
+    entry, pattern, direct_level: As :class:`SurfaceLight` has them; the pattern is left out of the whole light
     """
     everything = elements if whole is None else whole
     # the origin of the world, seen from the light
@@ -367,7 +370,8 @@ def surface_light(
     fields = {key: value for key, value in vars(panel).items() if key not in ("points", "normalisation")}
     fields |= {"points": "auto", "inverse_square": True, "emission_exponent": 1.0}
     elements = _moved(own, rotation, panel.centre)
-    return SurfaceLight(**fields, kind=kind, entry=entry, elements=elements, pattern=pattern)
+    fields |= {"kind": kind, "entry": entry, "elements": elements, "pattern": pattern, "direct_level": direct_level}
+    return SurfaceLight(**fields)
 
 
 def mixed_light(name: str, parts: Sequence[tuple[SurfaceLight, float]]) -> SurfaceLight:
@@ -377,11 +381,11 @@ def mixed_light(name: str, parts: Sequence[tuple[SurfaceLight, float]]) -> Surfa
     """
     first, gain = parts[0][0], sum(weight * light.gain for light, weight in parts)
     shares = [weight * light.gain / gain for light, weight in parts]
-    if all(np.array_equal(light.pattern, first.pattern) for light, _ in parts):
+    if all(np.array_equal(light.pattern.terms, first.pattern.terms) for light, _ in parts):
         rows = [_times(light.elements, RADIANCE, share) for (light, _), share in zip(parts, shares, strict=True)]
         return replace(first, name=name, gain=gain, elements=_summed(rows, RADIANCE))
-    terms = [_times(light.pattern, 0, share) for (light, _), share in zip(parts, shares, strict=True)]
-    return replace(first, name=name, gain=gain, pattern=_summed(terms, 0))
+    terms = [_times(light.pattern.terms, 0, share) for (light, _), share in zip(parts, shares, strict=True)]
+    return replace(first, name=name, gain=gain, pattern=first.pattern._replace(terms=_summed(terms, 0)))
 
 
 def _times(rows: Float64, column: int, factor: float) -> Float64:

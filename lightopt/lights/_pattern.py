@@ -1,33 +1,99 @@
-"""Patterns of lights: sums of stripes, each along one side, so that lights that differ in phase share their integrals.
+"""Patterns of lights: sums of stripes and pictures, so that lights that differ in phase share their integrals.
 
-A pattern is an array of terms, shape (b, TERM_NUMBERS), each a row (coefficient, axis, wave, phase, duty): coefficient
-times a function of x, which is u for axis 0 and v for axis 1 [mm],
+The terms of a pattern are an array of shape (b, TERM_NUMBERS), each a row (coefficient, axis, wave, phase, duty):
+coefficient times a function of x, which is u for axis 0 and v for axis 1 [mm; rad on a dome],
 
     duty 0: cos(wave·x + phase), which is 1 for wave 0 and phase 0
     duty > 0: 1 where wave·x + phase is within duty·π of a multiple of 2π, else 0
+
+Axis 2 (PICTURE) is a picture instead: (coefficient, 2, its number from 1, its width, its height [mm]).
 """
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from lightopt.core.arrays import Float64
+from lightopt.core.arrays import Float32, Float64, Int64
 
 TERM_NUMBERS = 5
+PICTURE = 2
 
-UNIFORM = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])
+
+class Pattern(NamedTuple):
+    """What the radiance of a light is multiplied by, at each place on it.
+
+    terms: Shape (b, TERM_NUMBERS)
+    values: Levels of all pictures, each in full and in means of 2 × 2, 4 × 4, ... of its pixels, one after the other
+    levels: Where each of these begins in `values`, its rows and its columns, shape (pictures, halvings, 3)
+    """
+
+    terms: Float64
+    values: Float32
+    levels: Int64
+
+
+def _stripes(terms: list[list[float]]) -> Pattern:
+    return Pattern(np.array(terms), np.zeros(0, np.float32), np.zeros((0, 0, 3), np.int64))
+
+
+UNIFORM = _stripes([[1.0, 0.0, 0.0, 0.0, 0.0]])
 """The pattern that is 1 everywhere."""
-UNIFORM.flags.writeable = False
 
 
-def sine_terms(axis: int, *, period: float, phase: float) -> Float64:
-    """Stripes ½·(1 + cos(2π·x/period + phase)); [mm], [rad]."""
+def sine_pattern(axis: int, *, period: float, phase: float) -> Pattern:
+    """Stripes ½·(1 + cos(2π·x/period + phase)); [mm] or, on a dome, [rad]."""
     wave = 2.0 * math.pi / period
     cosine = [0.5 * math.cos(phase), axis, wave, 0.0, 0.0]
     sine = [-0.5 * math.sin(phase), axis, wave, -0.5 * math.pi, 0.0]
-    return np.array([[0.5, 0.0, 0.0, 0.0, 0.0], cosine, sine])
+    return _stripes([[0.5, 0.0, 0.0, 0.0, 0.0], cosine, sine])
 
 
-def bar_terms(axis: int, *, period: float, phase: float, duty: float) -> Float64:
+def bar_pattern(axis: int, *, period: float, phase: float, duty: float) -> Pattern:
     """Bars that take up the share `duty` of a period [mm], in the middle of one where 2π·x/period + phase is 0."""
-    return np.array([[1.0, axis, 2.0 * math.pi / period, phase, duty]])
+    return _stripes([[1.0, axis, 2.0 * math.pi / period, phase, duty]])
+
+
+def picture_patterns(pictures: Sequence[Float64], size: tuple[float, float]) -> list[Pattern]:
+    """A pattern for each of some pictures of one light, each spread over all of it.
+
+    pictures: Shares of the full radiance, as seen from the part with `along` upwards, shape (rows, columns) each: row 0
+        is at the greatest v, column 0 at the greatest u
+    size: Of the light along `across` and `along` [mm]
+    """
+    halvings = max(math.ceil(math.log2(max(picture.shape))) for picture in pictures) + 1
+    levels, values, used = np.zeros((len(pictures), halvings, 3), np.int64), list[Float32](), 0
+    for number, picture in enumerate(pictures):
+        total, count = picture, np.ones(picture.shape)
+        for halving in range(halvings):
+            levels[number, halving] = used, *total.shape
+            values.append((total / count).astype(np.float32).ravel())
+            used += total.size
+            total, count = _halved(total), _halved(count)
+    joined = np.concatenate(values)
+    terms = [np.array([[1.0, PICTURE, number + 1.0, *size]]) for number in range(len(pictures))]
+    return [Pattern(own, joined, levels) for own in terms]
+
+
+def _halved(sums: Float64) -> Float64:
+    # sums over 2 × 2 pixels; fewer at the last row and column of an odd number
+    rows, columns = sums.shape
+    even = np.pad(sums, ((0, rows % 2), (0, columns % 2)))
+    return even.reshape((rows + 1) // 2, 2, (columns + 1) // 2, 2).sum(axis=(1, 3))
+
+
+def pattern_at(pattern: Pattern, u: Float64, v: Float64) -> Float64:
+    """What a pattern multiplies the radiance by at places on the light [mm], shape (n,)."""
+    values = np.zeros(len(u))
+    for coefficient, axis, wave, phase, duty in pattern.terms:
+        if axis == PICTURE:
+            first, rows, columns = pattern.levels[int(wave) - 1, 0]
+            row = np.clip(np.floor((0.5 - v / duty) * rows), 0, rows - 1).astype(np.intp)
+            column = np.clip(np.floor((0.5 - u / phase) * columns), 0, columns - 1).astype(np.intp)
+            values += coefficient * pattern.values[first + row * columns + column]
+            continue
+        angle = wave * (v if axis else u) + phase
+        bright = np.abs(np.remainder(angle + math.pi, 2.0 * math.pi) - math.pi) <= duty * math.pi
+        values += coefficient * (bright if duty > 0.0 else np.cos(angle))
+    return values

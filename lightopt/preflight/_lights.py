@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from lightopt.config import RigConfig
-from lightopt.lights import PanelLight, outlines, surface_mesh
+from lightopt.lights import PanelLight, SurfaceLight, outlines, surface_mesh
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, percent
 from lightopt.rendering import hidden_by, panels_in_part
 from lightopt.scene import area_in_view, build_lights, lights_meet
@@ -21,6 +21,8 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
     pixels = checked.camera.width * checked.camera.height
     clear = True
     for index, light in enumerate(checked.lights):
+        if _is_backlight(light):
+            continue  # made to be in the view; what it hides of a part is said with the part
         area = area_in_view(checked.camera, light)
         if area > 0.0:
             clear = False
@@ -43,10 +45,17 @@ def _lowest(light: PanelLight) -> float:
     return float(outlines(light)[..., 2].min())
 
 
+def _is_backlight(light: PanelLight) -> bool:
+    # which may be behind the part, below a table of glass
+    return isinstance(light, SurfaceLight) and light.kind == "backlight"
+
+
 def check_below_horizon(checked: CheckedRig) -> Iterator[Finding]:
     """Panels that reach below the table top."""
     for index, light in enumerate(checked.lights):
         lowest = _lowest(light)
+        if _is_backlight(light):
+            continue
         if lowest < -_ROUNDING_MM:
             text = (
                 f"a corner of {light.name} is {-lowest:.3g} mm below the table top; raise its elevation of "

@@ -52,7 +52,7 @@ from lightopt.rendering._surface import (
     hidden_by as hidden_by,
     trace_samples as trace_samples,
 )
-from lightopt.rendering._surface_light import light_of_channels as light_of_channels
+from lightopt.rendering._surface_light import light_of_channels as light_of_channels, mirrored_places as mirrored_places
 from lightopt.rendering._surface_variants import (
     shade_variants as shade_variants,
     shade_variants_together as shade_variants_together,

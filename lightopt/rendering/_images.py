@@ -30,6 +30,7 @@ from lightopt.rendering._converged_panel import (
     shadow_targets,
 )
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
+from lightopt.rendering._direct_view import direct_levels
 from lightopt.rendering._penumbra_squares import SIDES
 from lightopt.rendering._surface import SurfacePoints, trace_samples
 from lightopt.rendering._surface_light import shade_surface_lights
@@ -225,6 +226,8 @@ def _run(job: _PostureJob, posture: Posture, threads: int | None, progress: Shar
         for image in job.images:
             assert image.inside is not None
             image.inside[:] -= image.level
+    for number, level in direct_levels(view, job.scene.mesh, caster, threads=threads):
+        job.images[number].level[:] += level
     rays, free, seconds = caster.rays_cast - before, caster.rays_free - free, monotonic() - begun
     text = "posture %s: %.2f million rays in %.2f s; %.2f million shadow rays proven free"
     _log.info(text, posture, rays / 1e6, seconds, free / 1e6)

@@ -17,7 +17,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import RADIANCE, Element, SurfaceLight, element_at, element_place, element_weight
+from lightopt.lights import PICTURE, RADIANCE, Element, Pattern, SurfaceLight, element_at, element_place, element_weight
 from lightopt.optics import MIN_COS_VIEW, Reflectance, specular_cosine, specular_lobe
 from lightopt.rendering._panel_quadrature import (
     NODES,
@@ -29,7 +29,7 @@ from lightopt.rendering._panel_quadrature import (
     lobe_window,
     node_count,
 )
-from lightopt.rendering._pattern_weights import pattern_weights
+from lightopt.rendering._pattern_weights import pattern_weights, picture_weights
 from lightopt.rendering._point_lights import facing_targets
 from lightopt.rendering._surface import SurfacePoints
 
@@ -50,10 +50,10 @@ AT_ONCE = 1 << 21  # surface points times elements times terms of patterns that 
 
 
 @kernel
-def diffuse_nodes(e: Element, terms: Float64) -> tuple[Float64, Float64, Float64]:
+def diffuse_nodes(e: Element, pattern: Pattern) -> tuple[Float64, Float64, Float64]:
     # places of an element [mm], and their light: radiance · area · unit vector of where they shine; shape (nodes², 3);
     # and their weights for each term of the pattern, shape (b, nodes²)
-    count = DIFFUSE_NODES
+    count, terms = DIFFUSE_NODES, pattern.terms
     places, light = np.empty((count**2, 3)), np.empty((count**2, 3))
     weights = np.empty((len(terms), count**2))
     du, dv = e.u1 - e.u0, e.v1 - e.v0
@@ -65,13 +65,24 @@ def diffuse_nodes(e: Element, terms: Float64) -> tuple[Float64, Float64, Float64
             shining = scaled(cross(along_u, along_v), du * dv * e.radiance * e.side)
             places[k, 0], places[k, 1], places[k, 2] = q
             light[k, 0], light[k, 1], light[k, 2] = shining
-    weights_u, weights_v = np.empty(count), np.empty(count)
     for b in range(len(terms)):
-        pattern_weights(terms[b], 0, e.u0, du, count, True, weights_u)
-        pattern_weights(terms[b], 1, e.v0, dv, count, True, weights_v)
-        for k in range(count**2):
-            weights[b, k] = weights_u[k // count] * weights_v[k % count]
+        element_weights(e, pattern, b, weights[b].reshape(count, count))
     return places, light, weights
+
+
+@kernel
+def element_weights(e: Element, pattern: Pattern, b: int, weights: Float64) -> None:
+    """Set the weights of an element's nodes along u and v for a term of the pattern, shape (count_u, count_v)."""
+    term, du, dv = pattern.terms[b], e.u1 - e.u0, e.v1 - e.v0
+    if int(term[1]) == PICTURE:
+        picture_weights(pattern, term, (e.u0, e.v0), (du, dv), weights)
+        return
+    weights_u, weights_v = np.empty(weights.shape[0]), np.empty(weights.shape[1])
+    pattern_weights(term, 0, e.u0, du, len(weights_u), True, weights_u)
+    pattern_weights(term, 1, e.v0, dv, len(weights_v), True, weights_v)
+    for i in range(len(weights_u)):
+        for j in range(len(weights_v)):
+            weights[i, j] = weights_u[i] * weights_v[j]
 
 
 @kernel
@@ -93,7 +104,7 @@ def specular_of_element(
     v: Vector,
     e: Element,
     area: Rectangle,
-    terms: Float64,
+    pattern: Pattern,
     inverse: float,
     most: float,
     found: Float64,
@@ -101,12 +112,11 @@ def specular_of_element(
     """Add the specular light of a piece of an element per unit of R_s (paper, equation 3), for each pattern term.
 
     area: The piece, by u and v
-    terms: Of the pattern, shape (b, TERM_NUMBERS)
     inverse: 1/(2σ²) [rad⁻²]
     most: Exponent from which the lobe is negligible
     found: Shape (b,)
     """
-    n_dot_v = dot(n, v)
+    n_dot_v, terms = dot(n, v), pattern.terms
     if n_dot_v <= 0.0:
         return
     half, spread = half_vector_cone(p, v, e.centre, e.reach)
@@ -148,6 +158,9 @@ def specular_of_element(
         wave, of_v, edged = terms[b, 2], int(terms[b, 1]) == 1, terms[b, 4] > 0.0
         if wave == 0.0:
             continue
+        if int(terms[b, 1]) == PICTURE:
+            count_s, count_t = min(MOST_PATTERN_NODES, 2 * count_s), min(MOST_PATTERN_NODES, 2 * count_t)
+            break
         # the polynomial through the nodes follows the light between edges; else the nodes follow the stripes
         count, side = (count_t, height) if of_v else (count_s, width)
         least_count = 2 * count if edged else math.ceil(3.0 + 0.6 * wave * side)
@@ -166,8 +179,16 @@ def specular_of_element(
             pattern_weights(terms[b], 1, window.t0, height, count_t, False, weights_t[rows])
             row_of[b] = rows
             rows += 1
+    pictures = 0
+    for b in range(len(terms)):
+        pictures += int(terms[b, 1]) == PICTURE
+    of_picture, number = np.empty((pictures, count_s, count_t)), 0
+    for b in range(len(terms)):
+        if int(terms[b, 1]) == PICTURE:
+            picture_weights(pattern, terms[b], (window.s0, window.t0), (width, height), of_picture[number])
+            row_of[b], number = number, number + 1
     factor = width * height / specular_cosine(n_dot_v)
-    row = np.empty(rows)
+    row, sums = np.empty(rows), np.zeros(pictures)
     for i in range(count_s):
         at_s = window.s0 + width * NODES[count_s, i]
         row[:] = 0.0
@@ -182,8 +203,14 @@ def specular_of_element(
             value = specular_lobe(dot(chord, chord), inverse) * element_weight(e, towards, along_s, along_t)
             for k in range(rows):
                 row[k] += weights_t[k, j] * value
+            for k in range(pictures):
+                sums[k] += of_picture[k, i, j] * value
         for b in range(len(terms)):
-            found[b] += factor * weights_s[b, i] * row[row_of[b]]
+            if int(terms[b, 1]) != PICTURE:
+                found[b] += factor * weights_s[b, i] * row[row_of[b]]
+    for b in range(len(terms)):
+        if int(terms[b, 1]) == PICTURE:
+            found[b] += factor * sums[row_of[b]]
 
 
 @kernel
@@ -204,7 +231,7 @@ def _add_elements(
     normals: Float64,
     views: Float64,
     elements: Float64,
-    terms: Float64,
+    pattern: Pattern,
     shares: Float64,
     clear: Bool,
     inverse: float,
@@ -214,10 +241,11 @@ def _add_elements(
 ) -> None:
     # diffuse light of the clear elements per unit of R_d, shape (channels, k), and specular light of each element and
     # term per unit of R_s, whatever hides it, shape (e, b, k)
-    found = np.empty(len(terms))
+    terms = len(pattern.terms)
+    found = np.empty(terms)
     for m in range(len(elements)):
         e = element_at(elements, m)
-        places, light, weights = diffuse_nodes(e, terms)
+        places, light, weights = diffuse_nodes(e, pattern)
         for i in range(len(points)):
             p, n = vector_at(points, i), vector_at(normals, i)
             if dot(n, minus(e.centre, p)) <= -e.reach:
@@ -225,11 +253,11 @@ def _add_elements(
             if clear[m, i]:
                 diffuse_of_element(p, n, places, light, weights, found)
                 for c in range(len(shares)):
-                    for b in range(len(terms)):
+                    for b in range(terms):
                         diffuse[c, i] += shares[c, m, b] * found[b]
             found[:] = 0.0
-            specular_of_element(p, n, vector_at(views, i), e, whole_element(e), terms, inverse, most, found)
-            for b in range(len(terms)):
+            specular_of_element(p, n, vector_at(views, i), e, whole_element(e), pattern, inverse, most, found)
+            for b in range(terms):
                 specular[m, b, i] = found[b]
 
 
@@ -265,7 +293,7 @@ def _replace_pieces(
     normals: Float64,
     views: Float64,
     elements: Float64,
-    terms: Float64,
+    pattern: Pattern,
     element: Index,
     point: Index,
     free: Bool,
@@ -273,14 +301,14 @@ def _replace_pieces(
     most: float,
     specular: Float64,
 ) -> None:
-    found = np.empty(len(terms))
+    found = np.empty(len(pattern.terms))
     for k in range(len(point)):
         i, m = point[k], element[k]
         p, n, v, e = vector_at(points, i), vector_at(normals, i), vector_at(views, i), element_at(elements, m)
         found[:] = 0.0
         for number in range(PIECES * PIECES):
             if free[k, number]:
-                specular_of_element(p, n, v, e, _piece(e, number), terms, inverse, most, found)
+                specular_of_element(p, n, v, e, _piece(e, number), pattern, inverse, most, found)
         specular[m, :, i] = found
 
 
@@ -289,12 +317,12 @@ class Channels:
     """Channels of one light: the surface that they have in common, and what each makes of it.
 
     elements: Of all channels, of radiance 1, shape (e, ELEMENT_NUMBERS)
-    terms: Of all patterns, of coefficient 1, shape (b, TERM_NUMBERS)
+    pattern: The terms of all patterns, of coefficient 1
     shares: Radiance times coefficient of each channel, element and term, shape (channels, e, b)
     """
 
     elements: Float64
-    terms: Float64
+    pattern: Pattern
     shares: Float64
 
 
@@ -302,12 +330,13 @@ def channels_of(lights: Sequence[SurfaceLight]) -> Channels:
     """What channels of a light have in common, and what each makes of it."""
     shapes = [np.delete(light.elements, RADIANCE, axis=1) for light in lights]
     elements, element = _different(shapes, np.concatenate([light.elements for light in lights]))
-    terms, term = _different([light.pattern[:, 1:] for light in lights], np.concatenate([x.pattern for x in lights]))
+    rows = [light.pattern.terms for light in lights]
+    terms, term = _different([some[:, 1:] for some in rows], np.concatenate(rows))
     elements[:, RADIANCE], terms[:, 0] = 1.0, 1.0
     shares = np.zeros((len(lights), len(elements), len(terms)))
     for share, light, m, b in zip(shares, lights, element, term, strict=True):
-        share[np.ix_(m, b)] = light.elements[:, RADIANCE, None] * light.pattern[:, 0]
-    return Channels(elements, terms, shares)
+        share[np.ix_(m, b)] = light.elements[:, RADIANCE, None] * light.pattern.terms[:, 0]
+    return Channels(elements, lights[0].pattern._replace(terms=terms), shares)
 
 
 def _different(rows: Sequence[Float64], all_rows: Float64) -> tuple[Float64, list[Index]]:
@@ -331,7 +360,7 @@ def shade_surface_lights(
     caster: For shadows; None for none
     """
     channels = channels_of(lights)
-    step = max(1, AT_ONCE // (len(channels.elements) * len(channels.terms)))
+    step = max(1, AT_ONCE // (len(channels.elements) * len(channels.pattern.terms)))
     shape = len(lights), len(surface)
     diffuse, specular = np.zeros(shape), np.zeros(shape)
     for start in range(0, len(surface), step):
@@ -346,15 +375,15 @@ def _shade_chunk(
     surface: SurfacePoints, channels: Channels, weight: float, reflectance: Reflectance, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     end_if_stopped()
-    elements, terms, shares = channels.elements, channels.terms, channels.shares
+    elements, pattern, shares = channels.elements, channels.pattern, channels.shares
     inverse = 0.5 / reflectance.sigma**2
     # where the lobe's exponent is more, an element adds nothing to a level, at any angle of view
     most = math.log(max(1.0, weight * reflectance.R_s / (MIN_COS_VIEW * LEAST_LEVEL)))
     clear, hidden = elements_seen(surface, elements, caster)
     size = len(surface)
-    diffuse, specular = np.zeros((len(shares), size)), np.zeros((len(elements), len(terms), size))
+    diffuse, specular = np.zeros((len(shares), size)), np.zeros((len(elements), len(pattern.terms), size))
     geometry = surface.points, surface.normals, surface.views
-    _add_elements(*geometry, elements, terms, shares, clear, inverse, most, diffuse, specular)
+    _add_elements(*geometry, elements, pattern, shares, clear, inverse, most, diffuse, specular)
     specular[..., ~surface.front] = 0.0
     if caster is not None and hidden.any():
         # in the channel where they are brightest
@@ -363,7 +392,7 @@ def _shade_chunk(
         element, point = np.nonzero((level > NEGLIGIBLE_LEVEL) & hidden.any(axis=0))
         specular *= clear[:, None]
         free = _free_pieces(surface, elements, caster, element, point)
-        _replace_pieces(*geometry, elements, terms, element, point, free, inverse, most, specular)
+        _replace_pieces(*geometry, elements, pattern, element, point, free, inverse, most, specular)
     levels = np.zeros_like(diffuse)
     _add_channels(specular, shares, levels)
     return weight * diffuse, weight * levels
@@ -433,3 +462,17 @@ def least_deflection(surface: SurfacePoints, light: SurfaceLight) -> Float64:
     deflection = np.full(len(surface), math.pi)
     _deflections(surface.points, surface.normals, surface.views, light.elements, deflection)
     return deflection
+
+
+def mirrored_places(surface: SurfacePoints, light: SurfaceLight) -> tuple[Float64, Float64, Float64]:
+    """Place on the plane of a light that each point mirrors, u and v, and how far away it is [mm], shape (k,) each.
+
+    NaN where a point mirrors nothing of the plane; places beyond the light's edges are not left out.
+    """
+    cosine = np.einsum("ij,ij->i", surface.normals, surface.views)
+    towards = 2.0 * cosine[:, None] * surface.normals - surface.views
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = ((light.centre - surface.points) @ light.outward) / (towards @ light.outward)
+    distance = np.where(distance > 0.0, distance, np.nan)
+    offset = surface.points + distance[:, None] * towards - light.centre
+    return offset @ light.across, offset @ light.along, distance

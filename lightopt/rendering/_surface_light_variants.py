@@ -15,10 +15,9 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import Element, SurfaceLight, element_at, element_place, element_weight
+from lightopt.lights import Element, Pattern, SurfaceLight, element_at, element_place, element_weight
 from lightopt.optics import specular_cosine, specular_lobe
 from lightopt.rendering._panel_quadrature import NODES, half_vector_cone, half_vector_map
-from lightopt.rendering._pattern_weights import pattern_weights
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._surface_light import (
     AT_ONCE,
@@ -26,6 +25,7 @@ from lightopt.rendering._surface_light import (
     channels_of,
     diffuse_nodes,
     diffuse_of_element,
+    element_weights,
     elements_seen,
     specular_of_element,
     whole_element,
@@ -54,11 +54,11 @@ def _shared_counts(p: Vector, n: Vector, v: Vector, e: Element, inverse: float) 
 
 @kernel
 def _set_shared_nodes(
-    p: Vector, v: Vector, e: Element, terms: Float64, counts: tuple[int, int], nodes: Float64, light: Float64
+    p: Vector, v: Vector, e: Element, pattern: Pattern, counts: tuple[int, int], nodes: Float64, light: Float64
 ) -> None:
     # half vector of each node and 2·H·V, shape (nodes, 4), and its light for each term, shape (b, nodes)
     du, dv = e.u1 - e.u0, e.v1 - e.v0
-    weights_u, weights_v = np.empty(counts[0]), np.empty(counts[1])
+    weights = np.empty(counts)
     for i in range(counts[0]):
         for j in range(counts[1]):
             k = i * counts[1] + j
@@ -69,11 +69,9 @@ def _set_shared_nodes(
             nodes[k, 0], nodes[k, 1], nodes[k, 2] = half
             nodes[k, 3] = 2.0 * dot(half, v)
             light[:, k] = du * dv * element_weight(e, towards, along_u, along_v)
-    for b in range(len(terms)):
-        pattern_weights(terms[b], 0, e.u0, du, counts[0], True, weights_u)
-        pattern_weights(terms[b], 1, e.v0, dv, counts[1], True, weights_v)
-        for k in range(counts[0] * counts[1]):
-            light[b, k] *= weights_u[k // counts[1]] * weights_v[k % counts[1]]
+    for b in range(len(pattern.terms)):
+        element_weights(e, pattern, b, weights)
+        light[b, : weights.size] *= weights.ravel()
 
 
 @kernel
@@ -112,7 +110,7 @@ def _variant_levels(
     references: Float64,
     views: Float64,
     elements: Float64,
-    terms: Float64,
+    pattern: Pattern,
     shares: Float64,
     clear: Bool,
     variants: VariantNumbers,
@@ -121,11 +119,12 @@ def _variant_levels(
     # levels of the variants of each point under each channel, shape (channels, t, k)
     lean, R_d, R_s, inverse, most = variants
     sharpest = inverse.max()
-    found, level, whole = np.empty(len(terms)), np.empty(len(terms)), np.empty((len(terms), 3))
-    nodes, shared = np.empty((MOST_SHARED**2, 4)), np.empty((len(terms), MOST_SHARED**2))
+    terms = len(pattern.terms)
+    found, level, whole = np.empty(terms), np.empty(terms), np.empty((terms, 3))
+    nodes, shared = np.empty((MOST_SHARED**2, 4)), np.empty((terms, MOST_SHARED**2))
     for m in range(len(elements)):
         e = element_at(elements, m)
-        places, light, weights = diffuse_nodes(e, terms)
+        places, light, weights = diffuse_nodes(e, pattern)
         for i in range(len(points)):
             if not clear[m, i]:
                 continue
@@ -140,11 +139,11 @@ def _variant_levels(
                 if height <= -e.reach:
                     continue
                 if height >= e.reach:
-                    for b in range(len(terms)):
+                    for b in range(terms):
                         level[b] = R_d[t] * dot(vector_at(whole, b), turned)
                 else:
                     diffuse_of_element(p, turned, places, light, weights, found)
-                    for b in range(len(terms)):
+                    for b in range(terms):
                         level[b] = R_d[t] * found[b]
                 n_dot_v = dot(turned, v)
                 nearest = max(0.0, length(minus(turned, half)) - spread)
@@ -152,16 +151,16 @@ def _variant_levels(
                     if counts[0] == 0:
                         counts = _shared_counts(p, n, v, e, sharpest)
                         if max(counts) <= MOST_SHARED:
-                            _set_shared_nodes(p, v, e, terms, counts, nodes, shared)
+                            _set_shared_nodes(p, v, e, pattern, counts, nodes, shared)
                     found[:] = 0.0
                     if max(counts) <= MOST_SHARED:
                         _specular_of_nodes(turned, n_dot_v, nodes, shared, counts[0] * counts[1], inverse[t], found)
                     else:
-                        specular_of_element(p, turned, v, e, whole_element(e), terms, inverse[t], most[t], found)
-                    for b in range(len(terms)):
+                        specular_of_element(p, turned, v, e, whole_element(e), pattern, inverse[t], most[t], found)
+                    for b in range(terms):
                         level[b] += R_s[t] * found[b]
                 for c in range(len(shares)):
-                    for b in range(len(terms)):
+                    for b in range(terms):
                         levels[c, t, i] += shares[c, m, b] * level[b]
 
 
@@ -181,7 +180,7 @@ def surface_light_variants(
     variants: With coefficients times the light's weight
     """
     channels = channels_of(lights)
-    elements, terms, shares = channels.elements, channels.terms, channels.shares
+    elements, pattern, shares = channels.elements, channels.pattern, channels.shares
     # what is far below the noise does not count
     variants = variants._replace(most=variants.most - math.log(NEGLIGIBLE_CHANGE / LEAST_LEVEL))
     levels = np.zeros((len(lights), len(variants.lean), len(surface)))
@@ -193,6 +192,6 @@ def surface_light_variants(
         own = np.zeros((*levels.shape[:2], len(some)))
         clear, _ = elements_seen(replace(some, normals=some.facets), elements, caster)
         geometry = some.points, some.normals, references[part], some.views
-        _variant_levels(*geometry, elements, terms, shares, clear, variants, own)
+        _variant_levels(*geometry, elements, pattern, shares, clear, variants, own)
         levels[..., part] = own
     return levels

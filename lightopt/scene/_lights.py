@@ -3,6 +3,8 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -11,19 +13,22 @@ from lightopt.config import LightConfig, RigConfig, points_problem, standing_at
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import rotation_from_vector
+from lightopt.images import read_png
 from lightopt.lights import (
     RADIANCE,
     PanelLight,
+    Pattern,
     SurfaceLight,
-    bar_terms,
+    bar_pattern,
     cone_elements,
     frame_elements,
     half_pipe_elements,
     mixed_light,
+    picture_patterns,
     place_light,
     plane_elements,
     pose_light,
-    sine_terms,
+    sine_pattern,
     sphere_elements,
     surface_light,
 )
@@ -52,7 +57,7 @@ def build_lights(
 
 def _light(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | None) -> PanelLight:
     if not light.mixture:
-        return _panel(rig, light, points) if light.kind == "panel" else _surface_light(light)
+        return _panel(rig, light, points) if light.kind == "panel" else _surface_light(rig, light)
     parts = [(_light(rig, one, points), weight) for one, weight in light.mixture]
     first, weight = parts[0]
     if not isinstance(first, SurfaceLight):
@@ -94,7 +99,7 @@ def _panel(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | N
     )
 
 
-def _surface_light(light: LightConfig) -> PanelLight:
+def _surface_light(rig: RigConfig, light: LightConfig) -> PanelLight:
     own, whole, size = _elements(light)
     gain = light.gain
     if light.kind == "coaxial":
@@ -102,8 +107,10 @@ def _surface_light(light: LightConfig) -> PanelLight:
     panel = place_light(
         distance=light.distance_mm, **_where(light), name=light.name, size=size, points="auto", gain=gain
     )
-    pattern = {} if light.pattern is None else {"pattern": _pattern(light)}
-    return surface_light(panel, kind=light.kind, entry=light.entry, elements=own, whole=whole, **pattern)
+    more: dict[str, Any] = {} if light.pattern is None else {"pattern": _pattern(rig, light)}
+    if light.direct_level:
+        more["direct_level"] = light.direct_level / light.gain
+    return surface_light(panel, kind=light.kind, entry=light.entry, elements=own, whole=whole, **more)
 
 
 def _or(value: float | None, default: float) -> float:
@@ -211,13 +218,25 @@ def _offset(size: float, index: int, count: int) -> float:
     return size * ((index + 0.5) / count - 0.5)
 
 
-def _pattern(light: LightConfig) -> Float64:
+def _pattern(rig: RigConfig, light: LightConfig) -> Pattern:
     pattern = light.pattern
     assert pattern is not None
+    if pattern.files is not None:
+        assert light.size_mm is not None
+        paths = [rig.source.resolve(file) for file in pattern.files]
+        return _pictures(tuple((path, path.stat().st_mtime_ns) for path in paths), light.size_mm)[light.channel]
+    periods = pattern.periods_mm or (math.radians(pattern.period_deg or 360.0),)
     block, step = divmod(light.channel, pattern.steps)
-    direction, number = divmod(block, len(pattern.periods_mm))
+    direction, number = divmod(block, len(periods))
     axis = "uv".index(pattern.directions[direction])
-    period, phase = pattern.periods_mm[number], -2.0 * math.pi * step / pattern.steps
+    period, phase = periods[number], -2.0 * math.pi * step / pattern.steps
     if pattern.kind == "bars":
-        return bar_terms(axis, period=period, phase=phase, duty=pattern.duty)
-    return sine_terms(axis, period=period, phase=phase)
+        return bar_pattern(axis, period=period, phase=phase, duty=pattern.duty)
+    return sine_pattern(axis, period=period, phase=phase)
+
+
+@lru_cache(maxsize=4)
+def _pictures(files: tuple[tuple[Path, int], ...], size: tuple[float, float]) -> list[Pattern]:
+    # of files with the time of their last change: every channel of a display asks for them
+    read = [read_png(path) for path, _ in files]
+    return picture_patterns([levels / np.iinfo(levels.dtype).max for levels in read], size)

@@ -19,7 +19,14 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import rotation_x, rotation_y
 from lightopt.defects import SHAPE_KINDS, mark_surface
 from lightopt.lights import SurfaceLight, picture_light
-from lightopt.rendering import PosturePixels, SurfacePoints, cast_rays_at, light_of_channels, trace_pixels
+from lightopt.rendering import (
+    PosturePixels,
+    SurfacePoints,
+    cast_rays_at,
+    light_of_channels,
+    mirrored_places,
+    trace_pixels,
+)
 from lightopt.scene import Scene, move_part
 
 MOST_CAMERA_PIXELS = 20_000  # that the picture is fitted to; of more, every second or third row and column
@@ -94,7 +101,7 @@ def inverse_pattern(
     own = _in_part_frame(seen, scene, display)
     shape = (pixels[1], pixels[0])
     full = _levels(surface, picture_light(own, np.ones(shape)), scene)
-    u, v, _ = _mirrored(surface, own)
+    u, v, _ = mirrored_places(surface, own)
     inside = (np.abs(u) < 0.5 * own.size[0]) & (np.abs(v) < 0.5 * own.size[1])
     reflecting = np.flatnonzero(inside & (full >= REFLECTING_SHARE * full.max(initial=0.0)))
     if len(reflecting) < pixels[0] * pixels[1] // 100 + 10:
@@ -191,20 +198,9 @@ def _stripes(row: Int32, column: Int32, period_px: float | None) -> Float64:
     return 1.0 + 0.5 * TARGET_CONTRAST * (waves[0] + waves[1])
 
 
-def _mirrored(surface: SurfacePoints, light: SurfaceLight) -> tuple[Float64, Float64, Float64]:
-    # place on the display that each point mirrors, u and v, and how far away it is [mm]
-    cosine = np.einsum("ij,ij->i", surface.normals, surface.views)
-    towards = 2.0 * cosine[:, None] * surface.normals - surface.views
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = ((light.centre - surface.points) @ light.outward) / (towards @ light.outward)
-    distance = np.where(distance > 0.0, distance, np.nan)  # of what mirrors the display's side of the room
-    offset = surface.points + distance[:, None] * towards - light.centre
-    return offset @ light.across, offset @ light.along, distance
-
-
 def _responses(surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, int], scene: Scene) -> sparse.csr_array:
     # specular level of each camera pixel per display pixel: of those in reach of the lobe about the mirrored place
-    u, v, distance = _mirrored(surface, light)
+    u, v, distance = mirrored_places(surface, light)
     wide, high = light.size[0] / shape[1], light.size[1] / shape[0]
     reach = 2.0 * distance * math.tan(LOBE_SIGMAS * scene.reflectance.sigma)
     order = np.argsort(u)

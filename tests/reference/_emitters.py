@@ -189,9 +189,10 @@ def emitter(kind, *, elevation=90.0, azimuth=270.0, distance=0.0, gain=1.0, chan
     turn = (channel * step, (channel + 1) * step)
     width, height = size.get("size", (0.0, 0.0))
     hole = size.get("hole", 0.0)
-    if kind in ("bar", "flat_dome", "coaxial", "display"):
+    waves = {"pattern": size.get("pattern"), "period": size.get("period", np.inf)}
+    if kind in ("bar", "flat_dome", "coaxial", "display", "backlight"):
         whole = [rectangle(width, height)]
-        own = [rectangle(width, height, pattern=size.get("pattern"), period=size.get("period", np.inf))]
+        own = [rectangle(width, height, **waves)]
         if "bars" in size:  # each a rectangle of its own, in the middle of a period where x is a multiple of it
             period, duty = size["bars"]
             middles = period * np.arange(-(width // period) - 1, width // period + 2)
@@ -215,7 +216,7 @@ def emitter(kind, *, elevation=90.0, azimuth=270.0, distance=0.0, gain=1.0, chan
     elif kind == "dome":
         low, high = np.radians(size.get("lower", 0.0)), np.arccos(hole / 2 / size["radius"])
         whole = [cap(size["radius"], low, high)]
-        own = [cap(size["radius"], low, high, turn, factor=1.0 - leak)] if leak < 1 else []
+        own = [cap(size["radius"], low, high, turn, factor=1.0 - leak, **waves)] if leak < 1 else []
         own += [cap(size["radius"], low, high, factor=leak / segments)] if leak else []
     elif kind == "led_array":
         (rows, columns), led = size["grid"], size["led"]

@@ -17,7 +17,7 @@ from hypothesis import given, settings, strategies as st
 
 from lightopt.config import RigConfig
 from lightopt.geometry import RayCaster
-from lightopt.lights import SurfaceLight
+from lightopt.lights import SurfaceLight, picture_patterns
 from lightopt.lights._light_surface import _bound
 from lightopt.optics import Reflectance
 from lightopt.rendering import SurfacePoints
@@ -111,6 +111,19 @@ KINDS = {
         at(300, 70, 90),
         {"size_mm": [400, 300], "pattern": {"kind": "bars", "period_mm": 30, "duty": 0.4, "directions": ["u"]}},
         {"size": (400, 300), "bars": (30.0, 0.4)},
+    ),
+    "backlight": kind("backlight", at(150, -20, 90), {"size_mm": [200, 120]}, {"size": (200, 120)}),
+    "dome around": kind(
+        "dome",
+        at(20),
+        {"radius_mm": 120, "camera_hole_mm": 30, "pattern": {"period_deg": 60, "directions": ["u"]}},
+        {"radius": 120, "hole": 30, "pattern": sine(0, np.pi / 3), "period": np.pi / 3},
+    ),
+    "dome up": kind(
+        "dome",
+        at(20),
+        {"radius_mm": 120, "camera_hole_mm": 30, "pattern": {"period_deg": 45, "directions": ["v"]}},
+        {"radius": 120, "hole": 30, "pattern": sine(1, np.pi / 4), "period": np.pi / 4},
     ),
     "fine display": kind(
         "display",
@@ -268,6 +281,49 @@ def test_phases_follow_from_three_channels(sigma: float) -> None:
         error = np.abs(found[:, k] - predicted).max(axis=1)
         assert np.all(error <= 1e-3 * uniform.max(axis=1)), k
     assert np.ptp(found[1], axis=0).max() > (0.5 if sigma < 0.01 else 1e-3) * uniform[1].max()
+
+
+@pytest.mark.parametrize("sigma", SIGMAS)
+def test_pictures_of_stripes_are_the_stripes(sigma: float) -> None:
+    """In pixels of 0.5 mm, sines of any phase are those of three channels to 1e-3, and bars are the bars to 5e-3."""
+    file = KINDS["display"][0] | {"size_mm": [300, 200]}
+    bars = built(**file | {"pattern": {"kind": "bars", "period_mm": 30, "duty": 0.4, "directions": ["u", "v"]}})
+    sines = built(**file | {"pattern": {"period_mm": 40, "phases": 5, "directions": ["u", "v"]}})
+    u, v = 150.0 - (np.arange(600) + 0.5) * 0.5, 100.0 - (np.arange(400) + 0.5) * 0.5
+    surface, _ = half_in_highlight(sines[0], sigma, 40)
+    for lights, profile, tolerance in ((bars, _bar, 5e-3), (sines, _sine, 1e-3)):
+        steps = len(lights) // 2
+        waves = [profile(x, k / steps) for x in (u, v) for k in range(steps)]
+        across, down = np.ones((400, 1)), np.ones((1, 600))
+        pictures = [across * wave if k < steps else wave[:, None] * down for k, wave in enumerate(waves)]
+        shown = picture_patterns(pictures, (300.0, 200.0))
+        found = layers(surface, [replace(lights[0], pattern=pattern) for pattern in shown], sigma)
+        expected = layers(surface, lights, sigma)
+        error = np.abs(found - expected).max(axis=(1, 2)) / expected.max(axis=(1, 2))
+        assert np.all(error <= tolerance), profile
+
+
+def _bar(x: np.ndarray, step: float) -> np.ndarray:
+    return (np.abs(np.remainder(x - 30.0 * step + 15.0, 30.0) - 15.0) <= 0.4 * 15.0).astype(np.float64)
+
+
+def _sine(x: np.ndarray, step: float) -> np.ndarray:
+    return 0.5 * (1.0 + np.cos(2.0 * np.pi * (x / 40.0 - step)))
+
+
+def test_a_picture_is_as_seen_from_the_part() -> None:
+    """A quarter of the display, at the greatest u and v, is the top left of its picture."""
+    file = KINDS["display"][0] | {"pattern": None}
+    [light] = built(**{key: value for key, value in file.items() if value is not None})
+    quarter = np.zeros((30, 40))
+    quarter[:15, :20] = 1.0
+    surface = sphere(200)
+    [pattern] = picture_patterns([quarter], light.size)
+    found = layers(surface, [replace(light, pattern=pattern)], 0.03)
+    words = {"pattern": lambda u, v: 1.0 * ((u > 0) & (v > 0))}
+    expected = expected_layers(surface, {"kind": "display", **at(300, 50, 90)[1], "size": (300, 200), **words}, 0.03)
+    peak = expected.max(axis=1)
+    assert np.all(np.abs(found[:, 0] - expected).max(axis=1) <= 0.02 * peak)
 
 
 @pytest.mark.parametrize("sigma", [0.003, 0.01, 0.03, 0.0475])
