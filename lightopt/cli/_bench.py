@@ -189,15 +189,19 @@ def list_devices(
         _show_cameras(None)
         return
     from lightopt.config import load_rig
-    from lightopt.rig.capture import wiring_of
+    from lightopt.rig.capture import controller_place, wiring_of
     from lightopt.rig.devices import port_problem
 
     loaded = load_rig(rig)
     hardware = wiring_of(loaded).hardware
     producer = hardware.camera.producer
     cameras = _show_cameras(None if producer is None else loaded.source.resolve(producer))
+    if any(config.monitor is not None for config in hardware.controllers.values()):
+        _show_monitors()
 
-    def port_state(port: str) -> str:
+    def port_state(port: str | None) -> str:
+        if port is None:  # a display
+            return "not opened"
         if port == "virtual":
             return "simulated"
         if "://" in port:
@@ -205,13 +209,30 @@ def list_devices(
         problem = port_problem(port)
         return "present, not opened" if problem is None else f"NO: {problem.partition('; ')[0]}"
 
-    stage = {} if hardware.stage is None else {"stage": hardware.stage}
-    devices = {f"controller {name}": config for name, config in hardware.controllers.items()} | stage
-    rows = [(name, config.driver, config.port, port_state(config.port)) for name, config in devices.items()]
+    rows = [
+        (f"controller {name}", config.driver, controller_place(config), port_state(config.port))
+        for name, config in hardware.controllers.items()
+    ]
+    if (stage := hardware.stage) is not None:
+        rows.append(("stage", stage.driver, stage.port, port_state(stage.port)))
     camera = hardware.camera
     rows.append(("camera", camera.driver, camera.folder or camera.port or "", _camera_state(camera, cameras)))
     echo("")
     show_table(("device", "driver", "port", "present"), rows, numbers_from=4)
+
+
+def _show_monitors() -> None:
+    """List the monitors that a window can be on."""
+    from lightopt.rig.devices import find_monitors
+
+    echo("")
+    try:
+        monitors = find_monitors()
+    except LightoptError as error:
+        echo(f"monitors not searched: {error}")
+        return
+    rows = [(str(number), f"{width} × {height} px") for number, (width, height) in enumerate(monitors, 1)]
+    show_table(("monitor", "resolution"), rows, numbers_from=2)
 
 
 def _show_cameras(producer: Path | None) -> list[CameraInfo]:

@@ -37,3 +37,4 @@ from lightopt.lights._panel_emission import (
     panel_point as panel_point,
 )
 from lightopt.lights._pattern import bar_terms as bar_terms, sine_terms as sine_terms
+from lightopt.lights._pattern_picture import pattern_picture as pattern_picture

@@ -4,29 +4,34 @@ import hashlib
 import struct
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.config import LightConfig
 from lightopt.core.arrays import Float32, UInt8
 from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight
 from lightopt.optics import expose
 from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.rig.simulated._bench_process import BenchTruth
+from lightopt.rig.simulated._bench_process import BenchTruth, LightWire
+from lightopt.rig.simulated._firmware import SeenPicture
+from lightopt.rig.simulated._seen_picture import as_channels, as_light
 from lightopt.scene import Scene, move_part
 
 Levels = UInt8 | NDArray[np.uint16]
 
 _CACHE_BYTES = 512 << 20
+_MOST_PICTURES = 8  # layers of pictures that are kept, other than those of channels
 
 
 class BenchOptics:
     """Renders a part under given light levels: one cached linear layer per light and posture serves all exposures."""
 
-    def __init__(self, scene: Scene, truth: BenchTruth) -> None:
+    def __init__(self, scene: Scene, truth: BenchTruth, displays: Sequence[LightConfig] = ()) -> None:
         self.scene = replace(
             move_part(
                 scene,
@@ -40,10 +45,40 @@ class BenchOptics:
         self._layers: OrderedDict[tuple[Posture, str], Float32] = OrderedDict()
         self._rendering = threading.Lock()
         self._taken: dict[bytes, int] = {}
+        self._displays = {light.name: light for light in displays}
+        self._looking = threading.Lock()
+        self._shown: dict[str, tuple[int, dict[str, float]]] = {}
+        self._pictures: OrderedDict[str, PanelLight] = OrderedDict()
+        self._picture_layers: OrderedDict[tuple[Posture, str], Float32] = OrderedDict()
 
-    def prepare(self, posture: Posture) -> None:
-        """Render all lights at a posture, for frames to come."""
-        self._layer(posture, self.scene.lights[0].name)
+    def prepare(self, posture: Posture, names: Collection[str] = ()) -> None:
+        """Render all lights at a posture, and what of the names is a picture, for frames to come."""
+        for name in (self.scene.lights[0].name, *names):
+            self._layer(posture, name)
+
+    def shares(self, device: str, picture: SeenPicture, wires: Sequence[LightWire]) -> dict[str, float]:
+        """What a picture on a screen lights: shares of its channels, or a name of its own, all for :meth:`frame`.
+
+        A sum of pictures of channels is that exactly. Any other picture is coarsened to as many pixels as can be
+        rendered.
+        """
+        with self._looking:
+            number, shares = self._shown.get(device, (-1, {}))
+            lights = [self._displays[wire.light] for wire in wires if wire.light in self._displays]
+            if number == picture.number or not lights:
+                return shares
+            found = as_channels(picture, lights)
+            if found is None:
+                name = f"{device} picture {picture.number}"
+                display = next(light for light in self.scene.lights if light.name == lights[0].name)
+                self._pictures[name] = as_light(name, picture, display)
+                if len(self._pictures) > _MOST_PICTURES:
+                    self._pictures.popitem(last=False)
+                shares = {name: 1.0 / wires[0].share}
+            else:
+                shares = {wire.light: found[wire.light] / wire.share for wire in wires if wire.light in found}
+            self._shown[device] = picture.number, shares
+            return shares
 
     def frame(
         self,
@@ -86,6 +121,8 @@ class BenchOptics:
 
     def _layer(self, posture: Posture, light: str) -> Float32:
         with self._rendering:
+            if light in self._pictures:
+                return self._picture_layer(posture, light)
             if (posture, light) not in self._layers:
                 # all lights at once: the rays are cast once, and the others are wanted next
                 images = render_posture(self.scene, posture, caster=self._caster, supersample=self._truth.rays)
@@ -96,3 +133,12 @@ class BenchOptics:
             while len(self._layers) > len(self.scene.lights) and len(self._layers) * layer.nbytes > _CACHE_BYTES:
                 self._layers.popitem(last=False)
             return layer
+
+    def _picture_layer(self, posture: Posture, name: str) -> Float32:
+        if (posture, name) not in self._picture_layers:
+            scene = replace(self.scene, lights=(self._pictures[name],))
+            images = render_posture(scene, posture, caster=self._caster, supersample=self._truth.rays)
+            self._picture_layers[posture, name] = images.lights[0].level
+            if len(self._picture_layers) > _MOST_PICTURES:
+                self._picture_layers.popitem(last=False)
+        return self._picture_layers[posture, name]
