@@ -196,12 +196,10 @@ def list_devices(
     hardware = wiring_of(loaded).hardware
     producer = hardware.camera.producer
     cameras = _show_cameras(None if producer is None else loaded.source.resolve(producer))
-    if any(config.monitor is not None for config in hardware.controllers.values()):
-        _show_monitors()
 
     def port_state(port: str | None) -> str:
         if port is None:  # a display
-            return "not opened"
+            return "not tried"
         if port == "virtual":
             return "simulated"
         if "://" in port:
@@ -219,20 +217,6 @@ def list_devices(
     rows.append(("camera", camera.driver, camera.folder or camera.port or "", _camera_state(camera, cameras)))
     echo("")
     show_table(("device", "driver", "port", "present"), rows, numbers_from=4)
-
-
-def _show_monitors() -> None:
-    """List the monitors that a window can be on."""
-    from lightopt.rig.devices import find_monitors
-
-    echo("")
-    try:
-        monitors = find_monitors()
-    except LightoptError as error:
-        echo(f"monitors not searched: {error}")
-        return
-    rows = [(str(number), f"{width} × {height} px") for number, (width, height) in enumerate(monitors, 1)]
-    show_table(("monitor", "resolution"), rows, numbers_from=2)
 
 
 def _show_cameras(producer: Path | None) -> list[CameraInfo]:

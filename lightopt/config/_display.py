@@ -41,7 +41,7 @@ class PictureConfig(Frozen):
     """How the screen is mounted, seen from the part: where its own upper edge is, turned clockwise from above [deg]."""
     mirrored: bool = False
     """Whether the part sees the screen's left and right swapped, as in a mirror or on a screen lit from behind."""
-    settle_ms: Annotated[float, Field(ge=0, le=60000), expecting("milliseconds, from 0 to 60000")] = 50.0
+    settle_ms: Annotated[float, Field(ge=0, le=1000), expecting("milliseconds, from 0 to 1000")] = 50.0
     """From showing a picture until it is on the screen [ms]; timing.light_ms is waited for in addition."""
 
     @property

@@ -132,7 +132,7 @@ class ControllerConfig(Frozen):
 
     driver: Annotated[
         Literal["ccs", "sa", "template", "screen", "command"],
-        expecting("ccs, sa or template, which suits devices of other makers; for displays screen or command"),
+        expecting("screen or command for displays, ccs, sa or template, which suits devices of other makers"),
     ]
     """Protocol: ccs (@ frames), sa (SA0255# family), or template. A display, each channel of which is a picture: screen
     (a monitor of this computer), or command (a program that shows the picture)."""
@@ -150,7 +150,7 @@ class ControllerConfig(Frozen):
     template: TemplateConfig | None = Field(default=None, validate_default=True)
     """Commands, for driver: template."""
     monitor: Monitor | None = Field(default=None, validate_default=True)
-    """screen: number of the monitor, counted from 1, the primary one, as lightopt bench devices lists them."""
+    """screen: number of the monitor as the desktop counts them, from 1."""
     command: DisplayCommand | None = Field(default=None, validate_default=True)
     """command: a program and its arguments, run in this file's folder; {file} is the path of the picture, a PNG."""
     picture: PictureConfig | None = Field(default=None, validate_default=True)

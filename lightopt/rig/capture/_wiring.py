@@ -101,8 +101,14 @@ def wiring_of(rig: RigConfig) -> Wiring:
     hardware = rig.hardware
     exposure_us = rig.camera.exposure_us or VIRTUAL_EXPOSURE_US
     if hardware is not None:
-        displays = {light.name: light for light in rig.channels if light.kind == "display"}
-        wiring = Wiring(hardware, True, exposure_us, _image_levels(rig, hardware), displays, rig.source.resolve("."))
+        wiring = Wiring(
+            hardware,
+            given=True,
+            exposure_us=exposure_us,
+            images=_image_levels(rig, hardware),
+            displays={light.name: light for light in rig.channels if light.kind == "display"},
+            folder=rig.source.resolve("."),
+        )
         if problems := list(_too_bright(rig, wiring)):
             raise InputError(*problems)
         return wiring

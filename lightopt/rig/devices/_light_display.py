@@ -9,12 +9,10 @@ them, and answer ``OK`` or ``NG`` and why. ``command`` hands each picture to a p
 """
 
 import subprocess
-import sys
 import tempfile
 import time
 import zlib
 from abc import abstractmethod
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -27,11 +25,11 @@ from lightopt.core.errors import InputError
 from lightopt.images import write_png
 from lightopt.rig.devices._device import RefusedError, ReplyError
 from lightopt.rig.devices._light import LightController, LightSettings, PictureSettings
-from lightopt.rig.devices._screen_process import ScreenProcess
+from lightopt.rig.devices._screen_process import ScreenProcess, start_apart
 from lightopt.rig.devices._serial_link import Link, SerialLink
 from lightopt.rig.devices._serial_log import SerialLog
 
-_SLICE_S = 0.02  # longest single wait for a command, or for the screen to settle
+_SLICE_S = 0.02  # longest single wait for a command
 _MOST_STDERR = 500  # characters of what a command printed that a message has
 _ROUNDING = 1e-9
 
@@ -68,7 +66,7 @@ class DisplayController(LightController):
             levels = screen_levels(self._sum(lit), self._picture)
             self._shown = None
             self._show(levels)
-            self._wait(self._picture.settle_ms / 1e3)
+            time.sleep(self._picture.settle_ms / 1e3)
             self._shown = lit
         self._lit = lit
 
@@ -89,13 +87,6 @@ class DisplayController(LightController):
                 "the screen; lower their levels, or the weights of the programme"
             )
         return total
-
-    def _wait(self, seconds: float) -> None:
-        until = time.monotonic() + seconds
-        while (left := until - time.monotonic()) > 0:
-            time.sleep(min(left, _SLICE_S))
-            if self._link.lock.preempted:
-                raise self._link.preempted()
 
 
 class ScreenController(DisplayController):
@@ -151,7 +142,7 @@ class CommandLink(Link):
         device = f"light controller {settings.name} (command)"
         super().__init__(settings.command[0], device=device, timeout_s=settings.timeout_s, log=log)
         self._command = settings.command
-        self._cwd = settings.folder
+        self._folder = settings.folder
         self._pictures = tempfile.TemporaryDirectory(prefix="lightopt-", ignore_cleanup_errors=True)
         self._number = 0
 
@@ -168,21 +159,12 @@ class CommandLink(Link):
                 raise self.failure(f"the picture cannot be written: {error}") from error
             self._run([argument.replace("{file}", str(path)) for argument in self._command])
 
-    def _run(self, arguments: Sequence[str]) -> None:
-        program = program_path(arguments[0], self._cwd)
+    def _run(self, arguments: list[str]) -> None:
         self._log.write(self.port, "note", f"run {arguments}")
+        arguments[0] = program_path(arguments[0], self._folder) or arguments[0]
         with tempfile.TemporaryFile() as errors:
             try:
-                process = subprocess.Popen(  # noqa: S603  (the user's own command, without a shell)
-                    [program or arguments[0], *arguments[1:]],
-                    cwd=self._cwd,
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=errors,
-                    # Ctrl-C is for this program, which still has to show black
-                    start_new_session=sys.platform != "win32",
-                    creationflags=0x00000200 if sys.platform == "win32" else 0,  # CREATE_NEW_PROCESS_GROUP
-                )
+                process = start_apart(arguments, cwd=self._folder, stdout=subprocess.DEVNULL, stderr=errors)
             except OSError as error:
                 raise self.failure(f"the command cannot be run: {error.strerror or error}") from error
             try:
@@ -234,13 +216,11 @@ class CommandController(ScreenController):
 
 def program_path(program: str, folder: Path) -> str | None:
     """Path of a program: relative to `folder` where it has a folder, else found as a shell would; None: none."""
-    if Path(program).name != program:
-        return which(str((folder / program).resolve()))
-    return which(program)
+    return which(program if Path(program).name == program else str((folder / program).resolve()))
 
 
 def check_program(program: str, folder: Path) -> None:
     """Check that a program is there, or raise an InputError; it is not run."""
     if program_path(program, folder) is None:
-        where = f"in {folder}" if Path(program).name != program else "on the PATH"
+        where = "on the PATH" if Path(program).name == program else f"in {folder}"
         raise InputError(f"no program {program} {where} that can be run; expected a program's name or path")

@@ -1,4 +1,4 @@
-"""The process of a full-screen window, from outside; the one home of what starts it."""
+"""The process of a full-screen window, from outside."""
 
 import json
 import subprocess
@@ -7,7 +7,7 @@ import tempfile
 import threading
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 from lightopt.core.errors import HardwareError, InputError
 
@@ -22,24 +22,34 @@ def check_screen_library() -> None:
         raise InputError("driver: screen needs pygame-ce; install it: pip install 'lightopt[screen]'")
 
 
-def find_monitors() -> list[tuple[int, int]]:
-    """Width and height of each monitor [pixels], the first one number 1; InputError where they cannot be listed."""
-    check_screen_library()
-    process, answer = _start([], "monitors")
-    process.wait()
-    return [(width, height) for width, height in answer["monitors"]]
-
-
 class ScreenProcess:
     """A window on a monitor, black until it gets a picture at `port`; it ends when its client has closed that.
 
-    Raises InputError: The library, the monitor or its resolution is another.
+    Raises InputError: The library is missing, or the monitor is not there or has another resolution.
     Raises HardwareError: The process does not start.
     """
 
     def __init__(self, monitor: int, size: tuple[int, int], *, device: str) -> None:
         check_screen_library()
-        self._process, answer = _start([monitor, *size], device)
+        with tempfile.TemporaryFile() as errors:
+            # this interpreter, a file of this package
+            arguments = [sys.executable, str(_WINDOW), *map(str, (monitor, *size))]
+            self._process = start_apart(arguments, stdout=subprocess.PIPE, stderr=errors)
+            watchdog = threading.Timer(_START_S, self._process.kill)
+            watchdog.start()
+            assert self._process.stdout is not None
+            with self._process.stdout as answers:
+                line = answers.readline()
+            watchdog.cancel()
+            errors.seek(0)
+            words = errors.read().decode("utf-8", "replace").strip().splitlines()[-1:]
+        answer: dict[str, Any] = json.loads(line) if line else {}
+        if "port" not in answer:
+            self._process.kill()
+            self.close()
+            if "problem" in answer:
+                raise InputError(f"{device}: {answer['problem']}")
+            raise HardwareError(f"{device}: the window's process did not start; its output: {''.join(words) or 'none'}")
         self.port = f"socket://127.0.0.1:{answer['port']}"
 
     def close(self) -> None:
@@ -51,37 +61,16 @@ class ScreenProcess:
             self._process.wait()
 
 
-def _start(arguments: list[int], device: str) -> tuple[subprocess.Popen[bytes], dict[str, Any]]:
-    with tempfile.TemporaryFile() as errors:
-        process = _popen(arguments, errors)
-        watchdog = threading.Timer(_START_S, process.kill)
-        watchdog.start()
-        assert process.stdout is not None
-        try:
-            with process.stdout:
-                line = process.stdout.readline()
-        finally:
-            watchdog.cancel()
-        if not line:
-            process.kill()
-            process.wait()
-            errors.seek(0)
-            words = errors.read().decode("utf-8", "replace").strip().splitlines()[-1:]
-            raise HardwareError(f"{device}: the window's process did not start; its output: {''.join(words) or 'none'}")
-    answer: dict[str, Any] = json.loads(line)
-    if "problem" in answer:
-        process.wait()
-        raise InputError(f"{device}: {answer['problem']}")
-    return process, answer
-
-
-def _popen(arguments: list[int], errors: BinaryIO) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(  # noqa: S603  (this interpreter, a file of this package)
-        [sys.executable, str(_WINDOW), *map(str, arguments)],
+def start_apart(
+    arguments: list[str], *, stdout: int, stderr: IO[bytes], cwd: Path | None = None
+) -> subprocess.Popen[bytes]:
+    """Start a program without input that Ctrl-C does not reach: it is for this one, which still has to show black."""
+    return subprocess.Popen(  # noqa: S603  (without a shell)
+        arguments,
         stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=errors,
-        # Ctrl-C is for this program, which still has to show black
         start_new_session=sys.platform != "win32",
         creationflags=0x00000200 if sys.platform == "win32" else 0,  # CREATE_NEW_PROCESS_GROUP
+        stdout=stdout,
+        stderr=stderr,
+        cwd=cwd,
     )

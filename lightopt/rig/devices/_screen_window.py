@@ -2,8 +2,7 @@
 
 A program of its own, without lightopt: a window belongs to one thread, which has to answer the desktop all the time. It
 prints one line of JSON: the number of the ``port`` on which it takes pictures from one client (``_light_display.py``),
-or the ``problem``. It shows black at first, and ends with its client, also if that is killed. Without arguments it
-prints the ``monitors``.
+or the ``problem``. It shows black at first, and ends with its client, also if that is killed.
 """
 
 import importlib
@@ -107,9 +106,6 @@ def _serve(window: _Window) -> None:
 
 def _main() -> None:
     try:
-        if len(sys.argv) == 1:
-            print(json.dumps({"monitors": _library().display.get_desktop_sizes()}))  # noqa: T201
-            return
         monitor, width, height = map(int, sys.argv[1:])
         window = _Window(monitor, (width, height))
     except (ValueError, ImportError) as error:

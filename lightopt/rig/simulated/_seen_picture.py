@@ -1,10 +1,10 @@
-"""What a picture on a screen lights: channels of its display, where it is the sum of theirs, else a light of its own."""
+"""What a picture on a screen lights: channels of its display whose sum it is, or else a light of its own."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import sparse
 from scipy.optimize import nnls
 
 from lightopt.config import LightConfig
@@ -21,12 +21,15 @@ LEAST_SHARE = 2e-3  # of a channel: less is rounding
 
 def as_channels(picture: SeenPicture, lights: Sequence[LightConfig]) -> dict[str, float] | None:
     """Shares of channels of a display that a picture is the sum of, by name; None where it is no such sum."""
-    rows, columns = _coarser(picture.radiance.shape, COMPARED_COLUMNS)
-    expected = np.stack([display_picture(light, (columns, rows)).ravel() for light in lights], axis=1)
-    seen = _resampled(picture.radiance, (rows, columns)).ravel()
+    rows, columns = picture.radiance.shape
+    # blocks of whole pixels, whose means are those of the pattern
+    common = math.gcd(rows, columns)
+    side = max(k for k in range(1, common + 1) if common % k == 0 and k <= max(1, columns // COMPARED_COLUMNS))
+    shape = rows // side, columns // side
+    expected = np.stack([display_picture(light, shape[::-1]).ravel() for light in lights], axis=1)
+    seen, rounding = (_block_means(one, shape).ravel() for one in (picture.radiance, picture.rounding))
     found, _ = nnls(expected, seen)
-    off = np.abs(expected @ found - seen)
-    if (off > MISFIT + _resampled(picture.rounding, (rows, columns)).ravel()).any():
+    if (np.abs(expected @ found - seen) > MISFIT + rounding).any():
         return None
     return {light.name: float(share) for light, share in zip(lights, found, strict=True) if share > LEAST_SHARE}
 
@@ -34,23 +37,15 @@ def as_channels(picture: SeenPicture, lights: Sequence[LightConfig]) -> dict[str
 def as_light(name: str, picture: SeenPicture, display: PanelLight) -> PanelLight:
     """A display of the scene with a picture, coarsened."""
     assert isinstance(display, SurfaceLight)
-    coarse = _resampled(picture.radiance, _coarser(picture.radiance.shape, RENDERED_COLUMNS))
-    return replace(picture_light(display, coarse), name=name)
+    factor = max(1.0, max(picture.radiance.shape) / RENDERED_COLUMNS)
+    rows, columns = (max(1, round(size / factor)) for size in picture.radiance.shape)
+    return replace(picture_light(display, _block_means(picture.radiance, (rows, columns))), name=name)
 
 
-def _coarser(shape: tuple[int, ...], columns: int) -> tuple[int, int]:
-    factor = max(1.0, max(shape) / columns)
-    return max(1, round(shape[0] / factor)), max(1, round(shape[1] / factor))
-
-
-def _resampled(picture: Float64, shape: tuple[int, int]) -> Float64:
-    # means over the pixels of a coarser grid
-    rows, columns = (_shares(size, count) for size, count in zip(picture.shape, shape, strict=True))
-    return (columns @ (rows @ picture).T).T
-
-
-def _shares(size: int, count: int) -> sparse.csr_array:
-    # share of each of `size` pixels in each of `count` coarser ones
-    ends, pixels = np.arange(count + 1) * (size / count), np.arange(size)
-    overlap = np.minimum(ends[1:, None], pixels + 1.0) - np.maximum(ends[:-1, None], pixels)
-    return sparse.csr_array(np.maximum(overlap, 0.0) * (count / size))
+def _block_means(picture: Float64, shape: tuple[int, int]) -> Float64:
+    # means over so many rows and columns of blocks of whole pixels
+    for axis, count in enumerate(shape):
+        edges = np.arange(count + 1) * picture.shape[axis] // count
+        sums = np.add.reduceat(picture, edges[:-1], axis=axis)
+        picture = sums / np.expand_dims(np.diff(edges), 1 - axis)
+    return picture
