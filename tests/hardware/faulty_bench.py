@@ -586,6 +586,7 @@ class FaultyDevices(SimulatedDevices):
         with self.lock:
             deliveries = {name: device.firmware.deliveries for name, device in self.devices.items()}
             more = {"pid": os.getpid(), "time": time.monotonic(), "deliveries": deliveries, "struck": Trigger.struck}
+            more["pictures"] = {name: picture.radiance.tolist() for name, picture in self.pictures().items()}
             return {**super()._state(request)[0], **more}, b""
 
     def _trace(self, _: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:

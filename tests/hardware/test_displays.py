@@ -76,14 +76,14 @@ def bench() -> Iterator[BenchProcess]:
 
 @pytest.mark.parametrize("driver", ["screen", "command"])
 def test_life_of_a_simulated_screen(bench, driver):
-    """The bench's process has no request for what is shown: its camera sees it, below; here it is only taken."""
     controller = opened(driver, port=bench.ports[driver])
     identity = controller.identify()
     assert (identity.driver, identity.port) == (driver, bench.ports[driver])
-    for channel, level in ((1, 102), (2, 153), (1, 0)):
-        assert controller.set_level(channel, level) is None
-    all_off({"lcd": controller})
+    life(controller, lambda: np.round(255.0 * np.array(bench.state()["pictures"][driver])))
+    controller.set_level(1, 255)
     controller.close()
+    controller.close()
+    assert np.array(bench.state()["pictures"][driver]).max() == 1.0  # closing changes no light
 
 
 def test_a_lost_reply_is_sent_again_and_a_refusal_is_not(bench):
