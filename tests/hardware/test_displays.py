@@ -6,6 +6,7 @@ The stand-in for pygame writes what is on its monitors to a file; everything els
 from __future__ import annotations
 
 import json
+import re
 import sys
 import threading
 import time
@@ -386,6 +387,21 @@ def test_a_screen_that_is_not_as_described_is_seen(files, old, new, instead):
                 # levels meant for gamma 2.2 are brighter on a linear screen, but where the picture is black or white
                 assert (seen > wanted[image] - 0.2).all()
                 assert seen.sum() > 1.05 * wanted[image].sum()
+
+
+@pytest.mark.parametrize(
+    ("device", "row"),
+    [
+        ("driver: screen, monitor: 2", "screen   monitor 2  not tried"),
+        ('driver: command, command: [tool, "{file}"]', "command  tool       not tried"),
+    ],
+)
+def test_displays_are_listed_and_not_opened(cli, files, device, row):
+    text = RIG.replace("driver: screen, port: virtual", device)
+    (files / "rig.yaml").write_text(text, encoding="utf-8")
+    ran = cli("bench", "devices", files / "rig.yaml")
+    assert ran.status == 0
+    assert re.search(r"controller lcd\s+" + re.sub(" +", r"\\s+", row), ran.out)
 
 
 def test_a_program_that_is_not_there_is_found_before_anything_is_opened(files):

@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lightopt.config import (
     AxisConfig,
     CameraDeviceConfig,
@@ -147,21 +149,22 @@ def _image_levels(rig: RigConfig, hardware: HardwareConfig) -> dict[str, dict[st
 def _too_bright(rig: RigConfig, wiring: Wiring) -> Iterator[str]:
     """Images of a programme that need more than the full radiance of a display."""
     for i, image in enumerate(rig.programme or ()):
-        totals: dict[str, Any] = {}
-        for name, level in wiring.images[image.name].items():
-            channel = wiring.light(name)
-            controller = wiring.hardware.controllers[channel.controller]
-            if controller.picture is not None:
-                picture = wiring.pictures(channel.controller)[channel.channel]()
-                totals[channel.controller] = (
-                    totals.get(channel.controller, 0.0) + level / controller.top_level * picture
-                )
-        for controller, total in totals.items():
-            if total.max() > 1.0 + 1e-9:
+        levels = wiring.images[image.name]
+        channels = {name: wiring.light(name) for name in levels}
+        for controller in dict.fromkeys(channel.controller for channel in channels.values()):
+            device = wiring.hardware.controllers[controller]
+            own = {
+                c.channel: levels[name] / device.top_level for name, c in channels.items() if c.controller == controller
+            }
+            if device.picture is None or sum(own.values()) <= 1.0:
+                continue
+            pictures = wiring.pictures(controller)
+            most = float(np.sum([share * pictures[channel]() for channel, share in own.items()], axis=0).max())
+            if most > 1.0 + 1e-9:
                 yield (
-                    f"{rig.source.at('programme', i, 'lights')}: the pictures together need {total.max():.3g} times "
-                    f"the full radiance of the display {controller} at their brightest place; lower the weights, or "
-                    "the levels of the lights"
+                    f"{rig.source.at('programme', i, 'lights')}: the pictures together need {most:.3g} times the full "
+                    f"radiance of the display {controller} at their brightest place; lower the weights, or the levels "
+                    "of the lights"
                 )
 
 
