@@ -107,6 +107,7 @@ def test_a_screen_shows_to_the_part_what_was_meant(turn, mirrored):
     screen = ScreenFirmware(resolution_px=size, gamma=1.8, turn_deg=turn, mirrored=mirrored)
     data = zlib.compress(levels.tobytes())
     assert screen.feed(b"SHOW %d %d %d\r\n" % (*size, len(data)) + data, 0.0) == b"OK\r\n"
+    assert screen.feed(b"SHOW %d %d 3\r\nabc" % size, 0.0) == b"NG the picture is damaged\r\n"
     seen = screen.picture()
     assert (np.abs(seen.radiance - picture) <= seen.rounding).all()
 

@@ -16,7 +16,7 @@ _LONGEST = 256  # bytes of an incomplete command that are kept
 
 @dataclass(frozen=True)
 class SeenPicture:
-    """What a screen shows; `number` differs from that of any other picture that it showed.
+    """What a screen shows; `number` is that of the picture, the same whenever it is shown.
 
     radiance: Shares of the full one as seen from the part, with the light's `along` upwards, shape (rows, columns)
     rounding: How far that may be from the radiance that was meant, since levels are whole numbers; shape as above

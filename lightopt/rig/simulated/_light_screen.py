@@ -4,6 +4,7 @@
 ``OK`` or ``NG`` and why. What is seen from the part depends on how the screen is mounted and responds.
 """
 
+import re
 import zlib
 
 import numpy as np
@@ -18,48 +19,37 @@ class ScreenFirmware(Firmware):
         self, *, resolution_px: tuple[int, int], gamma: float = 2.2, turn_deg: int = 0, mirrored: bool = False
     ) -> None:
         super().__init__()
-        self._width, self._height = resolution_px
+        self._size = (resolution_px[0], resolution_px[1])  # a list in JSON
         self._gamma, self._turn_deg, self._mirrored = gamma, turn_deg, mirrored
-        self._levels = np.zeros((self._height, self._width), np.uint8)
-        self._number = 0
-        self._seen = self._look()
+        self._seen = self._look(bytes(self._size[0] * self._size[1]))
 
     def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
         self._buffer += data
         replies = b""
-        while (end := self._buffer.find(b"\r\n")) >= 0:
-            words = self._buffer[:end].split()
-            if len(words) != 4 or words[0] != b"SHOW" or not all(word.isdigit() for word in words[1:]):
-                self._buffer = self._buffer[end + 2 :]
-                replies += b"NG command\r\n"
-                continue
-            width, height, size = map(int, words[1:])
-            packed = self._buffer[end + 2 : end + 2 + size]
+        while match := re.match(rb"SHOW (\d+) (\d+) (\d+)\r\n", self._buffer):
+            width, height, size = map(int, match.groups())
+            packed = self._buffer[match.end() : match.end() + size]
             if len(packed) < size:
                 break
-            self._buffer = self._buffer[end + 2 + size :]
-            replies += self._show(width, height, packed)
+            self._buffer = self._buffer[match.end() + size :]
+            if (width, height) != self._size:
+                replies += b"NG the screen has %d x %d pixels\r\n" % self._size
+                continue
+            try:
+                self._seen = self._look(zlib.decompress(packed))
+                replies += b"OK\r\n"
+            except (zlib.error, ValueError):
+                replies += b"NG the picture is damaged\r\n"
         return replies
-
-    def _show(self, width: int, height: int, packed: bytes) -> bytes:
-        if (width, height) != (self._width, self._height):
-            return f"NG the screen has {self._width} x {self._height} pixels\r\n".encode("ascii")
-        try:
-            levels = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(height, width)
-        except (zlib.error, ValueError):
-            return b"NG the picture is damaged\r\n"
-        if not np.array_equal(levels, self._levels):
-            self._levels, self._number = levels, self._number + 1
-            self._seen = self._look()
-        return b"OK\r\n"
 
     def picture(self) -> SeenPicture:
         return self._seen
 
-    def _look(self) -> SeenPicture:
-        seen = np.fliplr(self._levels) if self._mirrored else self._levels
+    def _look(self, data: bytes) -> SeenPicture:
+        levels = np.frombuffer(data, np.uint8).reshape(self._size[::-1])
+        seen = np.fliplr(levels) if self._mirrored else levels
         # the screen's upper edge is turned clockwise
         seen = np.rot90(seen, -self._turn_deg // 90)
         radiance = (np.arange(256) / 255.0) ** self._gamma
         steps = np.diff(radiance, append=2.0 - radiance[-2])
-        return SeenPicture(self._number, radiance[seen], steps[seen])
+        return SeenPicture(zlib.crc32(data), radiance[seen], steps[seen])

@@ -25,7 +25,7 @@ from lightopt.scene import Scene, move_part
 Levels = UInt8 | NDArray[np.uint16]
 
 _CACHE_BYTES = 512 << 20
-_MOST_PICTURES = 8  # layers of pictures that are kept, other than those of channels
+_MOST_PICTURES = 64  # that are kept, other than those of channels
 
 
 class BenchOptics:
@@ -49,7 +49,6 @@ class BenchOptics:
         self._looking = threading.Lock()
         self._shown: dict[str, tuple[int, dict[str, float]]] = {}
         self._pictures: OrderedDict[str, PanelLight] = OrderedDict()
-        self._picture_layers: OrderedDict[tuple[Posture, str], Float32] = OrderedDict()
 
     def prepare(self, posture: Posture, names: Collection[str] = ()) -> None:
         """Render all lights at a posture, and what of the names is a picture, for frames to come."""
@@ -121,24 +120,16 @@ class BenchOptics:
 
     def _layer(self, posture: Posture, light: str) -> Float32:
         with self._rendering:
-            if light in self._pictures:
-                return self._picture_layer(posture, light)
             if (posture, light) not in self._layers:
                 # all lights at once: the rays are cast once, and the others are wanted next
-                images = render_posture(self.scene, posture, caster=self._caster, supersample=self._truth.rays)
+                picture = self._pictures.get(light)
+                scene = self.scene if picture is None else replace(self.scene, lights=(picture,))
+                images = render_posture(scene, posture, caster=self._caster, supersample=self._truth.rays)
                 self._layers |= {(posture, image.light): image.level for image in images.lights}
             layer = self._layers[posture, light]
-            for name in (one.name for one in self.scene.lights):
-                self._layers.move_to_end((posture, name))
+            for name in (light, *(one.name for one in self.scene.lights)):
+                if (posture, name) in self._layers:
+                    self._layers.move_to_end((posture, name))
             while len(self._layers) > len(self.scene.lights) and len(self._layers) * layer.nbytes > _CACHE_BYTES:
                 self._layers.popitem(last=False)
             return layer
-
-    def _picture_layer(self, posture: Posture, name: str) -> Float32:
-        if (posture, name) not in self._picture_layers:
-            scene = replace(self.scene, lights=(self._pictures[name],))
-            images = render_posture(scene, posture, caster=self._caster, supersample=self._truth.rays)
-            self._picture_layers[posture, name] = images.lights[0].level
-            if len(self._picture_layers) > _MOST_PICTURES:
-                self._picture_layers.popitem(last=False)
-        return self._picture_layers[posture, name]
