@@ -151,9 +151,8 @@ def check_devices(
     stage = wiring.hardware.stage
     named = [(("controllers", name), device.port) for name, device in wiring.hardware.controllers.items()]
     for place, port in (*named, *([] if stage is None else [(("stage",), stage.port)])):
-        if (
-            port not in (None, VIRTUAL) and (problem := port_problem(port)) is not None
-        ):  # a URL is only tried when it is opened
+        # a URL is only tried when it is opened
+        if port not in (None, VIRTUAL) and (problem := port_problem(port)) is not None:
             problems.append(f"{rig.source.at('hardware', *place, 'port')}: {problem}")
     for name, device in wiring.hardware.controllers.items():
         with _collected(problems, where=rig.source.at("hardware", "controllers", name)):

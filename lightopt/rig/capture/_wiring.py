@@ -191,7 +191,7 @@ def start_bench(
     Raises InputError: the true rig that the rig file names does not fit it.
     """
     hardware = wiring.hardware
-    true = _true_rig(rig)
+    true = rig if part is None else _true_rig(rig)  # which only the camera sees
     devices = _controllers(wiring, true)
     axes: list[Axis] = []
     if wiring.stage_is_virtual and hardware.stage is not None:
