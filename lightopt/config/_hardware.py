@@ -306,7 +306,7 @@ class HardwareConfig(Frozen):
     """Waiting times."""
 
 
-_REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {"virtual"}
+_REAL_CAMERAS = tuple({*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {"virtual"})
 
 
 def misfits(

@@ -18,6 +18,7 @@ from lightopt.config import (
     RigConfig,
     StageDeviceConfig,
     copied_text,
+    load_lights,
     load_rig,
 )
 from lightopt.config._display import PictureConfig
@@ -227,6 +228,14 @@ def test_all_at_once(tmp_path: Path) -> None:
         "hardware.controllers.extra.port",
         "hardware.lights.right.level",
     ]
+
+
+def test_values_that_are_no_words_are_told_as_well(tmp_path: Path) -> None:
+    (found,) = problems(tmp_path, RIG.replace("driver: folder", "driver: {folder: 1}"))
+    assert "hardware.camera.driver" in found
+    assert load_lights(write(tmp_path, RIG.replace("controller: extra", "controller: [extra]"))).lights_unknown == (
+        "right",
+    )
 
 
 def test_stage_without_an_axis(tmp_path: Path) -> None:
