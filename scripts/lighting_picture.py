@@ -26,6 +26,10 @@ SYSTEMS = (
     "dome-quadrants",
     "tunnel",
     "display-stripes",
+    "binary-stripes",
+    "moving-grid",
+    "dome-stripes",
+    "silhouette",
 )
 WIDTH, HEIGHT, TITLE = 320, 240, 18
 ACROSS = 5
@@ -47,7 +51,8 @@ def lighting_picture(target: Path) -> None:
         )
         (images,) = render(first)
         level = images.lights[0].level
-        white = np.percentile(level[images.geometry.hit], PERCENTILE)
+        shown = images.geometry.hit if name != "silhouette" else ~images.geometry.hit
+        white = np.percentile(level[shown], PERCENTILE)
         grey = np.clip(level / white, 0.0, 1.0) ** (1.0 / 3.0)
         place = (number % ACROSS * WIDTH, number // ACROSS * (HEIGHT + TITLE))
         draw.text((place[0] + 4, place[1] + 3), first.lights[0].name + f"  ({name}.yaml)", fill=0)

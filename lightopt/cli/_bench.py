@@ -189,7 +189,7 @@ def list_devices(
         _show_cameras(None)
         return
     from lightopt.config import load_rig
-    from lightopt.rig.capture import wiring_of
+    from lightopt.rig.capture import controller_place, wiring_of
     from lightopt.rig.devices import port_problem
 
     loaded = load_rig(rig)
@@ -197,7 +197,9 @@ def list_devices(
     producer = hardware.camera.producer
     cameras = _show_cameras(None if producer is None else loaded.source.resolve(producer))
 
-    def port_state(port: str) -> str:
+    def port_state(port: str | None) -> str:
+        if port is None:  # a display
+            return "not tried"
         if port == "virtual":
             return "simulated"
         if "://" in port:
@@ -205,9 +207,12 @@ def list_devices(
         problem = port_problem(port)
         return "present, not opened" if problem is None else f"NO: {problem.partition('; ')[0]}"
 
-    stage = {} if hardware.stage is None else {"stage": hardware.stage}
-    devices = {f"controller {name}": config for name, config in hardware.controllers.items()} | stage
-    rows = [(name, config.driver, config.port, port_state(config.port)) for name, config in devices.items()]
+    rows = [
+        (f"controller {name}", config.driver, controller_place(config), port_state(config.port))
+        for name, config in hardware.controllers.items()
+    ]
+    if (stage := hardware.stage) is not None:
+        rows.append(("stage", stage.driver, stage.port, port_state(stage.port)))
     camera = hardware.camera
     rows.append(("camera", camera.driver, camera.folder or camera.port or "", _camera_state(camera, cameras)))
     echo("")

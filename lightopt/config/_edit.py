@@ -160,8 +160,8 @@ def _index(
 def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Keys, str | None] | None = None) -> str:
     """The text of a configuration file for another folder; comments, order and layout stay.
 
-    Names relative to the configuration file change: a part's mesh, the files and folders that a rig names, and the
-    schema in the comment that editors read.
+    Names relative to the configuration file change: a part's mesh, the files and folders that a rig names (those
+    of commands where they are there), and the schema in the comment that editors read.
 
     folder: Where the copy will lie
     values: Further values to change in the copy, as for :func:`with_values`
@@ -176,8 +176,16 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
                 "one for all; write them as lights of their own"
             )
     of_rig = (("hardware", "camera", "folder"), ("calibration", "covariance"), ("virtual_bench", "rig"))
-    for keys in (("mesh", "file"),) if isinstance(config, PartConfig) else of_rig:
-        name: str | None = reduce(lambda value, key: getattr(value, key, None), keys, config)
+    names: dict[Keys, str | None] = {
+        keys: reduce(lambda value, key: getattr(value, key, None), keys, config)
+        for keys in ((("mesh", "file"),) if isinstance(config, PartConfig) else of_rig)
+    }
+    hardware = None if isinstance(config, PartConfig) else config.hardware
+    for controller, device in ({} if hardware is None else hardware.controllers).items():
+        for i, argument in enumerate(device.command or ()):
+            if config.source.resolve(argument).is_file():
+                names["hardware", "controllers", controller, "command", i] = argument
+    for keys, name in names.items():
         if name is None:
             continue
         moved = _moved(config.source.resolve(name), name, folder)

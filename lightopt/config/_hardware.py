@@ -4,18 +4,31 @@ import re
 import string
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo, field_validator
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
+from lightopt.config._display import (
+    DISPLAY_DRIVERS,
+    Command as DisplayCommand,
+    Monitor,
+    PictureConfig,
+    check_key,
+    display_misfits,
+)
 from lightopt.config._fields import Complaint, Frozen, complaint, expecting
+from lightopt.config._light import LightConfig
 
 _Baud = Annotated[int, Field(ge=300, le=4000000), expecting("a baud rate, from 300 to 4000000")]
-_Channel = Annotated[int, Field(ge=1, le=64), expecting("a channel number as on the device, from 1 to 64")]
+_Channel = Annotated[int, Field(ge=1, le=256), expecting("a channel number as on the device, from 1 to 256")]
 _Level = Annotated[int, Field(ge=1, le=65535), expecting("a whole intensity of the controller, from 1")]
-_MOST = {"ccs": {"top_level": 9999}, "sa": {"channels": 6, "top_level": 9999}}
+_MOST = {
+    "ccs": {"channels": 64, "top_level": 9999},
+    "sa": {"channels": 6, "top_level": 9999},
+    "template": {"channels": 64},
+}
 
 # description of the ports of controllers and stages
 _PORT = (
@@ -118,10 +131,14 @@ class ControllerConfig(Frozen):
     """A light controller."""
 
     driver: Annotated[
-        Literal["ccs", "sa", "template"], expecting("ccs, sa or template, which suits devices of other makers")
+        Literal["ccs", "sa", "template", "screen", "command"],
+        expecting("screen or command for displays, ccs, sa or template, which suits devices of other makers"),
     ]
-    """Protocol: ccs (@ frames), sa (SA0255# family), or template."""
-    port: fields.Text = Field(description=_PORT)
+    """Protocol: ccs (@ frames), sa (SA0255# family), or template. A display, each channel of which is a picture: screen
+    (a monitor of this computer), or command (a program that shows the picture)."""
+    port: fields.Text | None = Field(
+        default=None, validate_default=True, description=f"{_PORT} Of a display: virtual, or absent."
+    )
     baud: _Baud | None = None
     """Baud rate; the protocol's usual one if absent."""
     channels: _Channel = 4
@@ -132,8 +149,21 @@ class ControllerConfig(Frozen):
     """ccs: frames without (lan) or with (serial) a unit number."""
     template: TemplateConfig | None = Field(default=None, validate_default=True)
     """Commands, for driver: template."""
+    monitor: Monitor | None = Field(default=None, validate_default=True)
+    """screen: number of the monitor as the desktop counts them, from 1."""
+    command: DisplayCommand | None = Field(default=None, validate_default=True)
+    """command: a program and its arguments, run in this file's folder; {file} is the path of the picture, a PNG."""
+    picture: PictureConfig | None = Field(default=None, validate_default=True)
+    """screen, command: the screen that pictures are made for."""
     timeout_s: fields.Positive = 1.0
-    """Longest wait for a reply [s]."""
+    """Longest wait for a reply, or for a command to end [s]."""
+
+    @field_validator("port", "baud", "monitor", "command", "picture")
+    @classmethod
+    def _of_displays(cls, value: Any, info: ValidationInfo) -> Any:
+        if info.field_name == "port" and value is None and info.data.get("driver") not in (None, *DISPLAY_DRIVERS):
+            raise fields.absent(f'missing key "port": {_PORT}', "port")
+        return check_key(value, info)
 
     @field_validator("channels", "top_level")
     @classmethod
@@ -276,15 +306,18 @@ class HardwareConfig(Frozen):
     """Waiting times."""
 
 
-_REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {"virtual"}
+_REAL_CAMERAS = tuple({*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {"virtual"})
 
 
-def misfits(hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None) -> Iterator[Complaint]:
+def misfits(
+    hardware: object, lights: tuple[LightConfig, ...] | None, camera: CameraConfig | None
+) -> Iterator[Complaint]:
     """What does not fit together, by the path under ``hardware``; None and parts that are wrong are passed over."""
     section = fields.mapping(hardware)
     controllers, channels = (fields.mapping(section.get(key)) for key in ("controllers", "lights"))
     if lights is not None and isinstance(section.get("lights"), Mapping):
-        yield from _names(channels, lights)
+        yield from _names(channels, tuple(light.name for light in lights))
+        yield from display_misfits(controllers, channels, lights)
     if isinstance(section.get("controllers"), Mapping):
         for name, channel in channels.items():
             yield from _plug(name, fields.mapping(channel), controllers)
@@ -352,6 +385,10 @@ def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -
     for i, first in fields.repeated(map(_port_key, ports)):
         reason = f'port "{ports[i]}" is already that of {".".join(paths[first])}; each device has its own'
         yield (*paths[i], "port"), ports[i], complaint(reason)
+    monitors = [_whole(fields.mapping(entry).get("monitor")) for entry in controllers.values()]
+    for i, first in fields.repeated(monitors):
+        reason = f"monitor {monitors[i]} is already that of {'.'.join(paths[first])}; each display has its own"
+        yield (*paths[i], "monitor"), monitors[i], complaint(reason)
 
 
 def _port_key(port: object) -> str | None:

@@ -315,6 +315,8 @@ class LightConfig(fields.Frozen):
     def _holds_the_light(cls, ends: tuple[float, float] | None, info: ValidationInfo) -> tuple[float, float] | None:
         angle = str(info.field_name).replace("_range", "")
         now = info.data.get(angle)
+        if angle == "elevation_deg" and now is not None and now <= 0.0 and info.data.get("kind") != "backlight":
+            return ends  # the elevation is said to be wrong itself
         if ends is not None and now is not None and not ends[0] <= now <= ends[1]:
             outside = f"outside [{ends[0]:g}, {ends[1]:g}]; widen the range or move the light into it"
             raise fields.complaint(f"the light is at {angle} {now:g}, {outside}")

@@ -220,7 +220,9 @@ def _read_what_is_valid(path: Path, wrong: InputError) -> LightsOnly:
     controllers = _readable(ControllerConfig, raw_controllers)
     lights = _readable(ChannelConfig, raw_lights)
     unreadable = tuple(name for name in raw_controllers if name not in controllers)
-    unknown = tuple(name for name, entry in raw_lights.items() if mapping(entry).get("controller") not in controllers)
+    unknown = tuple(
+        name for name, entry in raw_lights.items() if mapping(entry).get("controller") not in [*controllers]
+    )
     if not controllers:
         reason = f"no controller can be read; lights that may be on: {', '.join(unknown) or 'all of them'}"
         if not section:

@@ -135,5 +135,4 @@ class RigConfig(fields.FileConfig):
     @classmethod
     def _wired(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
         lights: tuple[LightConfig, ...] | None = info.data.get("lights")
-        names = None if lights is None else tuple(light.name for light in lights)
-        return fields.with_complaints(value, handler, misfits(value, names, info.data.get("camera")))
+        return fields.with_complaints(value, handler, misfits(value, lights, info.data.get("camera")))

@@ -44,3 +44,4 @@ from lightopt.lights._pattern import (
     picture_patterns as picture_patterns,
     sine_pattern as sine_pattern,
 )
+from lightopt.lights._pattern_picture import pattern_picture as pattern_picture

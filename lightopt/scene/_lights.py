@@ -107,7 +107,7 @@ def _surface_light(rig: RigConfig, light: LightConfig) -> PanelLight:
     panel = place_light(
         distance=light.distance_mm, **_where(light), name=light.name, size=size, points="auto", gain=gain
     )
-    more: dict[str, Any] = {} if light.pattern is None else {"pattern": _pattern(rig, light)}
+    more: dict[str, Any] = {} if light.pattern is None else {"pattern": _pattern(rig.source.path.parent, light)}
     if light.direct_level:
         more["direct_level"] = light.direct_level / light.gain
     return surface_light(panel, kind=light.kind, entry=light.entry, elements=own, whole=whole, **more)
@@ -218,12 +218,12 @@ def _offset(size: float, index: int, count: int) -> float:
     return size * ((index + 0.5) / count - 0.5)
 
 
-def _pattern(rig: RigConfig, light: LightConfig) -> Pattern:
+def _pattern(folder: Path, light: LightConfig) -> Pattern:
     pattern = light.pattern
     assert pattern is not None
     if pattern.files is not None:
         assert light.size_mm is not None
-        paths = [rig.source.resolve(file) for file in pattern.files]
+        paths = [folder / file for file in pattern.files]
         return _pictures(tuple((path, path.stat().st_mtime_ns) for path in paths), light.size_mm)[light.channel]
     periods = pattern.periods_mm or (math.radians(pattern.period_deg or 360.0),)
     block, step = divmod(light.channel, pattern.steps)

@@ -27,6 +27,7 @@ from lightopt.rig.simulated._devices import PtyWire, SimulatedDevices, TcpWire
 from lightopt.rig.simulated._firmware import Firmware, LampFirmware, SimulatedAxis, StageFirmware, build
 from lightopt.rig.simulated._light_ccs import CcsFirmware
 from lightopt.rig.simulated._light_sa import SaFirmware
+from lightopt.rig.simulated._light_screen import ScreenFirmware
 from lightopt.rig.simulated._light_template import TemplateFirmware
 from lightopt.rig.simulated._stage_grbl import GcodeError, GrblFirmware
 from lightopt.rig.simulated._stage_sigmakoki import GscFirmware, ShotFirmware
@@ -447,6 +448,7 @@ FIRMWARE: dict[str, Callable[..., Firmware]] = {
     "ccs": FaultyCcs,
     "sa": FaultySa,
     "template": FaultyTemplate,
+    "screen": ScreenFirmware,
     "shot": FaultyShot,
     "gsc": FaultyGsc,
     "grbl": FaultyGrbl,
@@ -490,7 +492,7 @@ class FaultyLine:
         self._faults: list[tuple[str, Trigger, dict[str, Any]]] = []
         self._late: list[tuple[float, bytes]] = []  # when [s], what
         self.deliveries = 0
-        self.levels, self.positions = firmware.levels, firmware.positions
+        self.levels, self.positions, self.picture = firmware.levels, firmware.positions, firmware.picture
 
     def feed(self, data: bytes, now: float) -> bytes:
         self.deliveries += 1
@@ -584,6 +586,7 @@ class FaultyDevices(SimulatedDevices):
         with self.lock:
             deliveries = {name: device.firmware.deliveries for name, device in self.devices.items()}
             more = {"pid": os.getpid(), "time": time.monotonic(), "deliveries": deliveries, "struck": Trigger.struck}
+            more["pictures"] = {name: picture.radiance.tolist() for name, picture in self.pictures().items()}
             return {**super()._state(request)[0], **more}, b""
 
     def _trace(self, _: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:

@@ -18,8 +18,10 @@ from lightopt.config import (
     RigConfig,
     StageDeviceConfig,
     copied_text,
+    load_lights,
     load_rig,
 )
+from lightopt.config._display import PictureConfig
 from lightopt.config._hardware import TemplateConfig, TimingConfig
 from lightopt.core.errors import InputError
 from lightopt.rig.devices import LIGHT_DRIVERS
@@ -148,6 +150,8 @@ BAD = [
         "controllers.main.template",
         ["only driver: template", "ccs", "leave this out"],
     ),
+    (MAIN, MAIN[:-1] + ", monitor: 2}", "controllers.main.monitor", ["only for driver: screen", "ccs", "leave this"]),
+    (MAIN, MAIN[:-1] + ", picture: {resolution_px: [4, 3]}}", "controllers.main.picture", ["driver: command", "ccs"]),
     (MAIN, MAIN + "\n    bad name: {driver: sa, port: COM9}", "controllers.bad name", ["a name of letters", '"bad']),
     (LEFT, "", "lights", ['light "left"', "no channel", "left: {controller"]),
     (RIGHT, RIGHT + "\n    rihgt: {controller: main, channel: 2, level: 9}", "lights.rihgt", ['mean "right"?']),
@@ -224,6 +228,14 @@ def test_all_at_once(tmp_path: Path) -> None:
         "hardware.controllers.extra.port",
         "hardware.lights.right.level",
     ]
+
+
+def test_values_that_are_no_words_are_told_as_well(tmp_path: Path) -> None:
+    (found,) = problems(tmp_path, RIG.replace("driver: folder", "driver: {folder: 1}"))
+    assert "hardware.camera.driver" in found
+    assert load_lights(write(tmp_path, RIG.replace("controller: extra", "controller: [extra]"))).lights_unknown == (
+        "right",
+    )
 
 
 def test_stage_without_an_axis(tmp_path: Path) -> None:
@@ -351,6 +363,7 @@ def test_the_page_has_every_key_with_its_default() -> None:
     sections = {
         "`controllers.NAME`": ControllerConfig,
         "`controllers.NAME.template`": TemplateConfig,
+        "`controllers.NAME.picture`": PictureConfig,
         "`lights.NAME`": ChannelConfig,
         "`stage`": StageDeviceConfig,
         "`stage.elevation`, `stage.rotation`": AxisConfig,

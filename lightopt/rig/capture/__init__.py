@@ -24,6 +24,7 @@ from lightopt.rig.capture._manual_control import (
     check_exposure as check_exposure,
     check_level as check_level,
     check_on_time as check_on_time,
+    controller_place as controller_place,
     device_statuses as device_statuses,
     hold_light as hold_light,
     snap as snap,

@@ -117,7 +117,11 @@ class CapturePlan:
 
     def on_s(self, light: str) -> float:
         """How long a light is on at a stretch [s]: settling and all its exposures."""
-        return self._light_settle_s + sum(map(self.frames_s, self.exposures_of[light]))
+        return self._switch_s(light) + self._light_settle_s + sum(map(self.frames_s, self.exposures_of[light]))
+
+    def _switch_s(self, light: str) -> float:
+        """How long the screens of an image take to show it [s]."""
+        return sum(map(self.wiring.settle_s, self.wiring.levels(light)))
 
     @property
     def _light_settle_s(self) -> float:
@@ -161,12 +165,12 @@ class CapturePlan:
         for name, level in self.wiring.levels(light).items():
             channel = self.wiring.light(name)
             what = f"{name} at level {level} ({channel.controller}, channel {channel.channel})"
-            yield PlanStep("light on", what, _COMMAND_S, light)
+            yield PlanStep("light on", what, _COMMAND_S + self.wiring.settle_s(name), light)
         yield PlanStep("settle", "light", self._light_settle_s, light)
         for exposure in exposures:
             yield self._expose(posture, light, exposure)
         for name in self.wiring.levels(light):
-            yield PlanStep("light off", name, _COMMAND_S, light)
+            yield PlanStep("light off", name, _COMMAND_S + self.wiring.settle_s(name), light)
 
     def _expose(self, posture: Posture, light: str | None, exposure: float) -> PlanStep:
         frames = f"{self.options.average} × " if self.options.average > 1 else ""

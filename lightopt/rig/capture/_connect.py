@@ -20,6 +20,8 @@ from lightopt.rig.devices import (
     SerialLog,
     Stage,
     check_camera_driver,
+    check_program,
+    check_screen_library,
     check_stage,
     open_camera,
     open_stage,
@@ -149,8 +151,15 @@ def check_devices(
     stage = wiring.hardware.stage
     named = [(("controllers", name), device.port) for name, device in wiring.hardware.controllers.items()]
     for place, port in (*named, *([] if stage is None else [(("stage",), stage.port)])):
-        if port != VIRTUAL and (problem := port_problem(port)) is not None:  # a URL is only tried when it is opened
+        # a URL is only tried when it is opened
+        if port not in (None, VIRTUAL) and (problem := port_problem(port)) is not None:
             problems.append(f"{rig.source.at('hardware', *place, 'port')}: {problem}")
+    for name, device in wiring.hardware.controllers.items():
+        with _collected(problems, where=rig.source.at("hardware", "controllers", name)):
+            if device.driver == "screen" and device.port is None:
+                check_screen_library()
+            if device.command is not None and device.port is None:
+                check_program(device.command[0], wiring.folder)
     if stage is not None:
         with _collected(problems, where=rig.source.at("hardware", "stage")):
             check_stage(stage.driver, stage_axes(rig, stage))

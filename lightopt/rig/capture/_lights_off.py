@@ -16,6 +16,7 @@ from lightopt.rig.devices import (
     LightController,
     LightSettings,
     LightsStillOnError,
+    PictureSettings,
     SerialLog,
     all_off,
     run_in_parallel,
@@ -54,7 +55,7 @@ def open_lights(
     """Open controllers in parallel, each even if another fails, and darken each as it opens."""
 
     def open_one(name: str) -> tuple[LightController | None, LightoptError | None]:
-        port = ports.get(name) or wiring.hardware.controllers[name].port
+        port = ports.get(name) or wiring.hardware.controllers[name].port or ""
         controller: LightController | None = None
         try:
             controller = open_controller(wiring, name, port=port, log=log)
@@ -83,10 +84,15 @@ def open_lights(
 
 def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | None) -> LightController:
     config = wiring.hardware.controllers[name]
+    picture: PictureSettings | None = None
+    if config.picture is not None:
+        picture = PictureSettings(**config.picture.model_dump(), pictures=wiring.pictures(name))
     settings = LightSettings(
         name=name,
         port=port,
-        **config.model_dump(exclude={"driver", "port"}),
+        **config.model_dump(exclude={"driver", "port", "picture"}),
+        picture=picture,
+        folder=wiring.folder,
         max_levels={
             channel.channel: channel.max_level
             for channel in wiring.hardware.lights.values()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from lightopt.config import ChannelConfig, RigConfig
+from lightopt.config import ChannelConfig, ControllerConfig, RigConfig
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.transforms import Posture
 from lightopt.images import write_png
@@ -149,7 +149,14 @@ def _status(name: str, query: Callable[[], str], problem: LightoptError | None =
 def _controller_state(devices: Devices, name: str) -> str:
     config = devices.wiring.hardware.controllers[name]
     details = devices.controllers[name].identify().details
-    return f"{config.driver} on {config.port}" + "".join(f", {key} {value}" for key, value in details.items())
+    return f"{config.driver} on {controller_place(config)}" + "".join(
+        f", {key} {value}" for key, value in details.items()
+    )
+
+
+def controller_place(config: ControllerConfig) -> str:
+    """Where a controller is reached."""
+    return config.port or (f"monitor {config.monitor}" if config.command is None else config.command[0])
 
 
 def _light_state(devices: Devices, channel: ChannelConfig) -> str:

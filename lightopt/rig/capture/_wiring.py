@@ -1,9 +1,13 @@
 """Which device plays which role on a rig: those of its file, or those of a virtual bench, which is started here."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from lightopt.config import (
     AxisConfig,
@@ -11,15 +15,17 @@ from lightopt.config import (
     ChannelConfig,
     ControllerConfig,
     HardwareConfig,
+    LightConfig,
     PartConfig,
     RigConfig,
     StageDeviceConfig,
     load_rig,
 )
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.rig.devices import Axis
 from lightopt.rig.simulated import AxisWire, BenchProcess, BenchTruth, CameraSetup, LightWire
-from lightopt.scene import VIRTUAL_DEG_PER_S
+from lightopt.scene import VIRTUAL_DEG_PER_S, display_picture
 
 STAGE = "stage"  # name of the stage among the devices of a virtual bench; controllers have the names of the rig file
 VIRTUAL = "virtual"  # port of a device that is simulated on this computer
@@ -41,6 +47,9 @@ class Wiring:
     exposure_us: float  # exposure time of exposure 1 [µs]
     # levels of the lights of each image of the rig's programme; none where each image is of one light
     images: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
+    # lights of displays by name, for their pictures; none where the rig's file cannot be read as a whole
+    displays: Mapping[str, LightConfig] = field(default_factory=dict[str, LightConfig])
+    folder: Path = Path()  # of the rig's file, where commands of displays are run
 
     def light(self, name: str) -> ChannelConfig:
         return self.hardware.lights[name]
@@ -48,6 +57,20 @@ class Wiring:
     def levels(self, image: str) -> Mapping[str, int]:
         """Lights that are on together for an image, and their levels; of a light alone, that light."""
         return self.images.get(image) or {image: self.light(image).level}
+
+    def settle_s(self, name: str) -> float:
+        """How long a light takes to be on, or off, once it is sent, beside `timing.light_ms` [s]: that of a screen."""
+        picture = self.hardware.controllers[self.light(name).controller].picture
+        return 0.0 if picture is None else picture.settle_ms / 1e3
+
+    def pictures(self, controller: str) -> dict[int, Callable[[], Float64]]:
+        """Picture of each channel of a display, made when it is needed."""
+        config = self.hardware.controllers[controller].picture
+        return {
+            channel.channel: partial(display_picture, self.displays[name], config.seen_px, folder=self.folder)
+            for name, channel in self.hardware.lights.items()
+            if config is not None and channel.controller == controller and name in self.displays
+        }
 
     def top_level(self, name: str) -> int:
         channel = self.light(name)
@@ -80,7 +103,17 @@ def wiring_of(rig: RigConfig) -> Wiring:
     hardware = rig.hardware
     exposure_us = rig.camera.exposure_us or VIRTUAL_EXPOSURE_US
     if hardware is not None:
-        return Wiring(hardware, given=True, exposure_us=exposure_us, images=_image_levels(rig, hardware))
+        wiring = Wiring(
+            hardware,
+            given=True,
+            exposure_us=exposure_us,
+            images=_image_levels(rig, hardware),
+            displays={light.name: light for light in rig.channels if light.kind == "display"},
+            folder=rig.source.resolve("."),
+        )
+        if problems := list(_too_bright(rig, wiring)):
+            raise InputError(*problems)
+        return wiring
     controllers: dict[str, ControllerConfig] = {}
     lights: dict[str, ChannelConfig] = {}
     for i, light in enumerate(rig.channels):
@@ -113,6 +146,28 @@ def _image_levels(rig: RigConfig, hardware: HardwareConfig) -> dict[str, dict[st
     return found
 
 
+def _too_bright(rig: RigConfig, wiring: Wiring) -> Iterator[str]:
+    """Images of a programme that need more than the full radiance of a display."""
+    for i, image in enumerate(rig.programme or ()):
+        levels = wiring.images[image.name]
+        channels = {name: wiring.light(name) for name in levels}
+        for controller in dict.fromkeys(channel.controller for channel in channels.values()):
+            device = wiring.hardware.controllers[controller]
+            own = {
+                c.channel: levels[name] / device.top_level for name, c in channels.items() if c.controller == controller
+            }
+            if device.picture is None or sum(own.values()) <= 1.0:
+                continue
+            pictures = wiring.pictures(controller)
+            most = float(np.sum([share * pictures[channel]() for channel, share in own.items()], axis=0).max())
+            if most > 1.0 + 1e-9:
+                yield (
+                    f"{rig.source.at('programme', i, 'lights')}: the pictures together need {most:.3g} times the full "
+                    f"radiance of the display {controller} at their brightest place; lower the weights, or the levels "
+                    "of the lights"
+                )
+
+
 def stage_axes(rig: RigConfig, stage: StageDeviceConfig) -> list[Axis]:
     return [
         Axis(
@@ -136,7 +191,8 @@ def start_bench(
     Raises InputError: the true rig that the rig file names does not fit it.
     """
     hardware = wiring.hardware
-    devices = _controllers(wiring)
+    true = rig if part is None else _true_rig(rig)  # which only the camera sees
+    devices = _controllers(wiring, true)
     axes: list[Axis] = []
     if wiring.stage_is_virtual and hardware.stage is not None:
         axes = stage_axes(rig, hardware.stage)
@@ -144,7 +200,7 @@ def start_bench(
     if part is None:
         return BenchProcess(devices)
     setup = CameraSetup(
-        rig=str(_true_rig(rig).source.path.resolve()),
+        rig=str(true.source.path.resolve()),
         part=str(part.source.path.resolve()),
         exposure_us=wiring.exposure_us,
         lights=tuple(
@@ -199,15 +255,20 @@ def start_lights(wiring: Wiring) -> BenchProcess:
     return BenchProcess(_controllers(wiring))
 
 
-def _controllers(wiring: Wiring) -> dict[str, dict[str, Any]]:
-    return {
-        name: {
-            "kind": config.driver,
-            "options": config.model_dump(include={"channels", "top_level", "template"}, exclude_none=True),
-        }
-        for name, config in wiring.hardware.controllers.items()
-        if config.port == VIRTUAL
-    }
+def _controllers(wiring: Wiring, true: RigConfig | None = None) -> dict[str, dict[str, Any]]:
+    found: dict[str, dict[str, Any]] = {}
+    there = {} if true is None or true.hardware is None else true.hardware.controllers
+    for name, config in wiring.hardware.controllers.items():
+        if config.port != VIRTUAL:
+            continue
+        if config.picture is None:
+            options = config.model_dump(include={"channels", "top_level", "template"}, exclude_none=True)
+            found[name] = {"kind": config.driver, "options": options}
+        else:  # mounted as in the true rig
+            picture = (there[name].picture if name in there else None) or config.picture
+            options = picture.model_dump(mode="json", exclude={"settle_ms"})
+            found[name] = {"kind": "screen", "tcp": True, "options": options}
+    return found
 
 
 def _stage_options(driver: str, axes: Sequence[Axis]) -> dict[str, Any]:

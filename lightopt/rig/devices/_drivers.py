@@ -12,6 +12,7 @@ from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSdk, CameraSettin
 from lightopt.rig.devices._device import Event
 from lightopt.rig.devices._light import LightController, LightSettings
 from lightopt.rig.devices._light_ccs import CcsController
+from lightopt.rig.devices._light_display import CommandController, ScreenController
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
 from lightopt.rig.devices._serial_link import SerialLink
@@ -23,7 +24,8 @@ from lightopt.rig.devices._stage_sigmakoki import GscDialogue, ShotDialogue
 from lightopt.rig.devices._stage_zaber import ZaberDialogue
 
 LIGHT_DRIVERS: dict[str, Callable[[LightSettings, SerialLog | None], LightController]] = {
-    driver.NAME: driver.open for driver in (CcsController, SaController, TemplateController)
+    driver.NAME: driver.open
+    for driver in (CcsController, SaController, TemplateController, ScreenController, CommandController)
 }
 STAGE_DRIVERS: dict[str, type[Dialogue]] = {
     "shot": ShotDialogue,

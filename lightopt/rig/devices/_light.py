@@ -6,11 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import ClassVar, TypeVar
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
 
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.rig.devices._device import Identity, RefusedError, Retry
-from lightopt.rig.devices._serial_link import SerialLink
+from lightopt.rig.devices._serial_link import Link, SerialLink
 from lightopt.rig.devices._serial_log import SerialLog
 
 T = TypeVar("T")
@@ -26,17 +28,34 @@ class LightsStillOnError(HardwareError):
         self.channels = dict(channels)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PictureSettings:
+    """What a driver must know of the screen of a display, by the keys of the rig file, and the pictures it shows."""
+
+    resolution_px: tuple[int, int]
+    gamma: float = 1.0
+    turn_deg: int = 0
+    mirrored: bool = False
+    settle_ms: float = 0.0
+    # picture of each channel, made when it is needed: shares of the full radiance as seen from the part
+    pictures: Mapping[int, Callable[[], Float64]] = field(default_factory=dict[int, Callable[[], Float64]])
+
+
 @dataclass(frozen=True)
 class LightSettings:
     """What a driver must know to open a light controller."""
 
     name: str  # in the rig file
-    port: str  # serial port or pyserial URL
+    port: str  # serial port or pyserial URL; empty for a real display
     baud: int | None = None  # None is the protocol's usual rate
     channels: int = 4
     top_level: int = 255
     dialect: str = "lan"  # ccs: lan or serial
     template: Mapping[str, str | None] | None = None  # commands and patterns of replies, by the keys of the rig file
+    monitor: int | None = None  # screen: its number, from 1
+    command: tuple[str, ...] | None = None  # command: program and arguments, with {file}
+    folder: Path = Path()  # command: where it is run
+    picture: PictureSettings | None = None  # screen, command
     timeout_s: float = 1.0  # longest wait for a reply [s]
     max_levels: Mapping[int, int] = field(default_factory=dict[int, int])  # highest allowed intensities by channel
 
@@ -94,7 +113,7 @@ def _darken(controller: "LightController", channel: int) -> str | None:
 
 
 class LightController(ABC):
-    """Panels behind one controller on a serial link; channels are counted from 1, as printed on the device.
+    """Panels behind one controller on a link; channels are counted from 1, as printed on the device.
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the device does not answer, answers no, or
     does not hold what was set.
@@ -104,10 +123,10 @@ class LightController(ABC):
     BAUD: ClassVar[int]  # the protocol's usual baud rate
     GAP_S: ClassVar[float] = 0.0  # least time [s] that the controllers ask for between two commands
 
-    def __init__(self, link: SerialLink, settings: LightSettings) -> None:
+    def __init__(self, link: Link, settings: LightSettings) -> None:
         self.channels = settings.channels
         self.events = link.events  # irregularities on the wire so far
-        self._link = link
+        self._link: Any = link  # of the kind that the driver opens
         self.top_level = settings.top_level
         self._max_levels = settings.max_levels
         self._retry = Retry(link)

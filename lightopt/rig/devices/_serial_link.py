@@ -33,6 +33,7 @@ _QUIET_S = 0.05  # a silence that ends a reply without an end
 _DRAIN_S = 1.0  # longest that a line is listened to until it is silent
 _WRITE_S = 1.0  # a write has this long at least: flow control may hold it up longer than a quick reply takes
 _LATE_BYTES = 4096  # most that is read of what already lies in the input when a deadline is over
+_SENT_BYTES = 300  # most of a command that a message has
 _USUAL_BAUD = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
 
 Value = TypeVar("Value")
@@ -78,11 +79,51 @@ class PriorityLock:
         return bool(self._urgent) and not self._held_urgent
 
 
-class SerialLink:
-    """A serial port, or anything else that pyserial reaches by a URL, that a driver speaks through.
+class Link:
+    """What a driver has of every link: whose it is, its lock, and how irregularities and failures are reported.
 
     Its `lock` is held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait
     breaks them off by ``lock.priority()``; whoever waits for a reply then gets a :class:`PreemptedError`.
+    """
+
+    def __init__(self, port: str, *, device: str, timeout_s: float, log: SerialLog | None) -> None:
+        self.port = port
+        self.device = device
+        self.timeout_s = timeout_s
+        self.events: list[Event] = []
+        self.lock = PriorityLock()
+        self._log = log or SerialLog()
+
+    def note(self, what: str, *, retry: bool = False) -> None:
+        """Report an irregularity: in `events`, and to the log."""
+        event = Event(now(), self.port, what, retry)
+        self.events.append(event)
+        self._log.note(event)
+
+    def failure(
+        self, problem: str, *, sent: bytes = b"", reply: bytes | None = None, kind: type[HardwareError] = HardwareError
+    ) -> HardwareError:
+        """Error that names device and port, what went wrong, the command, and the reply."""
+        more = f" and {len(sent) - _SENT_BYTES} bytes more" if len(sent) > _SENT_BYTES else ""
+        command = f"; sent {printable(sent[:_SENT_BYTES])}{more}" if sent else ""
+        answer = "" if reply is None else f", got {printable(reply)}"
+        return kind(f"{self.device} on {self.port}: {problem}{command}{answer}")
+
+    def preempted(self, sent: bytes = b"") -> HardwareError:
+        """Error of what was broken off for something that cannot wait."""
+        return self.failure(
+            "no longer waited for, because a light had to be switched off", sent=sent, kind=PreemptedError
+        )
+
+    def drain(self) -> None:
+        """Read and discard what is on its way; nothing where there are no late replies."""
+
+    def close(self) -> None:
+        """Give up the link; never raises."""
+
+
+class SerialLink(Link):
+    """A serial port, or anything else that pyserial reaches by a URL, that a driver speaks through.
 
     Raises InputError when the port is not there (the message lists those that are), is none, or may not be opened.
     Raises HardwareError when another program has it, or nothing answers at its address.
@@ -99,14 +140,9 @@ class SerialLink:
         gap_s: float = 0.0,  # least time [s] between the end of a dialogue and the next command
         log: SerialLog | None = None,
     ) -> None:
-        self.port = port
-        self.device = device
-        self.timeout_s = timeout_s
+        super().__init__(port, device=device, timeout_s=timeout_s, log=log)
         self._write_s = max(timeout_s, _WRITE_S)
-        self.events: list[Event] = []
-        self.lock = PriorityLock()
         self._gap_s = gap_s
-        self._log = log or SerialLog()
         self._quiet_since = 0.0
         self._lost = False
         self._owed = False
@@ -201,7 +237,7 @@ class SerialLink:
                         if end is None and got and moment - heard >= _QUIET_S:
                             return bytes(got)
                     if self.lock.preempted:
-                        raise self._preempted(after)
+                        raise self.preempted(after)
                     if moment >= until:
                         # a computer that was busy finds the reply there: it is the device that may be late
                         if late == _LATE_BYTES or not self._guarded(lambda: self._serial.in_waiting, after):
@@ -226,7 +262,7 @@ class SerialLink:
             self._note_discarded(entry)
             if preempted:
                 self._owed = True
-                raise self._preempted(b"")
+                raise self.preempted()
 
     def discard(self) -> None:
         """Discard pending input, without waiting; it is logged and reported as an event."""
@@ -239,20 +275,6 @@ class SerialLink:
                     break
                 entry.add(data)
             self._note_discarded(entry)
-
-    def note(self, what: str, *, retry: bool = False) -> None:
-        """Report an irregularity: in `events`, and to the log."""
-        event = Event(now(), self.port, what, retry)
-        self.events.append(event)
-        self._log.note(event)
-
-    def failure(
-        self, problem: str, *, sent: bytes = b"", reply: bytes | None = None, kind: type[HardwareError] = HardwareError
-    ) -> HardwareError:
-        """Error that names device and port, what went wrong, the command, and the reply."""
-        command = f"; sent {printable(sent)}" if sent else ""
-        answer = "" if reply is None else f", got {printable(reply)}"
-        return kind(f"{self.device} on {self.port}: {problem}{command}{answer}")
 
     def close(self) -> None:
         """Give up the port; never raises."""
@@ -303,11 +325,6 @@ class SerialLink:
                 sent=sent,
                 kind=LinkLostError,
             ) from None
-
-    def _preempted(self, sent: bytes) -> HardwareError:
-        return self.failure(
-            "no longer waited for, because a light had to be switched off", sent=sent, kind=PreemptedError
-        )
 
     def _note_discarded(self, entry: LogEntry) -> None:
         count = len(entry.data)

@@ -110,8 +110,8 @@ def start_process(spec: str, errors: BinaryIO) -> subprocess.Popen[bytes]:
 class BenchProcess:
     """A virtual bench in a process of its own, which ends with this object or with this process.
 
-    devices: By name: ``kind`` (ccs, sa, template, shot, gsc, grbl, zaber) and, optionally, ``options`` of the firmware,
-        ``tcp`` (whether it is on TCP; so it is where there are no pseudo-terminals).
+    devices: By name: ``kind`` (ccs, sa, template, screen, shot, gsc, grbl, zaber) and, optionally, ``options`` of the
+        firmware, ``tcp`` (whether it is on TCP; so it is where there are no pseudo-terminals).
     camera: What the camera looks at: a :class:`CameraSetup` as a dictionary.
 
     `ports` is what a driver opens, by device; `pid` its process id. InputError when a device cannot be as described.

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from lightopt.rig.simulated._optics import BenchOptics, Levels
 
 
+_View = tuple[Posture, tuple[int, ...]]  # where the part is, and the numbers of the pictures that screens show
+
+
 class BenchCamera:
     """Takes frames of what devices do now."""
 
@@ -31,7 +34,7 @@ class BenchCamera:
         self._seen: tuple[dict[str, float], Posture] | None = None
         self._optics: BenchOptics | None = None
         self._building = threading.Lock()
-        self._prepared: Posture | None = None
+        self._prepared: _View | None = None
         self._unprepared: str | None = None
         self._renderer: threading.Thread | None = None
         # the mesh is loaded while the client is still opening its ports
@@ -50,13 +53,15 @@ class BenchCamera:
                 rig, part = Path(self._setup.rig), Path(self._setup.part)
                 try:
                     # postures come from the stage; those of the part's file may be beyond the rig's range
-                    scene = build_scene(load_rig(rig).without_programme(), part, postures=())
+                    alone = load_rig(rig).without_programme()
+                    scene = build_scene(alone, part, postures=())
                 except InputError as error:
                     raise ValueError(str(error)) from error
+                displays = [light for light in alone.lights if light.kind == "display"]
                 if scene.waviness is not None:
                     # each part has a surface of its own
                     scene = replace(scene, waviness=replace(scene.waviness, seed=self._setup.truth.seed))
-                self._optics = BenchOptics(scene, self._setup.truth)
+                self._optics = BenchOptics(scene, self._setup.truth, displays, folder=rig.parent)
             return self._optics
 
     def _identity(self, _: Mapping[str, Any]) -> Response:
@@ -74,19 +79,21 @@ class BenchCamera:
 
     def _prepare(self, _: Mapping[str, Any]) -> Response:
         """Whether the view is rendered, which is begun if not: a camera that is silent meanwhile counts as gone."""
-        posture = self._state()[1]
+        view = self._posture(), tuple(picture.number for picture in self._devices.pictures().values())
         if self._unprepared is not None:
             raise ValueError(self._unprepared)
-        ready = self._prepared == posture
+        ready = self._prepared == view
         if not ready and (self._renderer is None or not self._renderer.is_alive()):
-            self._renderer = threading.Thread(target=self._render, args=(posture,), name="render", daemon=True)
+            self._renderer = threading.Thread(target=self._render, args=(view,), name="render", daemon=True)
             self._renderer.start()
         return {"ready": ready}, b""
 
-    def _render(self, posture: Posture) -> None:
+    def _render(self, view: _View) -> None:
         try:
-            self._build().prepare(posture)
-            self._prepared = posture
+            optics = self._build()
+            shares, posture = self._state()
+            optics.prepare(posture, shares)
+            self._prepared = view
         except Exception as error:  # noqa: BLE001  (reported to the next request)
             self._unprepared = str(error) or type(error).__name__
 
@@ -112,7 +119,14 @@ class BenchCamera:
         }, pixels.astype(little, copy=False).tobytes()
 
     def _state(self) -> tuple[dict[str, float], Posture]:
-        levels, positions = self._devices.levels(), self._devices.positions(time.monotonic())
-        shares = {wire.light: levels[wire.device].get(wire.channel, 0.0) / wire.share for wire in self._setup.lights}
+        levels, pictures, wires = self._devices.levels(), self._devices.pictures(), self._setup.lights
+        shares = {w.light: levels[w.device].get(w.channel, 0.0) / w.share for w in wires if w.device in levels}
+        for device, picture in pictures.items():
+            own = [wire for wire in wires if wire.device == device]
+            shares |= self._build().shares(device, picture, own)
+        return shares, self._posture()
+
+    def _posture(self) -> Posture:
+        positions = self._devices.positions(time.monotonic())
         angles = {name: axis.angle_deg(positions[axis.device]) for name, axis in self._setup.axes.items()}
-        return shares, Posture(angles.get("elevation", 0.0), angles.get("rotation", 0.0))
+        return Posture(angles.get("elevation", 0.0), angles.get("rotation", 0.0))

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from lightopt.rig.simulated._firmware import build
+from lightopt.rig.simulated._firmware import SeenPicture, build
 
 Response = tuple[dict[str, Any], bytes]  # a JSON object, and bytes that follow it; often none
 
@@ -204,6 +204,12 @@ class SimulatedDevices:
         with self.lock:
             found = {name: device.firmware.levels() for name, device in self.devices.items()}
         return {name: levels for name, levels in found.items() if levels is not None}
+
+    def pictures(self) -> dict[str, SeenPicture]:
+        """What each screen shows."""
+        with self.lock:
+            found = {name: device.firmware.picture() for name, device in self.devices.items()}
+        return {name: picture for name, picture in found.items() if picture is not None}
 
     def positions(self, now: float) -> dict[str, dict[str, float]]:
         """Where each axis of each stage really stands, in device units."""

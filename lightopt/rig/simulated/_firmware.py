@@ -5,10 +5,26 @@ Firmware is written from the tables of its protocol, not from the driver: the tw
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, ClassVar, cast
 
+from lightopt.core.arrays import Float64
+
 _LONGEST = 256  # bytes of an incomplete command that are kept
+
+
+@dataclass(frozen=True)
+class SeenPicture:
+    """What a screen shows; `number` is that of the picture, the same whenever it is shown.
+
+    radiance: Shares of the full one as seen from the part, with the light's `along` upwards, shape (rows, columns)
+    rounding: How far that may be from the radiance that was meant, since levels are whole numbers; shape as above
+    """
+
+    number: int
+    radiance: Float64
+    rounding: Float64
 
 
 class Firmware:
@@ -37,6 +53,10 @@ class Firmware:
         """Brightness of each channel from 1 up, as a share of the highest; None for what is no light controller."""
         return None
 
+    def picture(self) -> SeenPicture | None:
+        """What a screen shows; None for what is no screen."""
+        return None
+
     def positions(self, now: float) -> dict[str, float] | None:  # noqa: ARG002
         """Where each axis really stands, in device units by the axis' name; None for what is no stage."""
         return None
@@ -47,6 +67,7 @@ FIRMWARE = {
     "ccs": ("_light_ccs", "CcsFirmware"),
     "sa": ("_light_sa", "SaFirmware"),
     "template": ("_light_template", "TemplateFirmware"),
+    "screen": ("_light_screen", "ScreenFirmware"),
     "shot": ("_stage_sigmakoki", "ShotFirmware"),
     "gsc": ("_stage_sigmakoki", "GscFirmware"),
     "grbl": ("_stage_grbl", "GrblFirmware"),

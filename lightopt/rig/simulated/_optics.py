@@ -4,29 +4,37 @@ import hashlib
 import struct
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.config import LightConfig
 from lightopt.core.arrays import Float32, UInt8
 from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight
 from lightopt.optics import expose
 from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.rig.simulated._bench_process import BenchTruth
+from lightopt.rig.simulated._bench_process import BenchTruth, LightWire
+from lightopt.rig.simulated._firmware import SeenPicture
+from lightopt.rig.simulated._seen_picture import as_channels, as_light
 from lightopt.scene import Scene, move_part
 
 Levels = UInt8 | NDArray[np.uint16]
 
 _CACHE_BYTES = 512 << 20
+_MOST_PICTURES = 64  # that are kept, other than those of channels
 
 
 class BenchOptics:
     """Renders a part under given light levels: one cached linear layer per light and posture serves all exposures."""
 
-    def __init__(self, scene: Scene, truth: BenchTruth) -> None:
+    def __init__(
+        self, scene: Scene, truth: BenchTruth, displays: Sequence[LightConfig] = (), *, folder: Path = Path()
+    ) -> None:
         self.scene = replace(
             move_part(
                 scene,
@@ -40,10 +48,39 @@ class BenchOptics:
         self._layers: OrderedDict[tuple[Posture, str], Float32] = OrderedDict()
         self._rendering = threading.Lock()
         self._taken: dict[bytes, int] = {}
+        self._displays = {light.name: light for light in displays}
+        self._folder = folder  # of the rig's file
+        self._looking = threading.Lock()
+        self._shown: dict[str, tuple[int, dict[str, float]]] = {}
+        self._pictures: OrderedDict[str, PanelLight] = OrderedDict()
 
-    def prepare(self, posture: Posture) -> None:
-        """Render all lights at a posture, for frames to come."""
-        self._layer(posture, self.scene.lights[0].name)
+    def prepare(self, posture: Posture, names: Collection[str] = ()) -> None:
+        """Render all lights at a posture, and what of the names is a picture, for frames to come."""
+        for name in (self.scene.lights[0].name, *names):
+            self._layer(posture, name)
+
+    def shares(self, device: str, picture: SeenPicture, wires: Sequence[LightWire]) -> dict[str, float]:
+        """What a picture on a screen lights: shares of its channels, or a name of its own, all for :meth:`frame`.
+
+        A sum of pictures of channels takes no new rendering; any other picture is rendered.
+        """
+        with self._looking:
+            number, shares = self._shown.get(device, (-1, {}))
+            lights = [self._displays[wire.light] for wire in wires if wire.light in self._displays]
+            if number == picture.number or not lights:
+                return shares
+            found = as_channels(picture, lights, folder=self._folder)
+            if found is None:
+                name = f"{device} picture {picture.number}"
+                display = next(light for light in self.scene.lights if light.name == lights[0].name)
+                self._pictures[name] = as_light(name, picture, display)
+                if len(self._pictures) > _MOST_PICTURES:
+                    self._pictures.popitem(last=False)
+                shares = {name: 1.0 / wires[0].share}
+            else:
+                shares = {wire.light: found[wire.light] / wire.share for wire in wires if wire.light in found}
+            self._shown[device] = picture.number, shares
+            return shares
 
     def frame(
         self,
@@ -88,11 +125,14 @@ class BenchOptics:
         with self._rendering:
             if (posture, light) not in self._layers:
                 # all lights at once: the rays are cast once, and the others are wanted next
-                images = render_posture(self.scene, posture, caster=self._caster, supersample=self._truth.rays)
+                picture = self._pictures.get(light)
+                scene = self.scene if picture is None else replace(self.scene, lights=(picture,))
+                images = render_posture(scene, posture, caster=self._caster, supersample=self._truth.rays)
                 self._layers |= {(posture, image.light): image.level for image in images.lights}
             layer = self._layers[posture, light]
-            for name in (one.name for one in self.scene.lights):
-                self._layers.move_to_end((posture, name))
+            for name in (light, *(one.name for one in self.scene.lights)):
+                if (posture, name) in self._layers:
+                    self._layers.move_to_end((posture, name))
             while len(self._layers) > len(self.scene.lights) and len(self._layers) * layer.nbytes > _CACHE_BYTES:
                 self._layers.popitem(last=False)
             return layer
