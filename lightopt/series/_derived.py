@@ -132,9 +132,9 @@ def _recipe(light: LightConfig) -> str:
 def _stripes(series: _Series) -> Channels:
     pattern, size = series.light.pattern, series.light.size_mm
     assert pattern is not None
-    assert size is not None
     periods, found = pattern.periods_mm, Channels()
-    blocks = series.images.reshape(len(pattern.directions), len(periods), pattern.phases, *series.images.shape[1:])
+    shape = len(pattern.directions), max(1, len(periods)), pattern.phases
+    blocks = series.images.reshape(*shape, *series.images.shape[1:])
     for direction, block in zip(pattern.directions, blocks, strict=True):
         first = demodulate(block[0])
         phase, noise = _phase(series, first, pattern.phases)
@@ -148,6 +148,7 @@ def _stripes(series: _Series) -> Channels:
             f"{direction}.curvature.y": down,
         }
         if len(periods) == 2:
+            assert size is not None
             far, _ = _phase(series, demodulate(block[1]), pattern.phases)
             along = size["uv".index(direction)]
             found[f"{direction}.place_mm"] = absolute_place(phase, far, (periods[0], periods[1]), along)

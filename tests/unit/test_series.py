@@ -151,6 +151,26 @@ def test_render_derived(cli, bench):
     assert "derived images of other inputs" in ran.err
 
 
+def test_phases_of_a_dome_are_azimuth_and_elevation(cli, bench):
+    dome = "{name: dome, kind: dome, radius_mm: 150, camera_hole_mm: 40, pattern: {period_deg: 360}}"
+    bench.edit("rig.yaml", "stage:", f"  - {dome}\nstage:")
+    command = ("render", bench.rig, bench.part, "-o", bench.out, "--posture", "0,0", "--patches", "500", "--derived")
+    ran = cli(*command)
+    assert ran.status == 0, ran.err
+    found = read_exr(bench.out / "derived" / "posture_0_0" / "dome.exr")
+    assert {"u.phase", "v.phase", "v.modulation"} <= found.keys()
+    assert not [name for name in found if "slope" in name or "place" in name]
+    geometry = read_exr(bench.out / "posture_0_0" / "geometry.exr")
+    x, y = geometry["N.X"], geometry["N.Y"]
+    clear = (np.hypot(x, y) > 0.25) & np.isfinite(found["u.phase"])
+    assert np.count_nonzero(clear) > 20
+    off = np.angle(np.exp(1j * (found["u.phase"][clear] - np.arctan2(y, x)[clear])))
+    assert np.median(np.abs(off)) < 0.3
+    steep = (np.hypot(x, y) > 0.3) & np.isfinite(found["v.phase"])
+    gentle = (np.hypot(x, y) < 0.2) & (geometry["Z"] > 0) & np.isfinite(found["v.phase"])
+    assert np.median(found["v.phase"][steep]) < np.median(found["v.phase"][gentle])
+
+
 def test_the_dark_field_is_that_of_images_in_which_a_good_part_is_dark(bench):
     bench.edit("rig.yaml", "stage:", f"{LIGHTS}stage:")
     rig, names = load_rig(bench.rig), ("leds-1", "leds-2", "leds-3")
