@@ -11,6 +11,7 @@ import pytest
 
 from lightopt.config import LightConfig
 from lightopt.config._light import expanded
+from lightopt.images import write_png
 from lightopt.lights import SurfaceLight, picture_light, place_light, plane_elements, surface_light
 from lightopt.rendering import SurfacePoints, light_of_channels
 from lightopt.rig.devices import PictureSettings
@@ -69,6 +70,18 @@ def test_stripes_move_to_the_left_and_upwards():
         place = (20 * step + 39) % 80 - 39
         assert {int(names[f"lcd-{step + 1}"][0].argmax() - (80 - place)) % 80} <= {79, 0}
         assert {int(names[f"lcd-{step + 5}"][:, 0].argmax() - (60 - place)) % 80} <= {79, 0}
+
+
+def test_a_picture_of_the_rig_is_shown_by_areas(tmp_path):
+    """Of 4 × 2 pixels on 6 × 3: whole pixels, and means where two share one."""
+    levels = np.arange(8, dtype=np.uint8).reshape(2, 4) * 30
+    write_png(tmp_path / "a.png", levels, metadata={})
+    (light,) = channels(kind="bitmap", files=[str(tmp_path / "a.png")])
+    np.testing.assert_allclose(display_picture(light, (4, 2)), levels / 255.0, atol=1e-7)
+    wide = np.repeat(np.repeat(levels / 255.0, 3, axis=0), 3, axis=1)
+    expected = wide.reshape(3, 2, 6, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(display_picture(light, (6, 3)), expected, atol=1e-7)
+    np.testing.assert_allclose(display_picture(light, (2, 1), folder=tmp_path).mean(), levels.mean() / 255.0, atol=1e-7)
 
 
 def test_a_display_without_pattern_is_white():
