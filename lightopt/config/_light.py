@@ -184,7 +184,8 @@ class LightConfig(fields.Frozen):
     """Emission exponent of this light; as light_source if absent."""
 
     segments: _Segments | None = None
-    """ring, low_angle_ring, dome: channels that it is divided into, from the light's azimuth on; 1 if absent."""
+    """ring, low_angle_ring, dome: channels that it is divided into, counterclockwise seen from above; the first begins
+    90° past the light's azimuth, which is along X at the default azimuth of 270; 1 if absent."""
     radius_mm: fields.Length | None = None
     """low_angle_ring, dome, tunnel: radius [mm]."""
     inner_radius_mm: fields.Length | None = None
