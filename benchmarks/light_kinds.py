@@ -93,6 +93,13 @@ def _frame(words: dict[str, Any]) -> tuple[Array, Array]:
     return np.stack([across, np.cross(outward, across), outward], axis=1), words["distance_mm"] * outward
 
 
+def placed_meshes(case: Case, config: LightConfig) -> tuple[list[Mesh], list[Mesh]]:
+    """Of the channel and of the whole light, where the light stands."""
+    rotation, centre = _frame(case.light)
+    own, whole = ([mesh.standing(rotation, centre) for mesh in some] for some in emitter_meshes(config))
+    return own, whole
+
+
 class MitsubaLight:
     """An emitter in Mitsuba, and the light that it gives to points."""
 
@@ -104,8 +111,7 @@ class MitsubaLight:
         dr.set_thread_count(1)
         self._mi, self._dr = mi, dr
         words = case.light
-        rotation, centre = _frame(words)
-        own, whole = ([mesh.standing(rotation, centre) for mesh in some] for some in emitter_meshes(config))
+        own, whole = placed_meshes(case, config)
         if config.kind == "panel":
             width, height = words["size_mm"]
             radiance = words["distance_mm"] ** 2 / (width * height)
@@ -114,7 +120,7 @@ class MitsubaLight:
         if config.kind == "coaxial":
             radiance *= words.get("transmission", 0.5) * words.get("reflection", 0.5)
         if "pattern" in words:
-            shapes = [self._display(words, case.channel, rotation, centre, radiance)]
+            shapes = [self._display(words, case.channel, *_frame(words), radiance)]
         else:
             shapes = [self._mesh(mesh, radiance) for mesh in own]
         self._scene = mi.load_dict({"type": "scene"} | {f"shape{k}": shape for k, shape in enumerate(shapes)})
@@ -242,15 +248,20 @@ class Row:
         return abs(self.mean) <= MOST_MEAN and self.rms <= MOST_RMS * self.noise
 
 
-def compare(kind: str, *, count: int, samples: int) -> Iterator[Row]:
-    """One light on each finish."""
+def built(kind: str) -> tuple[LightConfig, PanelLight]:
+    """The channel of a case, as the rig file and as lightopt has it."""
     case = CASES[kind]
     rig = {"format": "lightopt-rig/1", "name": "x", "camera": CAMERA, "lights": [{"name": "a", **case.light}]}
     if kind == "panel":
         rig["light_source"] = {key: case.light[key] for key in _PANEL}
     config = RigConfig.model_validate(rig)
-    light = build_lights(config)[case.channel]
-    peer = MitsubaLight(case, config.lights[case.channel])
+    return config.lights[case.channel], build_lights(config)[case.channel]
+
+
+def compare(kind: str, *, count: int, samples: int) -> Iterator[Row]:
+    """One light on each finish."""
+    config, light = built(kind)
+    peer = MitsubaLight(CASES[kind], config)
     for finish, sigma in FINISHES.items():
         surface = chosen_points(peer, sigma, count)
         halves = [peer.at(surface, sigma, samples // 2, seed) for seed in (2, 3)]
