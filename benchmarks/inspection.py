@@ -303,13 +303,14 @@ def try_set(task: tuple[str, int, int, Size]) -> tuple[dict[str, Tally], list[tu
         return dict(tallies), highlights(view, image_set) if good else []
 
 
-def replace_block(name: str, text: str) -> None:
-    """Put text between the page's markers."""
-    content = PAGE.read_text(encoding="utf-8")
+def replace_block(name: str, text: str, *, page: str = PAGE.name) -> None:
+    """Put text between the markers of a page of docs/validation."""
+    path = PAGE.with_name(page)
+    content = path.read_text(encoding="utf-8")
     begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
     pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
     assert pattern.search(content), name
-    PAGE.write_text(pattern.sub(lambda _: f"{begin}\n{text}\n{end}", content), encoding="utf-8")
+    path.write_text(pattern.sub(lambda _: f"{begin}\n{text}\n{end}", content), encoding="utf-8")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -480,3 +480,16 @@ def test_the_benchmark_of_references_counts_good_and_bad_parts(capsys: pytest.Ca
     assert rows[0][2].startswith("2 of 2 ")  # brush marks are not in the model
     assert rows[2][2].startswith("0 of 2 ")
     assert all(int(row[3].split(" of ")[0]) >= 5 for row in rows[1:])
+
+
+def test_a_mesh_of_an_emitter_looks_as_large_from_the_origin_as_the_light() -> None:
+    from benchmarks import light_kinds
+    from lightopt.lights import RADIANCE, SurfaceLight
+
+    for kind, case in light_kinds.CASES.items():
+        config, light = light_kinds.built(kind)
+        own, whole = light_kinds.placed_meshes(case, config)
+        if isinstance(light, SurfaceLight):
+            angle = sum(mesh.solid_angle() for mesh in whole)
+            brightest = max(mesh.factor for mesh in own) / angle
+            assert light.elements[:, RADIANCE].max() == pytest.approx(brightest, rel=1e-4), kind
