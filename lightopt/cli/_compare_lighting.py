@@ -21,7 +21,7 @@ def compare_lighting(
         None,
         metavar="NAME,…",
         help="Sample systems to compare as well: four-panel, bars, ring-quadrants, low-ring, dome-quadrants, "
-        "flat-dome, tunnel, coaxial, spot, led-array, display.",
+        "flat-dome, tunnel, coaxial, spot, led-array, display, binary-stripes, grid-backlight, dome-sines.",
     ),
     posture: common.Postures = None,
     choose_postures: int | None = system_option(
