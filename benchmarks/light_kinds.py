@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks._case import RIG
 from benchmarks._emitter_meshes import Mesh, emitter_meshes
 from benchmarks.inspection import replace_block
-from lightopt.config import LightConfig, RigConfig
+from lightopt.config import LightConfig, RigConfig, load_rig
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import MIN_COS_VIEW, Reflectance
 from lightopt.rendering import SurfacePoints
@@ -39,14 +40,6 @@ CENTRE, SEMI_AXES = np.array([0.0, 0.0, -10.0]), np.array([30.0, 24.0, 20.0])  #
 STEEPEST_DEG = 75.0  # lean of its normals from Z
 PILOT_POINTS, PILOT_SAMPLES, BATCH = 400_000, 32, 1 << 22
 TEXELS = 4096
-CAMERA = {
-    "distance_mm": 550,
-    "elevation_deg": 90,
-    "resolution_px": [32, 24],
-    "pixel_size_um": 220,
-    "image_distance_mm": 55,
-    "sensor": {"bit_depth": 8},
-}
 
 
 @dataclass(frozen=True)
@@ -251,7 +244,12 @@ class Row:
 def built(kind: str) -> tuple[LightConfig, PanelLight]:
     """The channel of a case, as the rig file and as lightopt has it."""
     case = CASES[kind]
-    rig = {"format": "lightopt-rig/1", "name": "x", "camera": CAMERA, "lights": [{"name": "a", **case.light}]}
+    rig = {
+        "format": "lightopt-rig/1",
+        "name": "x",
+        "camera": load_rig(RIG).camera,
+        "lights": [{"name": "a", **case.light}],
+    }
     if kind == "panel":
         rig["light_source"] = {key: case.light[key] for key in _PANEL}
     config = RigConfig.model_validate(rig)

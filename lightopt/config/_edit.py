@@ -185,14 +185,13 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
         for i, argument in enumerate(device.command or ()):
             if config.source.resolve(argument).is_file():
                 names["hardware", "controllers", controller, "command", i] = argument
+    names |= _pictures(config)
     for keys, name in names.items():
         if name is None:
             continue
         moved = _moved(config.source.resolve(name), name, folder)
         if moved != name:
             changes[keys] = json.dumps(moved, ensure_ascii=False)
-    for keys, name in _pictures(config):
-        changes[keys] = json.dumps(_moved(config.source.resolve(name), name, folder), ensure_ascii=False)
     text = with_values(config.source.text, changes)
     comment = _SCHEMA.search(text)
     # an address, or a schema that is not there, stays as it is
@@ -202,12 +201,14 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
     return text[: comment.start(2)] + schema + text[comment.end(2) :]
 
 
-def _pictures(config: RigConfig | PartConfig) -> Iterator[tuple[Keys, str]]:
+def _pictures(config: RigConfig | PartConfig) -> dict[Keys, str]:
     # of the patterns of a rig's lights, by their place in the file
-    for light in () if isinstance(config, PartConfig) else config.channels:
-        if light.channel == 0 and light.pattern is not None:
-            for number, name in enumerate(light.pattern.files or ()):
-                yield ("lights", light.entry, "pattern", "files", number), name
+    return {
+        ("lights", light.entry, "pattern", "files", number): name
+        for light in (() if isinstance(config, PartConfig) else config.channels)
+        if light.channel == 0 and light.pattern is not None
+        for number, name in enumerate(light.pattern.files or ())
+    }
 
 
 def _moved(target: Path, name: str, folder: Path) -> str:

@@ -172,9 +172,8 @@ Number = Annotated[float, Field(ge=-1e6, le=1e6), expecting("a number")]
 Positive = Annotated[float, Field(gt=0, le=1e9), expecting("a number above 0, up to 1e9")]
 Coefficient = Annotated[float, Field(ge=0, le=1e12), expecting("a number from 0 to 1e12")]
 Length = Annotated[float, Field(ge=1e-3, le=1e6), expecting("a length between 0.001 and 1000000 (a number)")]
-Elevation = Annotated[
-    float, Field(gt=0, lt=180), expecting("a number between 0 and 180 (degrees above the table, ends excluded)")
-]
+ABOVE_TABLE = "a number between 0 and 180 (degrees above the table, ends excluded)"
+Elevation = Annotated[float, Field(gt=0, lt=180), expecting(ABOVE_TABLE)]
 Azimuth = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 to 360 (degrees about Z)")]
 ElevationRange = Annotated[
     tuple[Elevation, Elevation], LIST, _ASCENDING, expecting("[low, high], two numbers between 0 and 180 (degrees)")

@@ -15,7 +15,6 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from lightopt.config import _fields as fields
 from lightopt.config._pattern import PatternConfig, pattern_misfits
@@ -61,8 +60,7 @@ _Distance = Annotated[
     Field(ge=0, le=1e6),
     fields.expecting("a length between 0.001 and 1000000 (a number); a light around the part may be at 0"),
 ]
-_ABOVE_TABLE = "a number between 0 and 180 (degrees above the table, ends excluded)"
-_LightElevation = Annotated[float, Field(ge=-90, lt=180), fields.expecting(_ABOVE_TABLE)]
+_LightElevation = Annotated[float, Field(ge=-90, lt=180), fields.expecting(fields.ABOVE_TABLE)]
 _Segments = Annotated[int, Field(ge=1, le=MOST_CHANNELS), fields.expecting(f"a whole number from 1 to {MOST_CHANNELS}")]
 _Tilt = Annotated[float, Field(ge=0, lt=90), fields.expecting("degrees from 0 to less than 90 (a number)")]
 _HalfAngle = Annotated[float, Field(gt=0, lt=60), fields.expecting("degrees above 0 and below 60 (a number)")]
@@ -72,10 +70,6 @@ _Normalisation = Literal["mean", "sum"]
 _Falloff = Literal["none", "inverse_square"]
 _Exponent = Annotated[float, Field(ge=0, le=1000), fields.expecting("a number from 0 to 1000")]
 _AUTO_SUM = "sum cannot be used with points: auto, a continuous panel; use mean"
-
-
-def _not_above(elevation: float) -> PydanticCustomError:
-    return fields.complaint(f"expected {_ABOVE_TABLE}, found {elevation:g}")
 
 
 def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
@@ -94,8 +88,6 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
     if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
         yield ("inner_radius_mm",), raw["inner_radius_mm"], fields.complaint("expected less than outer_radius_mm")
     yield from pattern_misfits(kind, raw)
-    if kind != "backlight" and numbers.get("elevation_deg", 90.0) <= 0.0:
-        yield ("elevation_deg",), raw["elevation_deg"], _not_above(raw["elevation_deg"])
     size = [side for side in fields.entries(raw.get("size_mm")) if isinstance(side, (int, float))]
     widest = {"dome": numbers.get("radius_mm"), "flat_dome": min(size, default=None)}.get(kind)
     if widest is not None and numbers.get("camera_hole_mm", 0.0) >= widest:
@@ -302,22 +294,24 @@ class LightConfig(fields.Frozen):
             ((key,), raw[key], fields.complaint("a panel has no such key; give the kind of light that has it"))
             for key in sorted(of_others & {key for key, given in raw.items() if given is not None})
         ]
-        elevation = raw.get("elevation_deg")
-        if isinstance(elevation, (int, float)) and -90.0 <= elevation <= 0.0:
-            complaints.append((("elevation_deg",), elevation, _not_above(elevation)))
         if raw.get("distance_mm") == 0:
             complaints.append((("distance_mm",), 0, fields.complaint("a panel cannot stand at the origin")))
         if complaints:
             return fields.with_complaints(value, handler, complaints)
         return with_pose(value, handler, point="centre_mm", what="the panel's centre")
 
+    @field_validator("elevation_deg")
+    @classmethod
+    def _above_table(cls, elevation: float, info: ValidationInfo) -> float:
+        if elevation <= 0.0 and info.data.get("kind") != "backlight":
+            raise fields.complaint(f"expected {fields.ABOVE_TABLE}, found {elevation:g}")
+        return elevation
+
     @field_validator("elevation_range_deg", "azimuth_range_deg")
     @classmethod
     def _holds_the_light(cls, ends: tuple[float, float] | None, info: ValidationInfo) -> tuple[float, float] | None:
         angle = str(info.field_name).replace("_range", "")
         now = info.data.get(angle)
-        if angle == "elevation_deg" and now is not None and now <= 0.0 and info.data.get("kind") != "backlight":
-            return ends  # the elevation is said to be wrong itself
         if ends is not None and now is not None and not ends[0] <= now <= ends[1]:
             outside = f"outside [{ends[0]:g}, {ends[1]:g}]; widen the range or move the light into it"
             raise fields.complaint(f"the light is at {angle} {now:g}, {outside}")

@@ -58,6 +58,9 @@ def programme_misfits(programme: object, lights: Sequence[LightConfig]) -> Itera
             if known[light].pattern is not None and others:
                 reason = f'"{light}" is of a display with stripes, which images show without other lights; leave it or'
                 yield (i, "lights", light), weights[light], fields.complaint(f"{reason} {', '.join(others)} out")
+            if known[light].direct_level is not None and others:
+                reason = f'"{light}" has a direct_level, and images show it without other lights; leave it or'
+                yield (i, "lights", light), weights[light], fields.complaint(f"{reason} {', '.join(others)} out")
             if known[light].kind == "panel" and len(weights) > 1:
                 reason = f'"{light}" is a panel, which images show alone; write kind: bar, which has an area, or split'
                 yield (i, "lights", light), weights[light], fields.complaint(f"{reason} the image")

@@ -26,6 +26,7 @@ from lightopt.lights._panel import (
     panel_corners as panel_corners,
     panel_grid as panel_grid,
     place_light as place_light,
+    plane_places as plane_places,
     pose_light as pose_light,
     rectangles_meet as rectangles_meet,
 )

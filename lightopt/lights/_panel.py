@@ -138,6 +138,20 @@ def panel_corners(light: PanelLight) -> Float64:
     return np.array([light.centre + s * across + t * along for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
 
 
+def plane_places(light: PanelLight, origins: Float64, directions: Float64) -> tuple[Float64, Float64, Float64]:
+    """Where rays meet the plane of a light: u and v on it from its centre [mm], and how many directions away it is.
+
+    NaN where they do not; places beyond the light's edges are not left out.
+
+    origins, directions: Of the rays, shape (3,) or (k, 3), and (k, 3), of any length
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = ((light.centre - origins) @ light.outward) / (directions @ light.outward)
+    distance = np.where(distance > 0.0, distance, np.nan)
+    offset = origins + distance[:, None] * directions - light.centre
+    return offset @ light.across, offset @ light.along, distance
+
+
 def rectangles_meet(a: PanelLight, b: PanelLight) -> bool:
     """Whether two panels touch or cross: no axis separates them (Gottschalk et al. 1996, doi:10.1145/237170.237244)."""
     between = b.centre - a.centre

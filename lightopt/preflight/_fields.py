@@ -25,7 +25,7 @@ _HOLE_SHARE = 0.01  # of the surface in view, above which a mirrored camera hole
 def check_fields(checked: CheckedScene) -> Iterator[Finding]:
     """How much of the surface in view has each light in bright field, in dark field, or not at all."""
     names = ["bright field", "dark field", "unlit"]
-    entries = list(_entries(checked.rig.lights))
+    entries = list(light_entries(checked.rig.lights))
     for sample, (name, channels) in itertools.product(checked.samples, entries):
         some, ends = _mirrored(checked, sample, LOBE_SIGMAS * checked.scene.reflectance.sigma)
         if not len(some):
@@ -47,7 +47,7 @@ def check_fields(checked: CheckedScene) -> Iterator[Finding]:
 
 def check_camera_hole(checked: CheckedScene) -> Iterator[Finding]:
     """How much of the surface in view mirrors the hole or slot of a light that the camera looks through."""
-    for name, channels in _entries(checked.rig.lights):
+    for name, channels in light_entries(checked.rig.lights):
         light = checked.rig.lights[channels[0]]
         if light.camera_hole_mm is None and light.slot_mm is None:
             continue
@@ -69,8 +69,8 @@ def check_camera_hole(checked: CheckedScene) -> Iterator[Finding]:
             yield Finding("note" if share > _HOLE_SHARE else "ok", "camera hole", text, where, values)
 
 
-def _entries(lights: Sequence[LightConfig]) -> Iterator[tuple[str, list[int]]]:
-    # name of each light of the file, and the numbers of its channels
+def light_entries(lights: Sequence[LightConfig]) -> Iterator[tuple[str, list[int]]]:
+    """Name of each light of the file, and the numbers of its channels."""
     for _, channels in itertools.groupby(range(len(lights)), key=lambda i: lights[i].entry):
         some = list(channels)
         first = lights[some[0]]

@@ -53,9 +53,9 @@ def _is_backlight(light: PanelLight) -> bool:
 def check_below_horizon(checked: CheckedRig) -> Iterator[Finding]:
     """Panels that reach below the table top."""
     for index, light in enumerate(checked.lights):
-        lowest = _lowest(light)
         if _is_backlight(light):
             continue
+        lowest = _lowest(light)
         if lowest < -_ROUNDING_MM:
             text = (
                 f"a corner of {light.name} is {-lowest:.3g} mm below the table top; raise its elevation of "

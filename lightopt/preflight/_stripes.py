@@ -7,38 +7,40 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.lights import SurfaceLight
+from lightopt.preflight._fields import light_entries
 from lightopt.preflight._findings import CheckedScene, Finding, PostureSamples, percent
-from lightopt.rendering import SurfacePoints, mirrored_places, trace_samples
+from lightopt.rendering import CREASE_COSINE, SurfacePoints, mirrored_places, trace_samples
 from lightopt.scene import Scene, screen_window
 
 POINTS = 4000  # pixels of a posture that are tried
 LEAST_PERIOD_PX = 2.0  # finer stripes are aliased
 LEAST_CONTRAST = 0.05  # stripes that the lobe blurs to less are not seen, however fine
-_SMOOTH_COSINE = 0.985  # normals of neighbouring pixels differ by less than 10° but at creases
 
 
 def check_stripes(checked: CheckedScene) -> Iterator[Finding]:
     """How much of the surface that mirrors a display's stripes shows them finer than two pixels."""
-    first = {light.entry: (at, light) for at, light in reversed(list(enumerate(checked.rig.lights)))}
-    for sample in checked.samples:
+    striped = [
+        (name, channels[0], pattern)
+        for name, channels in light_entries(checked.rig.lights)
+        if (pattern := checked.rig.lights[channels[0]].pattern) is not None and pattern.periods_mm
+    ]
+    for sample in checked.samples if striped else ():
         pixels = _neighbours(checked, sample)
-        for at, light in sorted(first.values(), key=lambda one: one[0]):
-            own, pattern = sample.view.lights[at], light.pattern
-            if pattern is None or not pattern.periods_mm or not isinstance(own, SurfaceLight):
-                continue
-            finest = min(pattern.periods_mm)
-            cycles = _cycles(checked.scene, own, finest, pattern.directions, pixels)
+        for name, at, pattern in striped:
+            own = sample.view.lights[at]
+            assert isinstance(own, SurfaceLight)
+            cycles = _cycles(checked.scene, own, min(pattern.periods_mm), pattern.directions, pixels)
             if not len(cycles):
                 continue
             share, least = float(np.mean(cycles > 1.0 / LEAST_PERIOD_PX)), 1.0 / float(cycles.max())
             text = (
-                f"posture {sample.posture}: stripes of {light.entry_name} have periods of at least {least:.3g} px, "
+                f"posture {sample.posture}: stripes of {name} have periods of at least {least:.3g} px, "
                 f"mirrored by the part; {percent(share)} of the surface that mirrors them shows them below "
                 f"{LEAST_PERIOD_PX:g} px"
             )
             if share > 0.0:
                 text += ", where the image is moiré and the phase is wrong: take a longer period or larger images"
-            values = {"light": light.entry_name, "posture": sample.posture.as_dict(), "share": share, "least_px": least}
+            values = {"light": name, "posture": sample.posture.as_dict(), "share": share, "least_px": least}
             level = "warning" if share > 0.0 else "ok"
             yield Finding(level, "stripes", text, checked.rig.source.at("lights", at, "pattern"), values)
 
@@ -60,7 +62,7 @@ def _neighbours(checked: CheckedScene, sample: PostureSamples) -> list[SurfacePo
     some = [surface.take(index) for surface, index in zip(found, place, strict=True)]
     smooth = np.ones(len(some[0]), np.bool_)
     for one in some:
-        smooth &= one.front & (np.einsum("ij,ij->i", one.normals, some[0].normals) > _SMOOTH_COSINE)
+        smooth &= one.front & (np.einsum("ij,ij->i", one.normals, some[0].normals) > CREASE_COSINE)
     return [one.take(np.flatnonzero(smooth)) for one in some]
 
 

@@ -34,6 +34,7 @@ from lightopt.rendering._patches import (
     visible_points as visible_points,
 )
 from lightopt.rendering._pixels import (
+    CREASE_COSINE as CREASE_COSINE,
     UNLIT as UNLIT,
     WHOLE as WHOLE,
     PosturePixels as PosturePixels,

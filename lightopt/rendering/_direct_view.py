@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Int64
+from lightopt.core.arrays import Float64, Int64
 from lightopt.core.threads import in_threads
-from lightopt.geometry import RayCaster, TriangleMesh, resolve_hits
-from lightopt.lights import SurfaceLight, pattern_at
-from lightopt.rendering._surface import hidden_by
+from lightopt.geometry import RayCaster, TriangleMesh
+from lightopt.lights import SurfaceLight, pattern_at, plane_places
+from lightopt.rendering._surface import hidden_by, trace_hits
 from lightopt.scene import PartView, area_in_view, pixel_directions
 
 RAYS = 4  # along each side of a pixel, which shows their mean
@@ -44,31 +44,21 @@ def _look(view: PartView, light: SurfaceLight, mesh: TriangleMesh, caster: RayCa
     def block(top: int) -> _Sight:
         rows = np.arange(top * RAYS, min(top + _BLOCK_ROWS, camera.height) * RAYS, dtype=np.int64)
         column, row = (a.ravel() for a in np.meshgrid(np.arange(camera.width * RAYS, dtype=np.int64), rows))
-        directions = pixel_directions(camera, (column + 0.5) / RAYS, (row + 0.5) / RAYS)
-        pixel = row // RAYS * camera.width + column // RAYS
-        ahead = directions @ light.outward  # it shines against `outward`
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance = (light.centre - camera.position) @ light.outward / ahead
-            offset = camera.position + distance[:, None] * directions - light.centre
-        u, v = offset @ light.across, offset @ light.along
-        met = (ahead > 0.0) & (distance > 0.0) & (np.abs(u) <= 0.5 * light.size[0]) & (np.abs(v) <= 0.5 * light.size[1])
-        met = np.flatnonzero(met)
-        met = met[~_hidden(view, mesh, caster, distance[met, None] * directions[met])]
-        return pixel[met], u[met], v[met]
+        x, y = (column + 0.5) / RAYS, (row + 0.5) / RAYS
+        directions = pixel_directions(camera, x, y)
+        u, v, distance = plane_places(light, camera.position, directions)
+        shines = directions @ light.outward > 0.0  # against `outward`
+        met = np.flatnonzero(shines & (np.abs(u) <= 0.5 * light.size[0]) & (np.abs(v) <= 0.5 * light.size[1]))
+        towards = distance[met, None] * directions[met]
+        # the part, or another light, may be before it
+        hits = trace_hits(caster, mesh, camera, x[met], y[met])
+        hidden = np.zeros(len(met), np.bool_)
+        hidden[hits.ray] = hits.distance < np.linalg.norm(towards[hits.ray], axis=1)
+        if camera.obstructions is not None and len(met):
+            hidden |= hidden_by(camera.obstructions, camera.position, camera.position + _NEARER * towards)
+        met = met[~hidden]
+        return (row // RAYS * camera.width + column // RAYS)[met], u[met], v[met]
 
     blocks = in_threads(block, range(0, camera.height, _BLOCK_ROWS), threads)
     pixel, u, v = zip(*blocks, strict=True)
     return np.concatenate(pixel), np.concatenate(u), np.concatenate(v)
-
-
-def _hidden(view: PartView, mesh: TriangleMesh, caster: RayCaster, towards: Float64) -> Bool:
-    # whether the part, or another light, is before the far ends of rays from the camera
-    camera = view.camera
-    ends = camera.position + _NEARER * towards
-    face = caster.first_hit(camera.position, towards)
-    hits = resolve_hits(face, camera.position, towards, mesh.vertices, mesh.faces)
-    hidden = np.zeros(len(towards), np.bool_)
-    hidden[hits.ray] = hits.distance < np.linalg.norm(towards[hits.ray], axis=1)
-    if camera.obstructions is not None and len(towards):
-        hidden |= hidden_by(camera.obstructions, camera.position, ends)
-    return hidden

@@ -17,7 +17,17 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import PICTURE, RADIANCE, Element, Pattern, SurfaceLight, element_at, element_place, element_weight
+from lightopt.lights import (
+    PICTURE,
+    RADIANCE,
+    Element,
+    Pattern,
+    SurfaceLight,
+    element_at,
+    element_place,
+    element_weight,
+    plane_places,
+)
 from lightopt.optics import MIN_COS_VIEW, Reflectance, specular_cosine, specular_lobe
 from lightopt.rendering._panel_quadrature import (
     NODES,
@@ -154,13 +164,14 @@ def specular_of_element(
     if least > FLANK:
         count_s, count_t = count_s - 2, count_t - 2
     count_s, count_t = max(min(count_s, few), LEAST_NODES), max(min(count_t, few), LEAST_NODES)
+    pictures = 0
     for b in range(len(terms)):
         wave, of_v, edged = terms[b, 2], int(terms[b, 1]) == 1, terms[b, 4] > 0.0
         if wave == 0.0:
             continue
         if int(terms[b, 1]) == PICTURE:
-            count_s, count_t = min(MOST_PATTERN_NODES, 2 * count_s), min(MOST_PATTERN_NODES, 2 * count_t)
-            break
+            pictures += 1
+            continue
         # the polynomial through the nodes follows the light between edges; else the nodes follow the stripes
         count, side = (count_t, height) if of_v else (count_s, width)
         least_count = 2 * count if edged else math.ceil(3.0 + 0.6 * wave * side)
@@ -169,24 +180,23 @@ def specular_of_element(
             count_t = count
         else:
             count_s = count
+    if pictures > 0:
+        count_s, count_t = min(MOST_PATTERN_NODES, 2 * count_s), min(MOST_PATTERN_NODES, 2 * count_t)
     weights_s, weights_t = np.empty((len(terms), count_s)), np.empty((len(terms) + 1, count_t))
     # sums along v, of which terms of u have one in common, the first
     row_of, rows = np.zeros(len(terms), np.int64), 1
     weights_t[0] = WEIGHTS[count_t, :count_t]
-    for b in range(len(terms)):
-        pattern_weights(terms[b], 0, window.s0, width, count_s, False, weights_s[b])
-        if terms[b, 2] != 0.0 and int(terms[b, 1]) == 1:
-            pattern_weights(terms[b], 1, window.t0, height, count_t, False, weights_t[rows])
-            row_of[b] = rows
-            rows += 1
-    pictures = 0
-    for b in range(len(terms)):
-        pictures += int(terms[b, 1]) == PICTURE
     of_picture, number = np.empty((pictures, count_s, count_t)), 0
     for b in range(len(terms)):
         if int(terms[b, 1]) == PICTURE:
             picture_weights(pattern, terms[b], (window.s0, window.t0), (width, height), of_picture[number])
             row_of[b], number = number, number + 1
+            continue
+        pattern_weights(terms[b], 0, window.s0, width, count_s, False, weights_s[b])
+        if terms[b, 2] != 0.0 and int(terms[b, 1]) == 1:
+            pattern_weights(terms[b], 1, window.t0, height, count_t, False, weights_t[rows])
+            row_of[b] = rows
+            rows += 1
     factor = width * height / specular_cosine(n_dot_v)
     row, sums = np.empty(rows), np.zeros(pictures)
     for i in range(count_s):
@@ -471,8 +481,4 @@ def mirrored_places(surface: SurfacePoints, light: SurfaceLight) -> tuple[Float6
     """
     cosine = np.einsum("ij,ij->i", surface.normals, surface.views)
     towards = 2.0 * cosine[:, None] * surface.normals - surface.views
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = ((light.centre - surface.points) @ light.outward) / (towards @ light.outward)
-    distance = np.where(distance > 0.0, distance, np.nan)
-    offset = surface.points + distance[:, None] * towards - light.centre
-    return offset @ light.across, offset @ light.along, distance
+    return plane_places(light, surface.points, towards)

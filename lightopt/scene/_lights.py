@@ -24,6 +24,7 @@ from lightopt.lights import (
     frame_elements,
     half_pipe_elements,
     mixed_light,
+    pattern_picture,
     picture_patterns,
     place_light,
     plane_elements,
@@ -108,7 +109,7 @@ def _surface_light(rig: RigConfig, light: LightConfig) -> PanelLight:
         distance=light.distance_mm, **_where(light), name=light.name, size=size, points="auto", gain=gain
     )
     more: dict[str, Any] = {} if light.pattern is None else {"pattern": _pattern(rig.source.path.parent, light)}
-    if light.direct_level:
+    if light.direct_level and light.gain > 0.0:
         more["direct_level"] = light.direct_level / light.gain
     return surface_light(panel, kind=light.kind, entry=light.entry, elements=own, whole=whole, **more)
 
@@ -233,6 +234,19 @@ def _pattern(folder: Path, light: LightConfig) -> Pattern:
     if pattern.kind == "bars":
         return bar_pattern(axis, period=period, phase=phase, duty=pattern.duty)
     return sine_pattern(axis, period=period, phase=phase)
+
+
+def display_picture(light: LightConfig, pixels: tuple[int, int], *, folder: Path = Path()) -> Float64:
+    """Share of the full radiance of each pixel, shape (rows, columns), as :func:`lightopt.lights.picture_light` has it.
+
+    light: A channel of a display; white without a pattern
+    pixels: Columns and rows as seen from the part, with `along` upwards
+    folder: Of the rig's file, which names of pictures are relative to
+    """
+    if light.pattern is None:
+        return np.ones(pixels[::-1])
+    assert light.size_mm is not None
+    return pattern_picture(_pattern(folder, light), light.size_mm, pixels)
 
 
 @lru_cache(maxsize=4)

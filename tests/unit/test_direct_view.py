@@ -6,35 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
+from ball_on_table import PART, world
 
 from lightopt import build_scene, load_part, load_rig, render
 from lightopt.config import copied_text, input_hashes
+from lightopt.core.errors import InputError
 from lightopt.images import write_png
 from lightopt.preflight import check_scene
 
-RIG = """\
-format: lightopt-rig/1
-name: small
-camera: {distance_mm: 550, elevation_deg: 90, resolution_px: [80, 60], pixel_size_um: 88, image_distance_mm: 55,
-  sensor: {bit_depth: 8}}
-"""
-PART = """\
-format: lightopt-part/1
-name: ball
-mesh: {file: ball.stl, units: mm}
-reflectance: {R_d: 45, R_s: 12500, sigma_rad: 0.01}
-"""
 BACK = "{name: back, kind: backlight, size_mm: [50, 50], distance_mm: 30, direct_level: 180"
 LCD = "{name: lcd, kind: display, size_mm: [300, 200], distance_mm: 300, elevation_deg: 60, azimuth_deg: 90"
-
-
-def world(folder: Path, *lights: str):
-    """Rig and part: a ball of radius 20 mm on the table."""
-    trimesh.creation.icosphere(subdivisions=5, radius=20.0).export(folder / "ball.stl")
-    (folder / "rig.yaml").write_text(RIG + "lights:\n" + "".join(f"  - {light}\n" for light in lights))
-    (folder / "part.yaml").write_text(PART)
-    return load_rig(folder / "rig.yaml"), load_part(folder / "part.yaml")
 
 
 def levels(folder: Path, *lights: str) -> tuple[np.ndarray, np.ndarray]:
@@ -75,6 +56,27 @@ def test_a_light_before_a_backlight_hides_it(tmp_path):
     assert not level.any()
 
 
+def test_a_backlight_of_gain_0_is_dark(tmp_path):
+    level, _ = levels(tmp_path, BACK + ", gain: 0}")
+    assert not level.any()
+
+
+def test_a_backlight_seen_directly_is_alone_in_an_image_of_a_programme(tmp_path):
+    """Or with channels of its own, whose levels add up."""
+    bars = ", pattern: {kind: bars, period_mm: 20, shifts: 2, directions: [u]}}"
+    world(tmp_path, BACK + bars, "{name: bar, kind: bar, size_mm: [9, 9], distance_mm: 200, elevation_deg: 30}")
+    rig, text = tmp_path / "rig.yaml", (tmp_path / "rig.yaml").read_text()
+    rig.write_text(text + "programme:\n  - {name: both, lights: {back-1: 0.5, back-2: 0.25}}\n")
+    (images,) = render(build_scene(rig, tmp_path / "part.yaml"))
+    level = images.lights[0].level
+    np.testing.assert_allclose(level[4, [39, 40]], 90.0)
+    np.testing.assert_allclose(level[4, 28:31], 45.0)
+    plain = text.replace(bars, "}")
+    rig.write_text(plain + "programme:\n  - {name: both, lights: {back: 0.5, bar: 1}}\n")
+    with pytest.raises(InputError, match='"back" has a direct_level, and images show it without other lights'):
+        load_rig(rig)
+
+
 def test_pictures_are_read_from_beside_the_rig(tmp_path):
     for name, row in (("top", 0), ("bottom", 1)):
         levels_8 = np.zeros((2, 3), np.uint8)
@@ -91,6 +93,7 @@ def test_pictures_are_read_from_beside_the_rig(tmp_path):
     assert upper > lower
     assert {"picture top.png", "picture bottom.png"} <= set(input_hashes(rig, part))
     (tmp_path / "copy").mkdir()
+    assert copied_text(rig, tmp_path) == rig.source.text  # nothing moved, nothing changed
     assert "../top.png" in copied_text(rig, tmp_path / "copy")
     (tmp_path / "copy" / "rig.yaml").write_text(copied_text(rig, tmp_path / "copy"))
     assert load_rig(tmp_path / "copy" / "rig.yaml").lights[1].name == "lcd-2"
