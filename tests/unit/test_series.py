@@ -151,6 +151,7 @@ def test_render_derived(cli, bench):
     assert "derived images of other inputs" in ran.err
 
 
+@pytest.mark.slow
 def test_phases_of_a_dome_are_azimuth_and_elevation(cli, bench):
     dome = "{name: dome, kind: dome, radius_mm: 150, camera_hole_mm: 40, pattern: {period_deg: 360}}"
     bench.edit("rig.yaml", "stage:", f"  - {dome}\nstage:")
