@@ -15,7 +15,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Index, UInt8
 from lightopt.core.kernels import kernel
-from lightopt.core.threads import end_if_stopped
+from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight, panel_grid, panel_numbers
@@ -26,7 +26,7 @@ from lightopt.rendering._penumbra_cells import ConvergedLight
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
 from lightopt.rendering._point_lights import clear_targets, shade_points, visible_counts
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._surface_light import shade_surface_lights
+from lightopt.rendering._surface_light import points_at_once, shade_surface_lights
 from lightopt.rendering._whole_panel import whole_panel
 from lightopt.scene import Scene
 
@@ -164,20 +164,62 @@ def shade_converged(
 
 
 def shade_isolated(
-    surface: SurfacePoints, panel: PanelLight, *, reflectance: Reflectance, caster: RayCaster, shadows: bool
-) -> Float64:
-    """Level of points none of which is another's neighbour, as images have it [grey level], shape (k,).
+    surface: SurfacePoints,
+    panels: Sequence[PanelLight],
+    *,
+    reflectance: Reflectance,
+    caster: RayCaster,
+    shadows: bool,
+    threads: int = 1,
+) -> list[Float64]:
+    """Level of points none of which is a neighbour of another, under each light, as images have it, shape (k,).
 
-    panel: Part frame
+    Levels are grey levels.
+
+    panels: Part frame; channels of one light are worked out together
+    threads: That work on the points of such a light
     """
-    shaded, blocker = panel_to_shade(panel, caster), caster if shadows else None
-    if isinstance(shaded, ConvergedPanel):
-        # every second place of a row
-        sample, shape = 2 * np.arange(len(surface)), (1, 2 * len(surface))
-        d, s, _ = shade_converged(surface, shaded, sample=sample, shape=shape, reflectance=reflectance, caster=blocker)
-    else:
-        d, s = shade_light(surface, shaded, reflectance=reflectance, caster=blocker)
-    return reflectance.R_d * d + reflectance.R_s * s
+    shaded, blocker = [panel_to_shade(panel, caster) for panel in panels], caster if shadows else None
+    levels: dict[int, Float64] = {}
+    for group in channel_groups(shaded):
+        lights = [light for i in group if isinstance(light := shaded[i], SurfaceLight)]
+        if lights:
+            diffuse, specular = _shade_in_threads(surface, lights, reflectance, blocker, threads)
+            levels |= {
+                i: reflectance.R_d * d + reflectance.R_s * s for i, d, s in zip(group, diffuse, specular, strict=True)
+            }
+            continue
+        for i in group:
+            d, s = _shade_alone(surface, shaded[i], reflectance, blocker)
+            levels[i] = reflectance.R_d * d + reflectance.R_s * s
+    return [levels[i] for i in range(len(panels))]
+
+
+def _shade_alone(
+    surface: SurfacePoints, light: PanelLight | ConvergedPanel, reflectance: Reflectance, caster: RayCaster | None
+) -> tuple[Float64, Float64]:
+    if not isinstance(light, ConvergedPanel):
+        return shade_light(surface, light, reflectance=reflectance, caster=caster)
+    # every second place of a row
+    sample, shape = 2 * np.arange(len(surface)), (1, 2 * len(surface))
+    return shade_converged(surface, light, sample=sample, shape=shape, reflectance=reflectance, caster=caster)[:2]
+
+
+def _shade_in_threads(
+    surface: SurfacePoints,
+    lights: Sequence[SurfaceLight],
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+    threads: int,
+) -> tuple[Float64, Float64]:
+    def chunk(start: int) -> tuple[Float64, Float64]:
+        some = surface.take(slice(start, start + step))
+        return shade_surface_lights(some, lights, reflectance=reflectance, caster=caster)
+
+    step = points_at_once(len(surface), threads)
+    found = in_threads(chunk, range(0, max(1, len(surface)), step), threads)
+    diffuse, specular = (np.concatenate([one[k] for one in found], axis=1) for k in range(2))
+    return diffuse, specular
 
 
 def shade_changed_points(

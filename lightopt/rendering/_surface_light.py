@@ -55,6 +55,7 @@ NEGLIGIBLE_LEVEL = 0.02  # elements whose highlight is less are not divided [gre
 STEPS = 6  # Newton steps to where the lobe is brightest
 NEAR = 0.02  # of an element's sides: steps that are less end the search
 
+_LEAST_AT_ONCE = 256
 _CHUNK = 8192  # surface points that a thread works on at once
 AT_ONCE = 1 << 21  # surface points times elements times terms of patterns that are shaded at once
 
@@ -358,6 +359,11 @@ def _different(rows: Sequence[Float64], all_rows: Float64) -> tuple[Float64, lis
     place[order] = np.arange(len(order))
     ends = np.cumsum([len(some) for some in rows])[:-1]
     return all_rows[first[order]], np.split(place[number.ravel()], ends)
+
+
+def points_at_once(points: int, threads: int) -> int:
+    """How many surface points a thread works on, so that all threads are busy to the end."""
+    return max(_LEAST_AT_ONCE, -(-points // (4 * threads)))
 
 
 def shade_surface_lights(

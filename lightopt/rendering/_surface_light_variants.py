@@ -10,23 +10,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64
+from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.kernels import kernel
-from lightopt.core.threads import end_if_stopped
+from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import Element, Pattern, SurfaceLight, element_at, element_place, element_weight
-from lightopt.optics import specular_cosine, specular_lobe
+from lightopt.optics import NARROW_CHORD_SQUARED, narrow_specular_lobe, specular_cosine, specular_lobe
 from lightopt.rendering._panel_quadrature import NODES, half_vector_cone, half_vector_map
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._surface_light import (
     AT_ONCE,
+    DIFFUSE_NODES,
     LEAST_LEVEL,
     channels_of,
     diffuse_nodes,
     diffuse_of_element,
     element_weights,
     elements_seen,
+    points_at_once,
     specular_of_element,
     whole_element,
 )
@@ -56,7 +58,7 @@ def _shared_counts(p: Vector, n: Vector, v: Vector, e: Element, inverse: float) 
 def _set_shared_nodes(
     p: Vector, v: Vector, e: Element, pattern: Pattern, counts: tuple[int, int], nodes: Float64, light: Float64
 ) -> None:
-    # half vector of each node and 2·H·V, shape (nodes, 4), and its light for each term, shape (b, nodes)
+    # half vector of each node and 2·H·V, shape (4, nodes), and its light for each term, shape (b, nodes)
     du, dv = e.u1 - e.u0, e.v1 - e.v0
     weights = np.empty(counts)
     for i in range(counts[0]):
@@ -66,8 +68,8 @@ def _set_shared_nodes(
             towards = minus(q, p)
             half = plus(divided(towards, length(towards)), v)
             half = divided(half, length(half))
-            nodes[k, 0], nodes[k, 1], nodes[k, 2] = half
-            nodes[k, 3] = 2.0 * dot(half, v)
+            nodes[0, k], nodes[1, k], nodes[2, k] = half
+            nodes[3, k] = 2.0 * dot(half, v)
             light[:, k] = du * dv * element_weight(e, towards, along_u, along_v)
     for b in range(len(pattern.terms)):
         element_weights(e, pattern, b, weights)
@@ -76,17 +78,29 @@ def _set_shared_nodes(
 
 @kernel
 def _specular_of_nodes(
-    n: Vector, n_dot_v: float, nodes: Float64, light: Float64, count: int, inverse: float, found: Float64
+    n: Vector, n_dot_v: float, nodes: Float64, light: Float64, count: int, inverse: float, lobe: Float64, found: Float64
 ) -> None:
-    factor = 1.0 / specular_cosine(n_dot_v)
+    # adds to `found`; `lobe` is for its own use
+    widest = 0.0
     for k in range(count):
-        half = vector_at(nodes, k)
-        chord = minus(n, half)
-        # N·L = 2 (N·H)(H·V) − N·V
-        if dot(n, half) * nodes[k, 3] > n_dot_v:
-            lobe = factor * specular_lobe(dot(chord, chord), inverse)
-            for b in range(len(light)):
-                found[b] += lobe * light[b, k]
+        x, y, z = n.x - nodes[0, k], n.y - nodes[1, k], n.z - nodes[2, k]
+        chord = x * x + y * y + z * z
+        widest = max(widest, chord)
+        # N·L = 2 (N·H)(H·V) − N·V, and N·H = 1 − chord²/2
+        lit = 1.0 if (1.0 - 0.5 * chord) * nodes[3, k] > n_dot_v else 0.0
+        lobe[k] = lit * narrow_specular_lobe(min(chord, NARROW_CHORD_SQUARED), inverse)
+    if widest >= NARROW_CHORD_SQUARED:
+        # δ of 29° or more, where only a rough surface shows a lobe
+        for k in range(count):
+            chord = length(minus(n, Vector(nodes[0, k], nodes[1, k], nodes[2, k]))) ** 2
+            lit = 1.0 if (1.0 - 0.5 * chord) * nodes[3, k] > n_dot_v else 0.0
+            lobe[k] = lit * specular_lobe(chord, inverse)
+    factor = 1.0 / specular_cosine(n_dot_v)
+    for b in range(len(light)):
+        total = 0.0
+        for k in range(count):
+            total += light[b, k] * lobe[k]
+        found[b] += factor * total
 
 
 @kernel
@@ -104,64 +118,111 @@ def _set_vector_light(p: Vector, places: Float64, light: Float64, weights: Float
 
 
 @kernel
-def _variant_levels(
+def _all_diffuse_nodes(elements: Float64, pattern: Pattern) -> tuple[Float64, Float64, Float64]:
+    # as `diffuse_nodes` of each element, shapes (e, nodes², 3), (e, nodes², 3) and (e, b, nodes²)
+    count = DIFFUSE_NODES**2
+    places, light = np.empty((len(elements), count, 3)), np.empty((len(elements), count, 3))
+    weights = np.empty((len(elements), len(pattern.terms), count))
+    for m in range(len(elements)):
+        places[m], light[m], weights[m] = diffuse_nodes(element_at(elements, m), pattern)
+    return places, light, weights
+
+
+@kernel
+def _set_normals(n: Vector, r: Vector, v: Vector, lean: Float64, normals: Float64, n_dot_v: Float64) -> float:
+    # normals of the variants and N·V; returns how far a normal is from n, at most
+    a, farthest = cross(n, r), 0.0
+    for t in range(len(lean)):
+        turned = leaning(lean, t, n, r, a)
+        normals[t, 0], normals[t, 1], normals[t, 2] = turned
+        n_dot_v[t] = dot(turned, v)
+        farthest = max(farthest, length(minus(turned, n)))
+    return farthest
+
+
+@kernel
+def _variant_sums(
     points: Float64,
     normals: Float64,
     references: Float64,
     views: Float64,
     elements: Float64,
     pattern: Pattern,
-    shares: Float64,
+    group: Index,
     clear: Bool,
     variants: VariantNumbers,
+    shares: Float64,
     levels: Float64,
 ) -> None:
-    # levels of the variants of each point under each channel, shape (channels, t, k)
+    # levels of the variants of each point under each channel, shape (channels, t, k). The light of the elements of a
+    # group is summed, of which a channel has `shares`, shape (channels, groups, b)
     lean, R_d, R_s, inverse, most = variants
-    sharpest = inverse.max()
-    terms = len(pattern.terms)
-    found, level, whole = np.empty(terms), np.empty(terms), np.empty((terms, 3))
-    nodes, shared = np.empty((MOST_SHARED**2, 4)), np.empty((terms, MOST_SHARED**2))
-    for m in range(len(elements)):
-        e = element_at(elements, m)
-        places, light, weights = diffuse_nodes(e, pattern)
-        for i in range(len(points)):
+    sharpest, reach = inverse.max(), math.sqrt((most / inverse).max())
+    terms, groups, count = len(pattern.terms), shares.shape[1], len(lean)
+    found, whole = np.empty(terms), np.empty((terms, 3))
+    nodes, shared, lobe = np.empty((4, MOST_SHARED**2)), np.empty((terms, MOST_SHARED**2)), np.empty(MOST_SHARED**2)
+    towards, sums = np.empty((groups, terms, 3)), np.empty((groups, count, terms))
+    turned_normals, n_dot_v = np.empty((count, 3)), np.empty(count)
+    places, light, weights = _all_diffuse_nodes(elements, pattern)
+    for i in range(len(points)):
+        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
+        farthest = _set_normals(n, vector_at(references, i), v, lean, turned_normals, n_dot_v)
+        towards[:], sums[:] = 0.0, 0.0
+        for m in range(len(elements)):
             if not clear[m, i]:
                 continue
-            p, n, v, r = vector_at(points, i), vector_at(normals, i), vector_at(views, i), vector_at(references, i)
-            a, middle = cross(n, r), minus(e.centre, p)
+            e, g = element_at(elements, m), group[m]
+            middle = minus(e.centre, p)
+            height, turn = dot(n, middle), farthest * length(middle)
+            if height + turn <= -e.reach:
+                continue
+            above = height - turn >= e.reach
+            _set_vector_light(p, places[m], light[m], weights[m], whole)
+            if above:
+                # diffuse light is linear in the normal
+                towards[g] += whole
             half, spread = half_vector_cone(p, v, e.centre, e.reach)
-            _set_vector_light(p, places, light, weights, whole)
+            far = spread < math.pi and length(minus(n, half)) - spread - farthest > reach
+            if above and far:
+                continue
             counts = 0, 0
-            for t in range(len(lean)):
-                turned = leaning(lean, t, n, r, a)
-                height = dot(turned, middle)
-                if height <= -e.reach:
-                    continue
-                if height >= e.reach:
-                    for b in range(terms):
-                        level[b] = R_d[t] * dot(vector_at(whole, b), turned)
-                else:
-                    diffuse_of_element(p, turned, places, light, weights, found)
-                    for b in range(terms):
-                        level[b] = R_d[t] * found[b]
-                n_dot_v = dot(turned, v)
-                nearest = max(0.0, length(minus(turned, half)) - spread)
-                if n_dot_v > 0.0 and (spread >= math.pi or nearest * nearest * inverse[t] <= most[t]):
-                    if counts[0] == 0:
-                        counts = _shared_counts(p, n, v, e, sharpest)
-                        if max(counts) <= MOST_SHARED:
-                            _set_shared_nodes(p, v, e, pattern, counts, nodes, shared)
-                    found[:] = 0.0
-                    if max(counts) <= MOST_SHARED:
-                        _specular_of_nodes(turned, n_dot_v, nodes, shared, counts[0] * counts[1], inverse[t], found)
+            for t in range(count):
+                turned = vector_at(turned_normals, t)
+                if not above:
+                    height = dot(turned, middle)
+                    if height <= -e.reach:
+                        continue
+                    if height >= e.reach:
+                        for b in range(terms):
+                            sums[g, t, b] += R_d[t] * dot(vector_at(whole, b), turned)
                     else:
-                        specular_of_element(p, turned, v, e, whole_element(e), pattern, inverse[t], most[t], found)
-                    for b in range(terms):
-                        level[b] += R_s[t] * found[b]
-                for c in range(len(shares)):
-                    for b in range(terms):
-                        levels[c, t, i] += shares[c, m, b] * level[b]
+                        diffuse_of_element(p, turned, places[m], light[m], weights[m], found)
+                        for b in range(terms):
+                            sums[g, t, b] += R_d[t] * found[b]
+                if far or n_dot_v[t] <= 0.0:
+                    continue
+                nearest = max(0.0, length(minus(turned, half)) - spread)
+                if spread < math.pi and nearest * nearest * inverse[t] > most[t]:
+                    continue
+                if counts[0] == 0:
+                    counts = _shared_counts(p, n, v, e, sharpest)
+                    if max(counts) <= MOST_SHARED:
+                        _set_shared_nodes(p, v, e, pattern, counts, nodes, shared)
+                found[:] = 0.0
+                if max(counts) <= MOST_SHARED:
+                    number = counts[0] * counts[1]
+                    _specular_of_nodes(turned, n_dot_v[t], nodes, shared, number, inverse[t], lobe, found)
+                else:
+                    specular_of_element(p, turned, v, e, whole_element(e), pattern, inverse[t], most[t], found)
+                for b in range(terms):
+                    sums[g, t, b] += R_s[t] * found[b]
+        for t in range(count):
+            turned = vector_at(turned_normals, t)
+            for g in range(groups):
+                for b in range(terms):
+                    total = sums[g, t, b] + R_d[t] * dot(vector_at(towards[g], b), turned)
+                    for c in range(len(shares)):
+                        levels[c, t, i] += shares[c, g, b] * total
 
 
 def surface_light_variants(
@@ -170,6 +231,7 @@ def surface_light_variants(
     lights: Sequence[SurfaceLight],
     variants: VariantNumbers,
     caster: RayCaster | None,
+    threads: int,
 ) -> Float64:
     """Levels of variants of a surface under channels of a light, shape (channels, t, k).
 
@@ -180,18 +242,23 @@ def surface_light_variants(
     variants: With coefficients times the light's weight
     """
     channels = channels_of(lights)
-    elements, pattern, shares = channels.elements, channels.pattern, channels.shares
+    elements = channels.elements
+    # elements that are alike in every channel
+    kinds, group = np.unique(channels.shares.swapaxes(0, 1), axis=0, return_inverse=True)
+    shares, group = np.ascontiguousarray(kinds.swapaxes(0, 1)), group.ravel().astype(np.intp)
     # what is far below the noise does not count
     variants = variants._replace(most=variants.most - math.log(NEGLIGIBLE_CHANGE / LEAST_LEVEL))
-    levels = np.zeros((len(lights), len(variants.lean), len(surface)))
-    step = max(1, AT_ONCE // len(elements))
-    for start in range(0, len(surface), step):
+
+    def chunk(start: int) -> Float64:
         end_if_stopped()
         part = slice(start, start + step)
         some = surface.take(part)
-        own = np.zeros((*levels.shape[:2], len(some)))
+        own = np.zeros((len(lights), len(variants.lean), len(some)))
         clear, _ = elements_seen(replace(some, normals=some.facets), elements, caster)
         geometry = some.points, some.normals, references[part], some.views
-        _variant_levels(*geometry, elements, pattern, shares, clear, variants, own)
-        levels[..., part] = own
-    return levels
+        _variant_sums(*geometry, elements, channels.pattern, group, clear, variants, shares, own)
+        return own
+
+    step = min(max(1, AT_ONCE // len(elements)), points_at_once(len(surface), threads))
+    found = in_threads(chunk, range(0, max(1, len(surface)), step), threads)
+    return np.concatenate(found, axis=2)

@@ -151,14 +151,18 @@ def shade_variants_together(
     reflectance: Reflectance,
     caster: RayCaster | None,
     dtype: type[np.floating[Any]] = np.float64,
+    threads: int = 1,
 ) -> list[VariantLevels]:
-    """As :func:`shade_variants` for each of some lights, of which channels of one light are worked out together."""
+    """As :func:`shade_variants` for each of some lights, of which channels of one light are worked out together.
+
+    threads: That work on the points of such a light
+    """
     found: dict[int, VariantLevels] = {}
     for group in channel_groups(panels):
         own = [panel for i in group if isinstance(panel := panels[i], SurfaceLight)]
         if own:
             numbers = _with_plain(variants, reflectance, own[0].total_weight)
-            levels = surface_light_variants(surface, references, own, numbers, caster)
+            levels = surface_light_variants(surface, references, own, numbers, caster, threads)
             found |= {
                 i: VariantLevels(good=one[0], varied=one[1:].astype(dtype))
                 for i, one in zip(group, levels, strict=True)

@@ -36,7 +36,6 @@ from lightopt.lights import (
 
 # elements of whole lights: each is seen or hidden as its middle is, so that they decide how finely shadows are known
 AROUND, UP_DOME, ACROSS, ALONG = 24, 4, 8, 6
-LEAST_AROUND = 4  # elements around of a segment
 
 
 def build_lights(
@@ -168,8 +167,8 @@ def _cells(size: tuple[float, float]) -> tuple[int, int]:
 def _turn(light: LightConfig) -> tuple[tuple[float, float], int]:
     # azimuths of a segment, and how many elements it has around
     segments = light.segments or 1
-    step = 2.0 * math.pi / segments
-    return (light.channel * step, (light.channel + 1) * step), max(LEAST_AROUND, AROUND // segments)
+    step, number = 2.0 * math.pi / segments, light.channel % segments  # channels of a pattern all have the whole light
+    return (number * step, (number + 1) * step), math.ceil(AROUND / segments)
 
 
 def _around(

@@ -294,7 +294,13 @@ class PatchEvidence:
         )
 
     def evaluate(
-        self, panels: Sequence[PanelLight], caster: RayCaster, blocker: RayCaster | None, exposures: Sequence[float]
+        self,
+        panels: Sequence[PanelLight],
+        caster: RayCaster,
+        blocker: RayCaster | None,
+        exposures: Sequence[float],
+        *,
+        threads: int,
     ) -> Iterator[tuple[Float32, list[Words]]]:
         """Levels of the patches, and the units of evidence of an image at each exposure, of each of some lights.
 
@@ -309,13 +315,17 @@ class PatchEvidence:
             reflectance=self._scene.reflectance,
             caster=blocker,
             dtype=np.float32,
+            threads=threads,
         )
         passed = self._passed
-        for panel, shaded in zip(panels, found, strict=True):
-            plain = shaded.good
-            if panel.points == "auto":
-                reflectance, shadows = self._scene.reflectance, blocker is not None
-                plain = shade_isolated(self._surface, panel, reflectance=reflectance, caster=caster, shadows=shadows)
+        plain_levels = [one.good for one in found]
+        exact = [i for i, panel in enumerate(panels) if panel.points == "auto"]
+        if exact:
+            lights, shadows = [panels[i] for i in exact], blocker is not None
+            how: dict[str, Any] = {"reflectance": self._scene.reflectance, "caster": caster, "threads": threads}
+            for i, level in zip(exact, shade_isolated(self._surface, lights, shadows=shadows, **how), strict=True):
+                plain_levels[i] = level
+        for plain, shaded in zip(plain_levels, found, strict=True):
             levels = np.empty(len(plain), np.float32)
             levels[self._order] = plain.astype(np.float32) * np.float32(passed)
             good, varied = shaded.good * passed, (shaded.varied * passed).astype(np.float32, copy=False)

@@ -194,7 +194,8 @@ class ImageEvaluator:
         def evaluate(some: Sequence[int], own: Sequence[_Block]) -> None:
             if evidence is not None:
                 blocker = caster if self.shadows else None
-                found = evidence.evaluate([moved[at] for at in some], caster, blocker, exposures)
+                lights = [moved[at] for at in some]
+                found = evidence.evaluate(lights, caster, blocker, exposures, threads=threads_of_task)
                 for at, (level, units) in zip(some, found, strict=True):
                     store(at, slice(None), level)
                     words[:, at] = units
@@ -209,15 +210,19 @@ class ImageEvaluator:
                     level[None, :], sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale
                 )[0]
 
+        together_groups = _channels_of_places(flat, missing)
+        threads = self.threads or available_processors()
+        threads_of_task = max(1, threads // max(1, len(together_groups)))
+
         def tasks() -> Iterator[Task]:
-            for together in _channels_of_places(flat, missing):
+            for together in together_groups:
                 if self.shadows:
                     targets = np.concatenate([shadow_targets(moved[at]) for at in together])
                     caster.map_blockers(targets, rays=len(seen), threads=1)
                 for group in groups:
                     yield evaluate, (together, group)
 
-        run_all(tasks(), threads=self.threads or available_processors(), done=work.report)
+        run_all(tasks(), threads=threads, done=work.report)
         if self.images is not None and self.keeps_images:
             for at in missing:
                 self.images.keep(posture, exposures, flat[at], levels[:, at], words[:, at])
@@ -335,7 +340,7 @@ def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[Sur
 def _levels(
     scene: Scene, block: SurfacePoints, panel: PanelLight, caster: RayCaster, shadows: bool, passed: _Passed
 ) -> Float32:
-    levels = shade_isolated(block, panel, reflectance=scene.reflectance, caster=caster, shadows=shadows)
+    levels = shade_isolated(block, (panel,), reflectance=scene.reflectance, caster=caster, shadows=shadows)[0]
     # images are stored as float32, and a level is rounded from what is stored
     return (passed * levels).astype(np.float32)
 
