@@ -54,6 +54,7 @@ MOST_R_S_SIGMA_2 = 1e3  # R_s·σ² of fits, where R_s is not known [grey level]
 NEGLIGIBLE_LEVEL = 0.02  # elements whose highlight is less are not divided [grey level]
 STEPS = 6  # Newton steps to where the lobe is brightest
 NEAR = 0.02  # of an element's sides: steps that are less end the search
+_CROSSING_STEPS, _CROSSING_NEAR = 20, 1e-9  # of the search for the horizon, and how near it is, as a share of a side
 
 _LEAST_AT_ONCE = 256
 _CHUNK = 8192  # surface points that a thread works on at once
@@ -106,6 +107,113 @@ def diffuse_of_element(p: Vector, n: Vector, places: Float64, light: Float64, we
         value = max(0.0, dot(n, towards)) * max(0.0, -dot(vector_at(light, k), towards)) / (r2 * r2)
         for b in range(len(weights)):
             found[b] += weights[b, k] * value
+
+
+@kernel
+def _light_of_place(p: Vector, n: Vector, v: Vector, e: Element, s: float, t: float, inverse: float) -> float:
+    # lobe times radiance · cosα / r² · dA per ds dt; 0 below the point's horizon
+    q, along_s, along_t = element_place(e, s, t)
+    towards = minus(q, p)
+    if dot(n, towards) <= 0.0:
+        return 0.0
+    half = plus(divided(towards, length(towards)), v)
+    chord = minus(n, divided(half, length(half)))
+    return specular_lobe(dot(chord, chord), inverse) * element_weight(e, towards, along_s, along_t)
+
+
+@kernel
+def _height(p: Vector, n: Vector, e: Element, s: float, t: float) -> float:
+    # of a place of an element above the plane through a point
+    return dot(n, minus(element_place(e, s, t)[0], p))
+
+
+@kernel
+def _horizon_crosses(p: Vector, n: Vector, e: Element, area: Rectangle) -> bool:
+    # whether the plane through a point passes between the corners of a part of an element
+    if dot(n, minus(e.centre, p)) >= e.reach:
+        return False
+    first, second = _height(p, n, e, area.s0, area.t0), _height(p, n, e, area.s1, area.t0)
+    third, fourth = _height(p, n, e, area.s0, area.t1), _height(p, n, e, area.s1, area.t1)
+    return min(min(first, second), min(third, fourth)) < 0.0 < max(max(first, second), max(third, fourth))
+
+
+@kernel
+def _crossing(p: Vector, n: Vector, e: Element, start: tuple[float, float], end: tuple[float, float]) -> float:
+    # how far along a line of (u, v) the horizon is met, as a share of it; −1 where both ends are on one side.
+    # False position in the variant that halves the value of the end that stays
+    low, high = 0.0, 1.0
+    at_low, at_high = _height(p, n, e, start[0], start[1]), _height(p, n, e, end[0], end[1])
+    if (at_low > 0.0) == (at_high > 0.0):
+        return -1.0
+    share, stayed = 0.0, 0
+    for _ in range(_CROSSING_STEPS):
+        share = (low * at_high - high * at_low) / (at_high - at_low)
+        s, t = start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])
+        value = _height(p, n, e, s, t)
+        if (value > 0.0) == (at_low > 0.0):
+            if abs(share - low) < _CROSSING_NEAR:
+                break
+            low, at_low = share, value
+            if stayed == 1:
+                at_high *= 0.5
+            stayed = 1
+        else:
+            if abs(share - high) < _CROSSING_NEAR:
+                break
+            high, at_high = share, value
+            if stayed == -1:
+                at_low *= 0.5
+            stayed = -1
+    return share
+
+
+@kernel
+def _add_above_horizon(
+    p: Vector,
+    n: Vector,
+    v: Vector,
+    e: Element,
+    area: Rectangle,
+    counts: tuple[int, int],
+    terms: Float64,
+    inverse: float,
+    found: Float64,
+) -> None:
+    # the specular light of a part of an element that the horizon crosses, added for each term: rows of nodes along v
+    # end at the horizon, and are taken apart along u where it meets the sides
+    count_s, count_t = counts
+    ends = np.array([area.s0, area.s0, area.s0, area.s1])
+    for side in range(2):
+        t = area.t1 if side else area.t0
+        share = _crossing(p, n, e, (area.s0, t), (area.s1, t))
+        if share > 0.0:
+            ends[1 + side] = area.s0 + share * (area.s1 - area.s0)
+    ends.sort()
+    weights_s, weights_t = np.empty((len(terms), count_s)), np.empty(count_t)
+    values = np.empty(count_t)
+    for piece in range(3):
+        start, width = ends[piece], ends[piece + 1] - ends[piece]
+        if width <= 0.0:
+            continue
+        for b in range(len(terms)):
+            pattern_weights(terms[b], 0, start, width, count_s, False, weights_s[b])
+        for i in range(count_s):
+            s, low, high = start + width * NODES[count_s, i], area.t0, area.t1
+            share = _crossing(p, n, e, (s, low), (s, high))
+            if share >= 0.0:
+                border = low + share * (high - low)
+                if _height(p, n, e, s, low) > 0.0:
+                    high = border
+                else:
+                    low = border
+            elif _height(p, n, e, s, 0.5 * (low + high)) <= 0.0:
+                continue
+            for j in range(count_t):
+                values[j] = _light_of_place(p, n, v, e, s, low + (high - low) * NODES[count_t, j], inverse)
+            factor = width * (high - low) / specular_cosine(dot(n, v))
+            for b in range(len(terms)):
+                pattern_weights(terms[b], 1, low, high - low, count_t, False, weights_t)
+                found[b] += factor * weights_s[b, i] * np.dot(weights_t, values)
 
 
 @kernel
@@ -183,6 +291,9 @@ def specular_of_element(
             count_s = count
     if pictures > 0:
         count_s, count_t = min(MOST_PATTERN_NODES, 2 * count_s), min(MOST_PATTERN_NODES, 2 * count_t)
+    elif _horizon_crosses(p, n, e, window):
+        _add_above_horizon(p, n, v, e, window, (count_s, count_t), terms, inverse, found)
+        return
     weights_s, weights_t = np.empty((len(terms), count_s)), np.empty((len(terms) + 1, count_t))
     # sums along v, of which terms of u have one in common, the first
     row_of, rows = np.zeros(len(terms), np.int64), 1
@@ -205,13 +316,7 @@ def specular_of_element(
         row[:] = 0.0
         for j in range(count_t):
             at_t = window.t0 + height * NODES[count_t, j]
-            q, along_s, along_t = element_place(e, at_s, at_t)
-            towards = minus(q, p)
-            if dot(n, towards) <= 0.0:
-                continue
-            half = plus(divided(towards, length(towards)), v)
-            chord = minus(n, divided(half, length(half)))
-            value = specular_lobe(dot(chord, chord), inverse) * element_weight(e, towards, along_s, along_t)
+            value = _light_of_place(p, n, v, e, at_s, at_t, inverse)
             for k in range(rows):
                 row[k] += weights_t[k, j] * value
             for k in range(pictures):

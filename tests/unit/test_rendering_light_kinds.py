@@ -239,7 +239,7 @@ def test_light_of_any_pose(name: str, elevation: float, azimuth: float, factor: 
 
 
 @pytest.mark.parametrize("sigma", SIGMAS)
-@pytest.mark.parametrize("segments", [2, 3, 4, 6])
+@pytest.mark.parametrize("segments", [2, 3, 4, 6, 8, 12])
 @pytest.mark.parametrize("name", ["ring", "low_angle_ring", "quadrant"])
 def test_segments_add_up_to_the_light(name: str, segments: int, sigma: float) -> None:
     surface = sphere(500)
@@ -248,6 +248,15 @@ def test_segments_add_up_to_the_light(name: str, segments: int, sigma: float) ->
     assert parts.shape[1] == segments
     assert np.all(parts.sum(axis=1)[0] > 0.0)
     np.testing.assert_allclose(parts.sum(axis=1), whole, rtol=1e-9, atol=1e-12 * whole.max())
+
+
+@pytest.mark.parametrize("segments", [5, 7])
+def test_other_numbers_of_segments_add_up_as_exactly_as_light_is_integrated(segments: int) -> None:
+    """Their elements are others than the whole light's."""
+    surface = sphere(500)
+    parts = layers(surface, built(**KINDS["ring"][0] | {"segments": segments}), 0.0475).sum(axis=1)
+    whole = layers(surface, built(**KINDS["ring"][0] | {"segments": 1}), 0.0475)[:, 0]
+    assert np.all(np.abs(parts - whole) <= 1e-3 * whole.max(axis=1, keepdims=True))
 
 
 @pytest.mark.parametrize("sigma", SIGMAS)
