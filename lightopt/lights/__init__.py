@@ -5,6 +5,7 @@ Kernels of :mod:`lightopt.rendering` add up the light of a kind by the functions
 
 from lightopt.lights._light_surface import (
     RADIANCE as RADIANCE,
+    SPHERE as SPHERE,
     Element as Element,
     SurfaceLight as SurfaceLight,
     cone_elements as cone_elements,
@@ -16,6 +17,7 @@ from lightopt.lights._light_surface import (
     mixed_light as mixed_light,
     outlines as outlines,
     picture_light as picture_light,
+    place_on_element as place_on_element,
     plane_elements as plane_elements,
     sphere_elements as sphere_elements,
     surface_light as surface_light,

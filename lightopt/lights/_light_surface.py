@@ -93,20 +93,32 @@ def element_at(rows: Float64, i: int) -> Element:
 def element_place(e: Element, u: float, v: float) -> tuple[Vector, Vector, Vector]:
     """A point of an element [mm], and its derivatives along u and v."""
     if e.shape == PLANE:
+        return place_on_element(e, u, v, (1.0, 0.0), (1.0, 0.0))
+    of_v = (math.cos(v), math.sin(v)) if e.shape == SPHERE else (1.0, 0.0)
+    return place_on_element(e, u, v, (math.cos(u), math.sin(u)), of_v)
+
+
+@kernel
+def place_on_element(
+    e: Element, u: float, v: float, of_u: tuple[float, float], of_v: tuple[float, float]
+) -> tuple[Vector, Vector, Vector]:
+    """As :func:`element_place`, given the cosine and sine of u, and those of v on a sphere."""
+    if e.shape == PLANE:
         return plus(e.origin, plus(scaled(e.a, u), scaled(e.b, v))), e.a, e.b
-    around = plus(scaled(e.a, math.cos(u)), scaled(e.b, math.sin(u)))
-    turned = plus(scaled(e.b, math.cos(u)), scaled(e.a, -math.sin(u)))
+    around = plus(scaled(e.a, of_u[0]), scaled(e.b, of_u[1]))
+    turned = plus(scaled(e.b, of_u[0]), scaled(e.a, -of_u[1]))
     if e.shape == FRAME:
-        outer = scaled(plus(e.a, scaled(e.b, math.tan(u))), e.widening)
+        tangent = of_u[1] / of_u[0]
+        outer = scaled(plus(e.a, scaled(e.b, tangent)), e.widening)
         out = minus(outer, scaled(around, e.radius))
-        along_edge = scaled(e.b, e.widening * (1.0 + math.tan(u) ** 2))
+        along_edge = scaled(e.b, e.widening * (1.0 + tangent * tangent))
         place = plus(e.origin, plus(scaled(around, e.radius), scaled(out, v)))
         return place, plus(scaled(turned, (1.0 - v) * e.radius), scaled(along_edge, v)), out
     if e.shape == CONE:
         rho = e.radius + v * e.widening
         place = plus(e.origin, plus(scaled(around, rho), scaled(e.c, v * e.rise)))
         return place, scaled(turned, rho), plus(scaled(around, e.widening), scaled(e.c, e.rise))
-    rho, height = e.radius * math.cos(v), e.radius * math.sin(v)
+    rho, height = e.radius * of_v[0], e.radius * of_v[1]
     place = plus(e.origin, plus(scaled(around, rho), scaled(e.c, height)))
     return place, scaled(turned, rho), plus(scaled(around, -height), scaled(e.c, rho))
 

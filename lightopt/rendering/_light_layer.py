@@ -60,7 +60,7 @@ class LightLayer:
     def specular(self, sigma: float, *, threads: int | None = None) -> Float64:
         """Specular light per unit of R_s for a lobe of width σ [rad], shape (n,) (paper, equations 3 and 4)."""
         if isinstance(self.light, SurfaceLight):
-            return light_of_channels(self.surface, [self.light], sigma, threads=threads)[1][0]
+            return light_of_channels(self.surface, [self.light], sigma, diffuse=False, threads=threads)[1][0]
         inverse = 0.5 / sigma**2
         panel = panel_numbers(self.light)
         s = self.surface

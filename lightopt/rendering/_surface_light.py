@@ -8,27 +8,29 @@ are divided, each piece with a ray of its own.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.kernels import kernel
-from lightopt.core.threads import end_if_stopped, in_threads
+from lightopt.core.threads import available_processors, end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import (
     PICTURE,
     RADIANCE,
+    SPHERE,
     Element,
     Pattern,
     SurfaceLight,
     element_at,
     element_place,
     element_weight,
+    place_on_element,
     plane_places,
 )
-from lightopt.optics import MIN_COS_VIEW, Reflectance, specular_cosine, specular_lobe
+from lightopt.optics import NARROW_CHORD_SQUARED, Reflectance, narrow_specular_lobe, specular_cosine, specular_lobe
 from lightopt.rendering._panel_quadrature import (
     NODES,
     WEIGHTS,
@@ -53,18 +55,18 @@ LEAST_LEVEL = 1e-3  # what the lobe of an element adds at most where it is left 
 MOST_R_S_SIGMA_2 = 1e3  # R_s·σ² of fits, where R_s is not known [grey level]
 NEGLIGIBLE_LEVEL = 0.02  # elements whose highlight is less are not divided [grey level]
 STEPS = 6  # Newton steps to where the lobe is brightest
+FAR_OFF = 1.5  # of the negligible exponent: where the quadratic form's least is more, so is the exponent
 NEAR = 0.02  # of an element's sides: steps that are less end the search
 _CROSSING_STEPS, _CROSSING_NEAR = 20, 1e-9  # of the search for the horizon, and how near it is, as a share of a side
 
+_AT_ONCE = 512  # points whose numbers are in the processor's nearest cache together
 _LEAST_AT_ONCE = 256
 _CHUNK = 8192  # surface points that a thread works on at once
 AT_ONCE = 1 << 21  # surface points times elements times terms of patterns that are shaded at once
 
 
 @kernel
-def diffuse_nodes(e: Element, pattern: Pattern) -> tuple[Float64, Float64, Float64]:
-    # places of an element [mm], and their light: radiance · area · unit vector of where they shine; shape (nodes², 3);
-    # and their weights for each term of the pattern, shape (b, nodes²)
+def _diffuse_nodes(e: Element, pattern: Pattern) -> tuple[Float64, Float64, Float64]:
     count, terms = DIFFUSE_NODES, pattern.terms
     places, light = np.empty((count**2, 3)), np.empty((count**2, 3))
     weights = np.empty((len(terms), count**2))
@@ -217,6 +219,52 @@ def _add_above_horizon(
 
 
 @kernel
+def _set_values(
+    p: Vector, n: Vector, v: Vector, e: Element, area: Rectangle, counts: tuple[int, int], inverse: float
+) -> Float64:
+    # lobe times radiance · cosα / r² · dA per ds dt of the nodes of a part of an element, shape (count_s, count_t); 0
+    # below the horizon. As in `whole_panel`, the processor works on several nodes at once
+    count_s, count_t = counts
+    values, chord = np.empty((count_s, count_t)), np.empty(count_t)
+    cosine, sine, at_t = np.ones(count_t), np.zeros(count_t), np.empty(count_t)
+    for j in range(count_t):
+        at_t[j] = area.t0 + (area.t1 - area.t0) * NODES[count_t, j]
+        if e.shape == SPHERE:
+            cosine[j], sine[j] = math.cos(at_t[j]), math.sin(at_t[j])
+    for i in range(count_s):
+        s = area.s0 + (area.s1 - area.s0) * NODES[count_s, i]
+        of_s, row = (math.cos(s), math.sin(s)), values[i]
+        for j in range(count_t):
+            q, along_s, along_t = place_on_element(e, s, at_t[j], of_s, (cosine[j], sine[j]))
+            towards = minus(q, p)
+            half = plus(scaled(towards, 1.0 / length(towards)), v)
+            away = minus(n, scaled(half, 1.0 / length(half)))
+            chord[j] = dot(away, away)
+            row[j] = element_weight(e, towards, along_s, along_t) if dot(n, towards) > 0.0 else 0.0
+        widest = 0.0
+        for j in range(count_t):
+            widest = max(widest, chord[j])
+        if widest < NARROW_CHORD_SQUARED:
+            for j in range(count_t):
+                row[j] *= narrow_specular_lobe(chord[j], inverse)
+        else:
+            for j in range(count_t):
+                row[j] *= specular_lobe(chord[j], inverse)
+    return values
+
+
+@kernel
+def lobe_reaches(p: Vector, n: Vector, v: Vector, e: Element, inverse: float, most: float) -> bool:
+    """Whether the lobe of a point may not be negligible on an element: a quick test.
+
+    most: Exponent from which the lobe is negligible
+    """
+    half, spread = half_vector_cone(p, v, e.centre, e.reach)
+    nearest = max(0.0, length(minus(n, half)) - spread)
+    return (spread >= math.pi) | (nearest * nearest * inverse <= most)
+
+
+@kernel
 def specular_of_element(
     p: Vector,
     n: Vector,
@@ -238,10 +286,6 @@ def specular_of_element(
     n_dot_v, terms = dot(n, v), pattern.terms
     if n_dot_v <= 0.0:
         return
-    half, spread = half_vector_cone(p, v, e.centre, e.reach)
-    nearest = max(0.0, length(minus(n, half)) - spread)
-    if spread < math.pi and nearest * nearest * inverse > most:
-        return
     s, t = 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)
     wide, high = area.s1 - area.s0, area.t1 - area.t0
     a = b = c = gs = gt = least = 0.0
@@ -256,7 +300,10 @@ def specular_of_element(
         gs, gt = inverse * (jxs * hx + jys * hy), inverse * (jxt * hx + jyt * hy)
         least = inverse * (hx * hx + hy * hy)
         ns, nt = least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, area)
-        moved = max(abs(ns - s) / wide, abs(nt - t) / high)
+        ds, dt = ns - s, nt - t
+        if least + 2.0 * (gs * ds + gt * dt) + a * ds * ds + 2.0 * b * ds * dt + c * dt * dt > FAR_OFF * most + 1.0:
+            return
+        moved = max(abs(ds) / wide, abs(dt) / high)
         if moved < NEAR:
             break
         s, t = ns, nt
@@ -294,6 +341,15 @@ def specular_of_element(
     elif _horizon_crosses(p, n, e, window):
         _add_above_horizon(p, n, v, e, window, (count_s, count_t), terms, inverse, found)
         return
+    factor = width * height / specular_cosine(n_dot_v)
+    values = _set_values(p, n, v, e, window, (count_s, count_t), inverse)
+    if len(terms) == 1 and terms[0, 2] == 0.0:
+        for i in range(count_s):
+            total = 0.0
+            for j in range(count_t):
+                total += WEIGHTS[count_t, j] * values[i, j]
+            found[0] += factor * WEIGHTS[count_s, i] * total
+        return
     weights_s, weights_t = np.empty((len(terms), count_s)), np.empty((len(terms) + 1, count_t))
     # sums along v, of which terms of u have one in common, the first
     row_of, rows = np.zeros(len(terms), np.int64), 1
@@ -309,18 +365,14 @@ def specular_of_element(
             pattern_weights(terms[b], 1, window.t0, height, count_t, False, weights_t[rows])
             row_of[b] = rows
             rows += 1
-    factor = width * height / specular_cosine(n_dot_v)
     row, sums = np.empty(rows), np.zeros(pictures)
     for i in range(count_s):
-        at_s = window.s0 + width * NODES[count_s, i]
         row[:] = 0.0
         for j in range(count_t):
-            at_t = window.t0 + height * NODES[count_t, j]
-            value = _light_of_place(p, n, v, e, at_s, at_t, inverse)
             for k in range(rows):
-                row[k] += weights_t[k, j] * value
+                row[k] += weights_t[k, j] * values[i, j]
             for k in range(pictures):
-                sums[k] += of_picture[k, i, j] * value
+                sums[k] += of_picture[k, i, j] * values[i, j]
         for b in range(len(terms)):
             if int(terms[b, 1]) != PICTURE:
                 found[b] += factor * weights_s[b, i] * row[row_of[b]]
@@ -342,39 +394,90 @@ def _piece(e: Element, number: int) -> Rectangle:
 
 
 @kernel
+def _most_exponents(normals: Float64, views: Float64, most: float) -> Float64:
+    # exponents from which lobes are negligible, given that where cosθ_o is 1; −1 where there is no specular light
+    limits = np.full(len(normals), -1.0)
+    for i in range(len(normals)):
+        cosine = dot(vector_at(normals, i), vector_at(views, i))
+        if cosine > 0.0 and most >= 0.0:
+            limits[i] = max(0.0, most - math.log(specular_cosine(cosine)))
+    return limits
+
+
+@kernel
+def all_diffuse_nodes(elements: Float64, pattern: Pattern) -> tuple[Float64, Float64, Float64]:
+    """Places of the nodes of each element [mm], their light and their weights: shapes (e, k, 3), (e, k, 3), (e, b, k).
+
+    Light is radiance · area · unit vector of where they shine, and weights are those of the pattern's terms.
+    """
+    count = DIFFUSE_NODES**2
+    places, light = np.empty((len(elements), count, 3)), np.empty((len(elements), count, 3))
+    weights = np.empty((len(elements), len(pattern.terms), count))
+    for m in range(len(elements)):
+        places[m], light[m], weights[m] = _diffuse_nodes(element_at(elements, m), pattern)
+    return places, light, weights
+
+
+@kernel
+def _column(rows: Float64, j: int) -> Vector:
+    return Vector(rows[0, j], rows[1, j], rows[2, j])
+
+
+@kernel
 def _add_elements(
     points: Float64,
     normals: Float64,
     views: Float64,
     elements: Float64,
     pattern: Pattern,
-    shares: Float64,
+    group: Index,
     clear: Bool,
     inverse: float,
     most: float,
     diffuse: Float64,
     specular: Float64,
 ) -> None:
-    # diffuse light of the clear elements per unit of R_d, shape (channels, k), and specular light of each element and
-    # term per unit of R_s, whatever hides it, shape (e, b, k)
+    # diffuse light of the clear elements of each group and term per unit of R_d, shape (groups, b, k), and specular
+    # light of each element and term per unit of R_s, whatever hides it, shape (e, b, k). The processor works on several
+    # points at once in loops without branches over numbers that lie side by side
     terms = len(pattern.terms)
-    found = np.empty(terms)
-    for m in range(len(elements)):
-        e = element_at(elements, m)
-        places, light, weights = diffuse_nodes(e, pattern)
-        for i in range(len(points)):
-            p, n = vector_at(points, i), vector_at(normals, i)
-            if dot(n, minus(e.centre, p)) <= -e.reach:
-                continue
-            if clear[m, i]:
-                diffuse_of_element(p, n, places, light, weights, found)
-                for c in range(len(shares)):
+    found, limits = np.empty(terms), _most_exponents(normals, views, most)
+    places, light, weights = all_diffuse_nodes(elements, pattern)
+    p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
+    value, near, limit = np.empty(_AT_ONCE), np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE)
+    for first in range(0, len(points), _AT_ONCE):
+        count = min(_AT_ONCE, len(points) - first)
+        for j in range(count):
+            for axis in range(3):
+                p[axis, j], n[axis, j] = points[first + j, axis], normals[first + j, axis]
+                v[axis, j] = views[first + j, axis]
+            limit[j] = limits[first + j]
+        for m in range(len(elements)):
+            e, own = element_at(elements, m), clear[m, first : first + count]
+            if own.any():
+                for k in range(DIFFUSE_NODES**2):
+                    q, shining = vector_at(places[m], k), vector_at(light[m], k)
+                    for j in range(count):
+                        towards = minus(q, _column(p, j))
+                        r2 = dot(towards, towards)
+                        facing = max(0.0, dot(_column(n, j), towards)) * max(0.0, -dot(shining, towards))
+                        value[j] = facing / (r2 * r2)
                     for b in range(terms):
-                        diffuse[c, i] += shares[c, m, b] * found[b]
-            found[:] = 0.0
-            specular_of_element(p, n, vector_at(views, i), e, whole_element(e), pattern, inverse, most, found)
-            for b in range(terms):
-                specular[m, b, i] = found[b]
+                        to = diffuse[group[m], b, first : first + count]
+                        for j in range(count):
+                            to[j] += weights[m, b, k] * value[j] if own[j] else 0.0
+            for j in range(count):
+                point, normal = _column(p, j), _column(n, j)
+                above = dot(normal, minus(e.centre, point)) > -e.reach
+                near[j] = above & lobe_reaches(point, normal, _column(v, j), e, inverse, limit[j])
+            for j in range(count):
+                if near[j]:
+                    i = first + j
+                    found[:] = 0.0
+                    geometry = _column(p, j), _column(n, j), _column(v, j)
+                    specular_of_element(*geometry, e, whole_element(e), pattern, inverse, limit[j], found)
+                    for b in range(terms):
+                        specular[m, b, i] = found[b]
 
 
 @kernel
@@ -418,13 +521,14 @@ def _replace_pieces(
     specular: Float64,
 ) -> None:
     found = np.empty(len(pattern.terms))
+    limits = _most_exponents(normals, views, most)
     for k in range(len(point)):
         i, m = point[k], element[k]
         p, n, v, e = vector_at(points, i), vector_at(normals, i), vector_at(views, i), element_at(elements, m)
         found[:] = 0.0
         for number in range(PIECES * PIECES):
             if free[k, number]:
-                specular_of_element(p, n, v, e, _piece(e, number), pattern, inverse, most, found)
+                specular_of_element(p, n, v, e, _piece(e, number), pattern, inverse, limits[i], found)
         specular[m, :, i] = found
 
 
@@ -471,13 +575,23 @@ def points_at_once(points: int, threads: int) -> int:
     return max(_LEAST_AT_ONCE, -(-points // (4 * threads)))
 
 
+def groups_of(shares: Float64) -> tuple[Index, Float64]:
+    """Group of each element, shape (e,), of those that are alike in every channel, and the shares of the groups.
+
+    shares: Of elements, shape (channels, e, b); those of groups have the shape (channels, groups, b)
+    """
+    kinds, group = np.unique(shares.swapaxes(0, 1), axis=0, return_inverse=True)
+    return group.ravel().astype(np.intp), np.ascontiguousarray(kinds.swapaxes(0, 1))
+
+
 def shade_surface_lights(
     surface: SurfacePoints, lights: Sequence[SurfaceLight], *, reflectance: Reflectance, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of the channels of a light, per unit of R_d and R_s; two arrays, shape (channels, k).
 
     lights: The channels, part frame, of the same gain
-    reflectance: Its σ shapes the lobe; R_s decides which shadows in highlights are worked out
+    reflectance: Its σ shapes the lobe; R_s decides which shadows in highlights are worked out. Where R_d or R_s is 0,
+        that light is left out, and 0
     caster: For shadows; None for none
     """
     channels = channels_of(lights)
@@ -498,13 +612,18 @@ def _shade_chunk(
     end_if_stopped()
     elements, pattern, shares = channels.elements, channels.pattern, channels.shares
     inverse = 0.5 / reflectance.sigma**2
-    # where the lobe's exponent is more, an element adds nothing to a level, at any angle of view
-    most = math.log(max(1.0, weight * reflectance.R_s / (MIN_COS_VIEW * LEAST_LEVEL)))
+    # where the lobe's exponent is more, an element adds nothing to a level
+    most = -1.0
+    if reflectance.R_s > 0.0:
+        most = max(0.0, math.log(weight * reflectance.R_s / LEAST_LEVEL))
     clear, hidden = elements_seen(surface, elements, caster)
     size = len(surface)
-    diffuse, specular = np.zeros((len(shares), size)), np.zeros((len(elements), len(pattern.terms), size))
+    group, kinds = groups_of(shares)
+    diffuse = np.zeros((kinds.shape[1], len(pattern.terms), size))
+    specular = np.zeros((len(elements), len(pattern.terms), size))
     geometry = surface.points, surface.normals, surface.views
-    _add_elements(*geometry, elements, pattern, shares, clear, inverse, most, diffuse, specular)
+    diffusing = clear if reflectance.R_d > 0.0 else np.zeros_like(clear)
+    _add_elements(*geometry, elements, pattern, group, diffusing, inverse, most, diffuse, specular)
     specular[..., ~surface.front] = 0.0
     if caster is not None and hidden.any():
         # in the channel where they are brightest
@@ -514,9 +633,10 @@ def _shade_chunk(
         specular *= clear[:, None]
         free = _free_pieces(surface, elements, caster, element, point)
         _replace_pieces(*geometry, elements, pattern, element, point, free, inverse, most, specular)
-    levels = np.zeros_like(diffuse)
-    _add_channels(specular, shares, levels)
-    return weight * diffuse, weight * levels
+    levels = np.zeros((2, len(shares), size))
+    _add_channels(diffuse, kinds, levels[0])
+    _add_channels(specular, shares, levels[1])
+    return weight * levels[0], weight * levels[1]
 
 
 def elements_seen(surface: SurfacePoints, elements: Float64, caster: RayCaster | None) -> tuple[Bool, Bool]:
@@ -544,26 +664,34 @@ def _free_pieces(surface: SurfacePoints, elements: Float64, caster: RayCaster, e
 
 
 def light_of_channels(
-    surface: SurfacePoints, lights: Sequence[SurfaceLight], sigma: float | None, *, threads: int | None = None
+    surface: SurfacePoints,
+    lights: Sequence[SurfaceLight],
+    sigma: float | None,
+    *,
+    diffuse: bool = True,
+    threads: int | None = None,
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light at points that see all of a light, per unit of R_d and R_s; shapes (channels, k).
 
     lights: The channels, of the same gain
     sigma: Width of the lobe [rad]; None for diffuse light alone
+    diffuse: Whether diffuse light is wanted; it is 0 otherwise
     """
-    reflectance = Reflectance(R_d=1.0, R_s=0.0, sigma=1e-3)
+    reflectance = Reflectance(R_d=float(diffuse), R_s=0.0, sigma=1e-3)
     if sigma is not None:
-        reflectance = Reflectance(R_d=1.0, R_s=MOST_R_S_SIGMA_2 / sigma**2, sigma=sigma)
+        reflectance = replace(reflectance, R_s=MOST_R_S_SIGMA_2 / sigma**2, sigma=sigma)
+    threads = threads or available_processors()
+    step = min(_CHUNK, points_at_once(len(surface), threads))
 
     def chunk(start: int) -> tuple[Float64, Float64]:
-        some = surface.take(slice(start, start + _CHUNK))
+        some = surface.take(slice(start, start + step))
         return shade_surface_lights(some, lights, reflectance=reflectance, caster=None)
 
     # light is per unit of R_s: only where it is negligible depends on R_s
-    found = in_threads(chunk, range(0, len(surface), _CHUNK), threads)
+    found = in_threads(chunk, range(0, len(surface), step), threads)
     empty = [np.zeros((len(lights), 0))]
-    diffuse, specular = (np.concatenate([one[k] for one in found] or empty, axis=1) for k in range(2))
-    return diffuse, specular
+    layers = [np.concatenate([one[k] for one in found] or empty, axis=1) for k in range(2)]
+    return layers[0], layers[1]
 
 
 @kernel

@@ -21,13 +21,13 @@ from lightopt.rendering._panel_quadrature import NODES, half_vector_cone, half_v
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._surface_light import (
     AT_ONCE,
-    DIFFUSE_NODES,
     LEAST_LEVEL,
+    all_diffuse_nodes,
     channels_of,
-    diffuse_nodes,
     diffuse_of_element,
     element_weights,
     elements_seen,
+    groups_of,
     points_at_once,
     specular_of_element,
     whole_element,
@@ -118,17 +118,6 @@ def _set_vector_light(p: Vector, places: Float64, light: Float64, weights: Float
 
 
 @kernel
-def _all_diffuse_nodes(elements: Float64, pattern: Pattern) -> tuple[Float64, Float64, Float64]:
-    # as `diffuse_nodes` of each element, shapes (e, nodes², 3), (e, nodes², 3) and (e, b, nodes²)
-    count = DIFFUSE_NODES**2
-    places, light = np.empty((len(elements), count, 3)), np.empty((len(elements), count, 3))
-    weights = np.empty((len(elements), len(pattern.terms), count))
-    for m in range(len(elements)):
-        places[m], light[m], weights[m] = diffuse_nodes(element_at(elements, m), pattern)
-    return places, light, weights
-
-
-@kernel
 def _set_normals(n: Vector, r: Vector, v: Vector, lean: Float64, normals: Float64, n_dot_v: Float64) -> float:
     # normals of the variants and N·V; returns how far a normal is from n, at most
     a, farthest = cross(n, r), 0.0
@@ -163,7 +152,7 @@ def _variant_sums(
     nodes, shared, lobe = np.empty((4, MOST_SHARED**2)), np.empty((terms, MOST_SHARED**2)), np.empty(MOST_SHARED**2)
     towards, sums = np.empty((groups, terms, 3)), np.empty((groups, count, terms))
     turned_normals, n_dot_v = np.empty((count, 3)), np.empty(count)
-    places, light, weights = _all_diffuse_nodes(elements, pattern)
+    places, light, weights = all_diffuse_nodes(elements, pattern)
     for i in range(len(points)):
         p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
         farthest = _set_normals(n, vector_at(references, i), v, lean, turned_normals, n_dot_v)
@@ -243,9 +232,7 @@ def surface_light_variants(
     """
     channels = channels_of(lights)
     elements = channels.elements
-    # elements that are alike in every channel
-    kinds, group = np.unique(channels.shares.swapaxes(0, 1), axis=0, return_inverse=True)
-    shares, group = np.ascontiguousarray(kinds.swapaxes(0, 1)), group.ravel().astype(np.intp)
+    group, shares = groups_of(channels.shares)
     # what is far below the noise does not count
     variants = variants._replace(most=variants.most - math.log(NEGLIGIBLE_CHANGE / LEAST_LEVEL))
 

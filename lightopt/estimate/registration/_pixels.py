@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Int32
-from lightopt.core.threads import in_threads
+from lightopt.core.arrays import Bool, Float64, Int32, UInt8
+from lightopt.core.threads import available_processors, in_threads
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import Placement
@@ -23,6 +23,7 @@ from lightopt.rendering import (
     light_layer,
     light_of_channels,
     panel_visibility,
+    shadow_targets,
     trace_samples,
 )
 from lightopt.scene import PartView, Scene, lens_share, view_from_part
@@ -88,19 +89,29 @@ def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> Part
 
 
 def _layers(
-    surface: SurfacePoints, group: Sequence[PanelLight], caster: RayCaster, sigmas: Sequence[float]
+    surface: SurfacePoints, group: Sequence[PanelLight], caster: RayCaster, sigmas: Sequence[float], threads: int
 ) -> Iterator[Float64]:
     # diffuse light, and specular light for each σ, of channels of a light or of one panel, shape (lights, n) each
     channels = [light for light in group if isinstance(light, SurfaceLight)]
     if channels:
-        yield light_of_channels(surface, channels, None, threads=1)[0]
+        yield light_of_channels(surface, channels, None, threads=threads)[0]
         for sigma in sigmas:
-            yield light_of_channels(surface, channels, sigma, threads=1)[1]
+            yield light_of_channels(surface, channels, sigma, diffuse=False, threads=threads)[1]
         return
     layer = light_layer(surface, group[0], caster, threads=1)
     yield layer.diffuse[None]
     for sigma in sigmas:
         yield layer.specular(sigma, threads=1)[None]
+
+
+def _verdicts(pixels: PosturePixels, group: Sequence[PanelLight], caster: RayCaster) -> UInt8:
+    # what each pixel sees of each channel, shape (channels, n); those of the same places are asked for once
+    found: dict[bytes, UInt8] = {}
+    places = [shadow_targets(panel).tobytes() for panel in group]
+    for place, panel in zip(places, group, strict=True):
+        if place not in found:
+            found[place] = panel_visibility(pixels, panel, caster, moving=True, threads=1)
+    return np.stack([found[place] for place in places])
 
 
 def light_at(
@@ -133,14 +144,16 @@ def light_at(
     panels = {panel.name: panel for panel in view.lights}
 
     groups = channel_groups([panels[name] for name in names])
+    threads = threads or available_processors()
+    threads_of_group = max(1, threads // max(1, len(groups)))
 
     def shade(number: int) -> None:
         group = [panels[names[i]] for i in groups[number]]
-        verdicts = np.stack([panel_visibility(some, panel, caster, moving=True, threads=1) for panel in group])
+        verdicts = _verdicts(some, group, caster)
         whole = verdicts == WHOLE
         found = np.stack([np.where(whole | (verdicts == UNLIT), 0.0, np.nan)] * (1 + len(sigmas)))
         seen = np.flatnonzero(whole.any(axis=0))
-        for place, level in enumerate(_layers(surface.take(seen), group, caster, sigmas)):
+        for place, level in enumerate(_layers(surface.take(seen), group, caster, sigmas, threads_of_group)):
             found[place][:, seen] = np.where(whole[:, seen], level, found[place][:, seen])
         for i, image in enumerate(pixels.images):
             for panel, own in zip(group, found.swapaxes(0, 1), strict=True):

@@ -51,7 +51,7 @@ _OUTLINE_STEP = 0.7
 _SIGMA_STEP = 0.003
 
 _CACHE_PX = 0.1
-# derivatives by the pose, which take two evaluations each, are reused for parameters so near to where they were taken
+# derivatives by pose and σ, which take two evaluations each, are reused for parameters so near to where they were taken
 _CACHE_LOG_SIGMA = 0.02
 
 
@@ -145,7 +145,7 @@ class RefinementProblem:
         inside = (here + CLEAR * noise < self._top) & (here + sensor.black_level > CLEAR * noise)
         # a pixel that half a pixel further has no prediction, beside a shadow, has no slope: it would pull nowhere, and
         # the cost would jump where it is lost
-        lost = np.isnan(np.concatenate(self._pose_derivatives(start))).any(axis=0)
+        lost = np.isnan(np.concatenate(self._light_derivatives(start)[:-1])).any(axis=0)
         self._used = np.isfinite(here) & ~full & (self.correlated | (inside & ~lost))
         self._noise = noise
         if len(edges):
@@ -164,15 +164,16 @@ class RefinementProblem:
         of_light = found[:, self._poses :]
         of_light[:, R_D] = gain * spread[0] * light[0]
         of_light[:, R_S] = gain * spread[1] * light[1]
-        of_light[:, SIGMA] = gain * spread[1] * (light[2] - light[3]) / (2.0 * _SIGMA_STEP)
         of_light[np.arange(len(found)), GAINS + self._light] = of_light[:, R_D] + of_light[:, R_S]
         of_light[:, -1] = 1.0
-        for axis, change in enumerate(self._pose_derivatives(x)):
+        *of_pose, of_sigma = self._light_derivatives(x)
+        of_light[:, SIGMA] = gain * spread[1] * of_sigma[1]
+        for axis, change in enumerate(of_pose):
             found[:, axis] = gain * (spread[0] * change[0] + spread[1] * change[1])
         return found / self._noise[:, None]
 
-    def _pose_derivatives(self, x: Float64) -> list[Float64]:
-        # of the light per unit of R_d and of R_s with each of the pose, of shape (2, n)
+    def _light_derivatives(self, x: Float64) -> list[Float64]:
+        # of the light per unit of R_d and of R_s with each of the pose, and with ln σ, of shape (2, n)
         place, log_sigma = self._frame.placement(x[: self._poses]), float(x[self._poses + SIGMA])
         if self._derivative_cache is not None:
             at, before, known = self._derivative_cache
@@ -185,6 +186,8 @@ class RefinementProblem:
         for axis, off in enumerate(np.eye(self._poses)):
             ahead, behind = (self._light_at(x, sign * off * steps) for sign in (1.0, -1.0))
             found.append((ahead - behind) / (2.0 * width * steps[axis]))
+        wider, narrower = (self._light_at(x, wider=sign * _SIGMA_STEP) for sign in (1.0, -1.0))
+        found.append((wider - narrower) / (2.0 * _SIGMA_STEP))
         self._derivative_cache = place, log_sigma, found
         return found
 
@@ -193,23 +196,21 @@ class RefinementProblem:
         gain = self._scale * np.exp(own[GAINS:-1])[self._light]
         return np.minimum(gain * (math.exp(own[R_D]) * light[0] + math.exp(own[R_S]) * light[1]) + own[-1], self._top)
 
-    def _light_at(self, x: Float64, off: Float64 | None = None) -> Float64:
-        # per unit of R_d, and of R_s at σ and to both sides of it, shape (4, n); moved, at σ alone, shape (2, n)
-        if off is None and self._light_cache is not None and np.array_equal(self._light_cache[0], x):
+    def _light_at(self, x: Float64, off: Float64 | None = None, wider: float = 0.0) -> Float64:
+        # per unit of R_d and of R_s, shape (2, n), of the part moved by `off` pixels, and with so much more ln σ
+        here = off is None and wider == 0.0
+        if here and self._light_cache is not None and np.array_equal(self._light_cache[0], x):
             return self._light_cache[1]
-        sigma = math.exp(x[self._poses + SIGMA])
-        sigmas = [sigma]
-        if off is None:
-            sigmas += [sigma * math.exp(_SIGMA_STEP), sigma * math.exp(-_SIGMA_STEP)]
+        sigmas = [math.exp(x[self._poses + SIGMA] + wider)]
         parts: list[Float64] = []
         for pixels in self._sets:
             width = _OUTLINE_STEP if pixels.rays > 1 else _INNER_STEP
             place = self._frame.placement(x[: self._poses] + (0.0 if off is None else width * off))
             view = view_of_placed(self._scene, pixels.posture, place)
             diffuse, specular = light_at(self._scene, pixels, view, self._caster, sigmas=sigmas, threads=self._threads)
-            parts.append(np.concatenate([diffuse[None], specular]).reshape(1 + len(sigmas), -1))
-        found = np.concatenate(parts, axis=1) if parts else np.zeros((1 + len(sigmas), 0))
-        if off is None:
+            parts.append(np.concatenate([diffuse[None], specular]).reshape(2, -1))
+        found = np.concatenate(parts, axis=1) if parts else np.zeros((2, 0))
+        if here:
             self._light_cache = x.copy(), found
         return found
 

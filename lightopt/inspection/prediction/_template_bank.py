@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float32, Float64, Int8, Int16, Int32, UInt8
+from lightopt.core.arrays import Bool, Float32, Float64, Index, Int8, Int16, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import blocks, in_threads
 from lightopt.defects import (
@@ -51,7 +51,7 @@ LEAST_EXPECTED = 1.5
 
 CODES = 127  # changes are stored as whole numbers up to this
 
-_POINTS = 8192  # that are shaded at once
+_LEVELS = 1 << 18  # of points, variants and lights that are shaded at once
 _ROWS = 16  # rows of places that a thread works on at once
 
 
@@ -160,11 +160,13 @@ def template_bank(
     surface = _surface(pixels, view.clean)
     deviation = expected_deviation(view)
     panels = [next(light for light in pixels.view.lights if light.name == name) for name in view.lights]
-    return tuple(
-        _templates(defect_hypotheses(entry), scene, view, deviation, surface, panels, caster, threads)
-        for ranges in catalogue
-        for entry in ranges.in_sizes()
-    )
+    hypotheses = [defect_hypotheses(entry) for ranges in catalogue for entry in ranges.in_sizes()]
+    entries = [_entry_pixels(own, view, deviation, surface, len(panels)) for own in hypotheses]
+    # entries whose larger pixels are of one size see the same places of the surface
+    for ratio in dict.fromkeys(entry.ratio for entry in entries):
+        alike = [entry for entry in entries if entry.ratio == ratio]
+        _set_changes(alike, scene, view, surface, panels, caster, threads)
+    return tuple(_templates(entry, surface, threads) for entry in entries)
 
 
 def expected_deviation(view: PostureView) -> Float32:
@@ -187,55 +189,99 @@ def _surface(pixels: PosturePixels, clean: Bool) -> _Surface:
     return _Surface(pixels, index, references, classes, surface_footprint(camera, surface.points[index[clean]]))
 
 
-def _templates(
-    own: DefectHypotheses,
-    scene: Scene,
-    view: PostureView,
-    deviation: Float32,
-    surface: _Surface,
-    panels: Sequence[PanelLight],
-    caster: RayCaster,
-    threads: int | None,
-) -> EntryTemplates:
+@dataclass(frozen=True, eq=False)
+class _EntryPixels:
+    """The larger pixels of an entry, and what :class:`EntryTemplates` has of them; `change` is set later.
+
+    pixel: Of the image in the middle of each larger one that sees the part, shape (k,)
+    at: Number of the larger one in the raveled images, shape (k,)
+    """
+
+    hypotheses: DefectHypotheses
+    deviation: Float32
+    attenuation: Float32 | None
+    ratio: int
+    halves: tuple[tuple[float, float], ...]
+    step: int
+    corner: tuple[int, int]
+    border: int
+    count: UInt8
+    pixel: Index
+    at: Index
+    foreshortening: Int16
+    change: Int8
+
+    @property
+    def unit(self) -> float:
+        """Of the stored changes [standard deviations]."""
+        return MOST_CHANGE * self.ratio / CODES
+
+
+def _entry_pixels(
+    own: DefectHypotheses, view: PostureView, deviation: Float32, surface: _Surface, lights: int
+) -> _EntryPixels:
     grid = search_grid(own, surface.footprint)
-    ratio, halves = grid.ratio, grid.halves
-    footprint = ratio * surface.footprint
+    ratio = grid.ratio
     deviation, attenuation = _with_waviness(own, view, deviation)
-    border = 2 + math.ceil(0.5 * max(shape.length for shape in own.shapes) / footprint)
+    border = 2 + math.ceil(0.5 * max(shape.length for shape in own.shapes) / (ratio * surface.footprint))
     rows, columns = mask_window(view.clean)
     count = np.stack(
         [_block_sums((view.clean & (level > 0.0))[rows, columns], ratio, border) for level in view.predicted], axis=-1
     )
-    height, breadth, lights = count.shape
-    corner = rows.start - border * ratio, columns.start - border * ratio
     # the surface is that of the pixel in the middle of each larger one
-    index = np.full((height, breadth), -1, np.int32)
+    index = np.full(count.shape[:2], -1, np.int32)
     middle = surface.index[
         rows.start + ratio // 2 : rows.stop : ratio, columns.start + ratio // 2 : columns.stop : ratio
     ]
     index[border : border + middle.shape[0], border : border + middle.shape[1]] = middle
-    foreshortening = np.where(index < 0, np.int16(-1), surface.foreshortening[np.maximum(index, 0)])
-    change = np.zeros((height, breadth, lights, len(own.slope)), np.int8)
+    at = np.flatnonzero(index >= 0)
+    return _EntryPixels(
+        hypotheses=own,
+        deviation=deviation,
+        attenuation=attenuation,
+        ratio=ratio,
+        halves=grid.halves,
+        step=grid.step,
+        corner=(rows.start - border * ratio, columns.start - border * ratio),
+        border=border,
+        count=count,
+        pixel=index.ravel()[at].astype(np.intp),
+        at=at,
+        foreshortening=np.where(index < 0, np.int16(-1), surface.foreshortening[np.maximum(index, 0)]),
+        change=np.zeros((*index.shape, lights, len(own.slope)), np.int8),
+    )
+
+
+def _set_changes(
+    entries: Sequence[_EntryPixels],
+    scene: Scene,
+    view: PostureView,
+    surface: _Surface,
+    panels: Sequence[PanelLight],
+    caster: RayCaster,
+    threads: int | None,
+) -> None:
+    # the changes of entries with the same pixels, worked out together
+    pixel, kinds = entries[0].pixel, [entry.hypotheses for entry in entries]
     variants = surface_variants(
-        slope=own.slope,
-        direction=own.direction,
-        R_d_factor=own.R_d_factor,
-        sigma_factor=own.sigma_factor,
+        slope=np.concatenate([own.slope for own in kinds]),
+        direction=np.concatenate([own.direction for own in kinds]),
+        R_d_factor=np.concatenate([own.R_d_factor for own in kinds]),
+        sigma_factor=np.concatenate([own.sigma_factor for own in kinds]),
         reflectance=scene.reflectance,
     )
-    at = np.flatnonzero(index >= 0)
-    pixel = index.ravel()[at].astype(np.intp)
-    unit, slopes = MOST_CHANGE * ratio / CODES, own.slope
+    ends = np.cumsum([len(own.slope) for own in kinds])
     sources = [panel_to_shade(panel, caster) for panel in panels]
+    most = max(1, _LEVELS // int(ends[-1]))
     tasks = [
         (group, start, end)
         for group in channel_groups(sources)
-        for start, end in blocks(len(at), max(1, _POINTS // len(group)))
+        for start, end in blocks(len(pixel), max(1, most // len(group)))
     ]
 
     def shade(number: int) -> None:
         group, start, end = tasks[number]
-        some, to = pixel[start:end], at[start:end]
+        some = pixel[start:end]
         points: SurfacePoints = surface.pixels.surface.take(some)
         own, references = [sources[i] for i in group], surface.references[some]
         place = surface.pixels.row[some], surface.pixels.column[some]
@@ -243,39 +289,46 @@ def _templates(
         passed = 1.0 if share is None else share[:, None]
         found = shade_variants_together(points, references, own, variants, reflectance=scene.reflectance, caster=caster)
         for i, levels in zip(group, found, strict=True):
-            good, noise, limit = (
-                a[i][place].astype(np.float64)[:, None] for a in (view.predicted, deviation, view.limit)
-            )
+            good, limit = (a[i][place].astype(np.float64)[:, None] for a in (view.predicted, view.limit))
             change_of_level = passed * (levels.varied.T - levels.good[:, None])
-            off = expected_change(good, good + change_of_level, deviation=noise, limit=limit)
-            off *= np.sqrt(count.reshape(-1, lights)[to, i])[:, None]
-            change.reshape(-1, lights, len(slopes))[to, i] = np.rint(off / unit)
+            for entry, change in zip(entries, np.split(change_of_level, ends[:-1], axis=1), strict=True):
+                noise, to = entry.deviation[i][place].astype(np.float64)[:, None], entry.at[start:end]
+                lights, width = entry.change.shape[2:]
+                off = expected_change(good, good + change, deviation=noise, limit=limit)
+                off *= np.sqrt(entry.count.reshape(-1, lights)[to, i])[:, None]
+                entry.change.reshape(-1, lights, width)[to, i] = np.rint(off / entry.unit)
 
     in_threads(shade, range(len(tasks)), threads)
+
+
+def _templates(entry: _EntryPixels, surface: _Surface, threads: int | None) -> EntryTemplates:
+    own, border, step, halves = entry.hypotheses, entry.border, entry.step, entry.halves
+    foreshortening = entry.foreshortening
+    height, breadth = foreshortening.shape
+    footprint = entry.ratio * surface.footprint
     pieces = _pieces(own, halves, np.unique(foreshortening[foreshortening >= 0]).tolist(), footprint, breadth)
-    step = grid.step
     places = (-(-(height - 2 * border) // step), -(-(breadth - 2 * border) // step))
     inverse = np.zeros((len(own.turns) * len(halves), *places), np.float32)
 
     def invert(top: int) -> None:
         bottom = min(top + _ROWS, places[0])
         _invert(
-            change, foreshortening, pieces.first, pieces.pixel, pieces.variant, pieces.weight, len(own.shapes),
-            border, step, top, bottom, LEAST_EXPECTED / unit, inverse,
+            entry.change, foreshortening, pieces.first, pieces.pixel, pieces.variant, pieces.weight, len(own.shapes),
+            border, step, top, bottom, LEAST_EXPECTED / entry.unit, inverse,
         )  # fmt: skip
 
     in_threads(invert, range(0, places[0], _ROWS), threads)
     return EntryTemplates(
         hypotheses=own,
-        deviation=deviation,
-        attenuation=attenuation,
-        ratio=ratio,
+        deviation=entry.deviation,
+        attenuation=entry.attenuation,
+        ratio=entry.ratio,
         width_px=own.shapes[1].width / footprint,
-        corner=corner,
+        corner=entry.corner,
         border=border,
-        change=change,
-        unit=unit,
-        count=count,
+        change=entry.change,
+        unit=entry.unit,
+        count=entry.count,
         foreshortening=foreshortening,
         pieces=pieces,
         step=step,
