@@ -357,17 +357,18 @@ class _PostureJob:
             if pixels is not None:
                 _add_curvature(pixels.copy(), self.averaged & ~rough, pixels)
 
-    def rough_chunks(self) -> Iterator[tuple[int, Index]]:
-        """Number of a light and some of its rough pixels, for :meth:`average`."""
+    def rough_chunks(self) -> Iterator[tuple[list[int], Index]]:
+        """Numbers of lights that are shaded together and some of the pixels rough in any, for :meth:`average`."""
         step = max(1, BLOCK_SAMPLES // RAYS_ACROSS**2)
-        for number, pixels in sorted(self.rough.items()):
+        for numbers in self.together:
+            pixels = np.unique(np.concatenate([self.rough[number] for number in numbers]))
             for start in range(0, len(pixels), step):
-                yield number, pixels[start : start + step]
+                yield numbers, pixels[start : start + step]
 
-    def average(self, number: int, pixels: Index) -> None:
-        """Render means over some pixels of a light: raveled indices."""
-        image, n = self.images[number], RAYS_ACROSS
-        row, column = np.divmod(pixels, image.level.shape[1])
+    def average(self, numbers: list[int], pixels: Index) -> None:
+        """Render means over those of some pixels, raveled indices, that are rough in each light."""
+        n = RAYS_ACROSS
+        row, column = np.divmod(pixels, self.scene.camera.width)
         columns, rows = _inner_points(column, row)
         hits, surface = trace_samples(self.caster, self.scene.mesh, self.view.camera, columns, rows, neighbours=True)
         passed = lens_share(self.view.camera, columns[hits.ray], rows[hits.ray])
@@ -375,10 +376,12 @@ class _PostureJob:
         # to the shadows' refinement the rays of a pixel are neighbours, those of two pixels are not
         grid = (len(pixels) * (n + 1), n)
         sample = hits.ray.astype(np.intp) + hits.ray // n**2 * n
-        [light] = self._shade(surface, [number], sample, grid)
-        for target, values in self._light(self._in_defects(surface), number, light, sample, grid, passed):
-            means = np.bincount(hits.ray // n**2, values, len(pixels)) / n**2
-            target.ravel()[pixels] = means
+        marked, lights = self._in_defects(surface), self._shade(surface, numbers, sample, grid)
+        for number, light in zip(numbers, lights, strict=True):
+            own = np.isin(pixels, self.rough[number], assume_unique=True)
+            for target, values in self._light(marked, number, light, sample, grid, passed):
+                means = np.bincount(hits.ray // n**2, values, len(pixels)) / n**2
+                target.ravel()[pixels[own]] = means[own]
 
     def _trace(self, columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
         order, *at = _tiles(columns, rows)

@@ -78,23 +78,31 @@ def _set_shared_nodes(
 
 @kernel
 def _specular_of_nodes(
-    n: Vector, n_dot_v: float, nodes: Float64, light: Float64, count: int, inverse: float, lobe: Float64, found: Float64
+    n: Vector,
+    n_dot_v: float,
+    nodes: Float64,
+    light: Float64,
+    count: int,
+    inverse: float,
+    narrow: bool,
+    lobe: Float64,
+    found: Float64,
 ) -> None:
-    # adds to `found`; `lobe` is for its own use
-    widest = 0.0
-    for k in range(count):
-        x, y, z = n.x - nodes[0, k], n.y - nodes[1, k], n.z - nodes[2, k]
-        chord = x * x + y * y + z * z
-        widest = max(widest, chord)
-        # N·L = 2 (N·H)(H·V) − N·V, and N·H = 1 − chord²/2
-        lit = 1.0 if (1.0 - 0.5 * chord) * nodes[3, k] > n_dot_v else 0.0
-        lobe[k] = lit * narrow_specular_lobe(min(chord, NARROW_CHORD_SQUARED), inverse)
-    if widest >= NARROW_CHORD_SQUARED:
-        # δ of 29° or more, where only a rough surface shows a lobe
+    # adds to `found`; `narrow`: whether all half vectors are so near; `lobe` is for its own use. The processor works on
+    # several nodes at once in loops without branches
+    if narrow:
         for k in range(count):
-            chord = length(minus(n, Vector(nodes[0, k], nodes[1, k], nodes[2, k]))) ** 2
-            lit = 1.0 if (1.0 - 0.5 * chord) * nodes[3, k] > n_dot_v else 0.0
-            lobe[k] = lit * specular_lobe(chord, inverse)
+            x, y, z = n.x - nodes[0, k], n.y - nodes[1, k], n.z - nodes[2, k]
+            chord = x * x + y * y + z * z
+            # N·L = 2 (N·H)(H·V) − N·V, and N·H = 1 − chord²/2
+            lit = (1.0 - 0.5 * chord) * nodes[3, k] > n_dot_v
+            lobe[k] = narrow_specular_lobe(chord, inverse) if lit else 0.0
+    else:
+        for k in range(count):
+            x, y, z = n.x - nodes[0, k], n.y - nodes[1, k], n.z - nodes[2, k]
+            chord = x * x + y * y + z * z
+            lit = (1.0 - 0.5 * chord) * nodes[3, k] > n_dot_v
+            lobe[k] = specular_lobe(chord, inverse) if lit else 0.0
     factor = 1.0 / specular_cosine(n_dot_v)
     for b in range(len(light)):
         total = 0.0
@@ -190,7 +198,8 @@ def _variant_sums(
                             sums[g, t, b] += R_d[t] * found[b]
                 if far or n_dot_v[t] <= 0.0:
                     continue
-                nearest = max(0.0, length(minus(turned, half)) - spread)
+                away = length(minus(turned, half))
+                nearest = max(0.0, away - spread)
                 if spread < math.pi and nearest * nearest * inverse[t] > most[t]:
                     continue
                 if counts[0] == 0:
@@ -200,7 +209,8 @@ def _variant_sums(
                 found[:] = 0.0
                 if max(counts) <= MOST_SHARED:
                     number = counts[0] * counts[1]
-                    _specular_of_nodes(turned, n_dot_v[t], nodes, shared, number, inverse[t], lobe, found)
+                    narrow = (away + spread) ** 2 < NARROW_CHORD_SQUARED
+                    _specular_of_nodes(turned, n_dot_v[t], nodes, shared, number, inverse[t], narrow, lobe, found)
                 else:
                     specular_of_element(p, turned, v, e, whole_element(e), pattern, inverse[t], most[t], found)
                 for b in range(terms):
