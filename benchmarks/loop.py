@@ -58,9 +58,9 @@ from lightopt.scene import place_defects
 
 PARTS = ("cover-knob", "spout")
 OBJECTIVES = ("detectability", "paper")
-FINISHES = {"as-filed": {}, "polished": {"R_d": 1.0}}
+FINISHES = {"as-filed": {}, "polished": {"R_d": 1.0}, "satin": {"R_s": 2820.0, "sigma_rad": 0.1}}
 """What replaces the coefficients of the part's file: polished, hardly anything scatters, and defects are glints on a
-dark field."""
+dark field; satin, a highlight is twice as wide and holds as much light."""
 MIN_IMAGES = (1, 2)
 
 OFF_MM = (0.4, -0.3, 0.0)
