@@ -393,9 +393,9 @@ def test_images_that_are_kept_are_not_computed_again(world, monkeypatch):
     evaluated = []
     own = PatchEvidence.evaluate
 
-    def counted(self, panel, *rest):
+    def counted(self, panel, *rest, **more):
         evaluated.append(panel)
-        return own(self, panel, *rest)
+        return own(self, panel, *rest, **more)
 
     monkeypatch.setattr(PatchEvidence, "evaluate", counted)
     again = keeping.matrices(POSTURES[1], find_candidates(rig, step_deg=10.0).panels)
