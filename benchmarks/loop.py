@@ -35,7 +35,7 @@ from benchmarks.inspection import FIRST, replace_block
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool
-from lightopt.defects import BUILT_IN_CATALOGUE, DEFAULT_FALSE_ALARMS, PlacedDefect, tangent_references
+from lightopt.defects import DEFAULT_FALSE_ALARMS, PlacedDefect, tangent_references
 from lightopt.design import DetectionModel, ImageEvaluator, planned_catalogue, unpack_flags
 from lightopt.design._problem import images_that_decide
 from lightopt.design.responses._evidence import spare_units
@@ -54,7 +54,7 @@ from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.report import chart, figure_image, fixed_style
 from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, start_bench, wiring_of
 from lightopt.rig.simulated import BenchTruth
-from lightopt.scene import place_defects
+from lightopt.scene import build_catalogue, place_defects
 
 PARTS = ("cover-knob", "spout")
 OBJECTIVES = ("detectability", "paper")
@@ -135,7 +135,7 @@ class Prediction:
         scene = build_scene(rig, part, defects=False)
         caster = cast_rays_at(scene)
         posture = scene.postures[0]
-        catalogue = planned_catalogue(BUILT_IN_CATALOGUE)
+        catalogue = planned_catalogue(build_catalogue(part))
         self.table = build_patches(scene, caster=caster, budget=options.patches, edges=False)
         evaluator = ImageEvaluator(
             scene=scene,
