@@ -24,7 +24,7 @@ import itertools
 import math
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -244,6 +244,8 @@ def count_found(
     predictions: dict[int, Prediction],
     options: argparse.Namespace,
     calibrations: dict[int, Calibration] | None = None,
+    *,
+    take: Callable[..., ImageSet] = take,
 ) -> Iterator[Tally]:
     """Capture and inspect parts with defects, with each number of images that must show one."""
     counts = {k: _Counts(prediction) for k, prediction in predictions.items()}

@@ -21,7 +21,11 @@ from lightopt.rendering._images import (
     render_lights as render_lights,
     render_posture as render_posture,
 )
-from lightopt.rendering._light_layer import LightLayer as LightLayer, light_layer as light_layer
+from lightopt.rendering._light_layer import (
+    LightLayer as LightLayer,
+    light_layer as light_layer,
+    specular_of_layers as specular_of_layers,
+)
 from lightopt.rendering._patches import (
     DEFAULT_PATCH_BUDGET as DEFAULT_PATCH_BUDGET,
     PatchTable as PatchTable,

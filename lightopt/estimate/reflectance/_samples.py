@@ -15,8 +15,18 @@ from lightopt.core.run_context import Share, ignore
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import Sensor
-from lightopt.rendering import UNLIT, WHOLE, LightLayer, PosturePixels, light_layer, panel_visibility, trace_pixels
+from lightopt.rendering import (
+    UNLIT,
+    WHOLE,
+    LightLayer,
+    PosturePixels,
+    light_layer,
+    panel_visibility,
+    specular_of_layers,
+    trace_pixels,
+)
 from lightopt.scene import Scene, lens_share
 
 FIRST_OCTAVE_RAD = 0.001
@@ -55,12 +65,6 @@ class SampleGroup:
     def deflection(self) -> Float64:
         """Least angle between normal and half vector [rad], shape (n,)."""
         return np.full(len(self), np.pi) if self.layer is None else self.layer.deflection
-
-    def specular(self, sigma: float, threads: int | None) -> Float64:
-        """Light per unit of R_s, shape (n,)."""
-        if self.layer is None:
-            return np.zeros(len(self))
-        return self.passed * self.layer.specular(sigma, threads=threads)
 
 
 class ImageFacts(NamedTuple):
@@ -110,7 +114,10 @@ class Samples:
 
     def specular(self, sigma: float) -> Float64:
         """Light per unit of R_s for a lobe of width σ [rad], shape (n,)."""
-        return np.concatenate([group.specular(sigma, self.threads) for group in self.groups])
+        layers = [group.layer for group in self.groups if group.layer is not None]
+        lit = iter(specular_of_layers(layers, sigma, threads=self.threads))
+        parts = [np.zeros(len(group)) if group.layer is None else group.passed * next(lit) for group in self.groups]
+        return np.concatenate(parts)
 
 
 def collect_samples(
@@ -129,10 +136,12 @@ def collect_samples(
     groups: list[SampleGroup] = []
     wanted = sorted({(scene.postures.index(o.posture), names.index(o.light)) for o in observations})
     pixels: PosturePixels | None = None
+    draws: dict[tuple[int, int | str], int] = {}  # channels of a light take the same pixels
     for done, (posture, light) in enumerate(wanted):
         if pixels is None or pixels.posture != scene.postures[posture]:
             pixels = trace_pixels(scene, scene.postures[posture], caster, threads=threads)
-        groups += _choose(pixels, posture, light, caster, budget, uniform, threads)
+        draw = draws.setdefault((posture, _entry(pixels.view.lights[light])), light)
+        groups += _choose(pixels, posture, light, draw, caster, budget, uniform, threads)
         progress((done + 1) / len(wanted))
     return _assemble(scene, groups, tuple(observations), threads)
 
@@ -141,9 +150,13 @@ def subsample(samples: Samples, budget: int) -> Samples:
     """At most `budget` of the pixels per octave, light and posture, with the observations that there are of them."""
     groups: list[SampleGroup] = []
     indices: list[Index] = []
+    draws: dict[tuple[Posture, int | str], tuple[int, int]] = {}
     start = 0
     for group in samples.groups:
-        keep, share = _by_octave(samples.deflection[start : start + len(group)], budget, (len(groups), group.light))
+        draw = len(groups), group.light
+        if group.layer is not None:
+            draw = draws.setdefault((group.posture, _entry(group.layer.light)), draw)
+        keep, share = _by_octave(samples.deflection[start : start + len(group)], budget, draw)
         indices.append(start + keep)
         start += len(group)
         groups.append(
@@ -171,6 +184,11 @@ def subsample(samples: Samples, budget: int) -> Samples:
     )
 
 
+def _entry(light: PanelLight) -> int | str:
+    # the same for channels of one light
+    return light.entry if isinstance(light, SurfaceLight) else light.name
+
+
 def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
     """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again."""
 
@@ -185,7 +203,14 @@ def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
 
 
 def _choose(
-    pixels: PosturePixels, posture: int, light: int, caster: RayCaster, budget: int, uniform: bool, threads: int | None
+    pixels: PosturePixels,
+    posture: int,
+    light: int,
+    draw: int,  # number that the pixels are drawn by
+    caster: RayCaster,
+    budget: int,
+    uniform: bool,
+    threads: int | None,
 ) -> list[SampleGroup]:
     panel = pixels.view.lights[light]
     verdict = panel_visibility(pixels, panel, caster, threads=threads)
@@ -193,8 +218,8 @@ def _choose(
     unlit = np.flatnonzero(pixels.clean & (verdict == UNLIT))
     layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
     angle = np.zeros(len(whole)) if uniform else layer.deflection
-    keep, share = _by_octave(angle, budget, (posture, light))
-    few, few_share = _by_octave(np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, light))
+    keep, share = _by_octave(angle, budget, (posture, draw))
+    few, few_share = _by_octave(np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, draw))
     lit = layer.take(keep)
     passed = lens_share(pixels.view.camera, pixels.column + 0.5, pixels.row + 0.5)
     return [
