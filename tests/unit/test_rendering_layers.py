@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lightopt import build_scene, render
-from lightopt.rendering import UNLIT, WHOLE, cast_rays_at, light_layer, mask_pixels, panel_visibility, trace_pixels
+from lightopt.config import load_rig
+from lightopt.rendering import (
+    UNLIT,
+    WHOLE,
+    cast_rays_at,
+    light_layer,
+    mask_pixels,
+    panel_visibility,
+    specular_of_layers,
+    trace_pixels,
+)
 from lightopt.rendering._pixels import LEFT_OUT
 from lightopt.rendering._surface import GRAZING_COSINE
-from lightopt.scene import pixel_directions
+from lightopt.scene import build_lights, pixel_directions
 
 
 @pytest.mark.parametrize("points", [1, 9, "auto"])
@@ -129,3 +140,21 @@ def test_masks_of_pixels_are_those_of_their_surface(shared_bench, threads, postu
     assert 0 < masks.clean.sum() < masks.hit.sum()
     rays = pixel_directions(camera, pixels.column + 0.5, pixels.row + 0.5)
     assert set(np.flatnonzero(masks.faces)) == set(caster.first_hit(camera.position, rays))
+
+
+def test_layers_of_channels_are_those_of_each(shared_bench):
+    """Whether they are worked out together, which takes the same points, or apart, and whatever lies between them."""
+    rig = load_rig(Path(__file__).parents[2] / "configs" / "rigs" / "display-stripes.yaml")
+    scene = build_scene(shared_bench.rig, shared_bench.part)
+    scene = replace(scene, lights=(*build_lights(rig)[:6], *scene.lights[:1], *build_lights(rig)[6:]))
+    caster = cast_rays_at(scene)
+    pixels = trace_pixels(scene, scene.postures[0], caster)
+    some = np.flatnonzero(pixels.clean)[::7]
+    layers = [
+        light_layer(pixels.surface.take(some[: 500 + (k == 2)]), light, caster)
+        for k, light in enumerate(pixels.view.lights)
+    ]
+    together = specular_of_layers(layers, 0.0475)
+    for layer, found in zip(layers, together, strict=True):
+        alone = layer.specular(0.0475)
+        np.testing.assert_allclose(found, alone, atol=1e-4 * max(alone.max(), 1e-12))
