@@ -13,6 +13,8 @@ from lightopt.design._files import (
     finish_design as finish_design,
     write_design as write_design,
 )
+from lightopt.design._joint_tolerances import JointTolerances as JointTolerances, design_tolerances as design_tolerances
+from lightopt.design._misalignment import PairAssessment as PairAssessment, Setup as Setup
 from lightopt.design._optimize import optimize as optimize
 from lightopt.design._problem import (
     CalibratedThreshold as CalibratedThreshold,
@@ -29,9 +31,9 @@ from lightopt.design._result import (
 )
 from lightopt.design._result_json import plan_document as plan_document
 from lightopt.design._tolerances import (
-    PairAssessment as PairAssessment,
-    Setup as Setup,
+    DEFAULT_TOLERANCE_TARGET as DEFAULT_TOLERANCE_TARGET,
     Tolerances as Tolerances,
+    WidestTolerance as WidestTolerance,
     analyse_tolerances as analyse_tolerances,
 )
 from lightopt.design.blind_spots._blind_spots import (

@@ -155,7 +155,7 @@ def find_candidates(
     left = [[possible[i][k] for k in row] for i, row in enumerate(rows)]
     angles_left = tuple(tuple(at for at, _ in some) for some in left)
     sizes = tuple(map(len, rows))
-    channels = _channels(rig)
+    channels = bodies_of(rig)
     left_clashes = {(i, j): clash[np.ix_(rows[i], rows[j])] for (i, j), clash in clashes.items()}
     left_clashes = {pair: clash for pair, clash in left_clashes.items() if clash.any()}
     groups = _together(rig, channels, angles_left, _groups(rig, angles_left, sizes, shared))
@@ -165,12 +165,16 @@ def find_candidates(
     return Candidates(names, channels, angles_left, panels, tuple(left_out), space)
 
 
-def _channels(rig: RigConfig) -> tuple[tuple[int, ...], ...]:
-    # indices of the lights that are one entry of the file, channels of a light
-    found: dict[int, list[int]] = {}
+def bodies_of(rig: RigConfig) -> tuple[tuple[int, ...], ...]:
+    """Indices of the lights that move together: channels of one light of the rig, and lights that a programme mixes."""
+    found: list[tuple[set[int], list[int]]] = []
     for index, light in enumerate(rig.lights):
-        found.setdefault(light.entry, []).append(index)
-    return tuple(map(tuple, found.values()))
+        entries, members = {one.entry for one, _ in light.mixture} or {light.entry}, [index]
+        for own in [own for own in found if own[0] & entries]:
+            found.remove(own)
+            entries, members = entries | own[0], own[1] + members
+        found.append((entries, members))
+    return tuple(sorted(tuple(sorted(members)) for _, members in found))
 
 
 def _together(

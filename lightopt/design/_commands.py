@@ -7,9 +7,10 @@ from pathlib import Path
 
 from lightopt.config import RigConfig
 from lightopt.core.transforms import Posture
+from lightopt.design._misalignment import Setup
 from lightopt.design._previous_result import PLANNED_PART_NAME, RIG_NAME
 from lightopt.design._problem import OptimizeOptions, PlanOptions
-from lightopt.design._tolerances import Setup, Tolerances
+from lightopt.design._tolerances import Tolerances
 from lightopt.images import posture_folder
 from lightopt.scene import travel_order, travel_s
 

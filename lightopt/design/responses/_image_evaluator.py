@@ -67,7 +67,9 @@ def _channels_of_places(lights: Sequence[PanelLight], some: Sequence[int]) -> li
     found: dict[Any, list[int]] = {}
     for at in some:
         light = lights[at]
-        key = (light.entry, light.centre.tobytes()) if isinstance(light, SurfaceLight) else at
+        key: Any = at
+        if isinstance(light, SurfaceLight):
+            key = light.entry, *(vector.tobytes() for vector in (light.centre, light.across, light.along))
         found.setdefault(key, []).append(at)
     return [own[i : i + AT_ONCE] for own in found.values() for i in range(0, len(own), AT_ONCE)]
 
