@@ -34,6 +34,8 @@ from lightopt.design import (
     design_tolerances,
     finish_design,
     optimize,
+    place_of,
+    place_text,
     write_design,
 )
 from lightopt.images import make_folder, write_text_atomic
@@ -233,11 +235,11 @@ def _moved(result: DesignResult) -> tuple[str, ...]:
     answer = result.results[0].answers[0]
     if answer.nothing is not None:
         return ()
-    places = zip(result.rig.lights, result.candidates.angles, answer.found.best.candidates, strict=True)
+    standing = zip(result.rig.lights, result.candidates.places, answer.found.best.candidates, strict=True)
     found: dict[str, None] = {}
-    for light, angles, k in places:
-        if angles[k] != (light.elevation_deg, light.azimuth_deg):
-            found[f"{light.entry_name} to {angles[k][0]:g}°, {angles[k][1]:g}°"] = None
+    for light, places, k in standing:
+        if places[k] != place_of(light):
+            found[f"{light.entry_name} to {place_text(places[k])}"] = None
     return tuple(found)
 
 

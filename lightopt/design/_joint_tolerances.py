@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from lightopt.core.run_context import RunContext, Share
 from lightopt.design._misalignment import PairAssessment, Setup
 from lightopt.design._problem import detection_model_of
-from lightopt.design._result import DesignResult, angles_of
+from lightopt.design._result import DesignResult, places_of
 from lightopt.design._tolerances import (
     DEFAULT_TOLERANCE_TARGET,
     EXACT,
@@ -41,9 +41,9 @@ def design_tolerances(
     if result.defects is None or best.answers[0].nothing is not None:
         return None
     plan, postures = result.plan, best.postures
-    angles = (angles_of(result.candidates, best.answers[0].found.best),) * len(postures)
+    places = (places_of(result.candidates, best.answers[0].found.best),) * len(postures)
     exposures = tuple(map(plan.exposures_of, postures))
-    setup = Setup(result.rig, postures, angles, exposures, points=result.options.points)
+    setup = Setup(result.rig, postures, places, exposures, points=result.options.points)
     if plan.chosen is not None:
         evaluator = plan.chosen.evaluator
     else:

@@ -18,9 +18,9 @@ import numpy as np
 
 from lightopt.config import RigConfig
 from lightopt.core.arrays import Bool, Int64
-from lightopt.core.threads import available_processors
+from lightopt.core.threads import available_processors, in_threads
 from lightopt.core.transforms import Posture, azimuth_tangent, elevation_tangent, rotation_from_vector
-from lightopt.design._candidates import bodies_of, panels_of
+from lightopt.design._candidates import Place, bodies_of, panels_of
 from lightopt.design._tolerances import EXACT, Offset
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._light_positions import combination_sums
@@ -44,14 +44,14 @@ class Setup:
 
     rig: RigConfig
     postures: tuple[Posture, ...]
-    angles: tuple[tuple[tuple[float, float], ...], ...]  # elevation and azimuth of each light, posture by posture [°]
+    places: tuple[tuple[Place, ...], ...]  # of each light, posture by posture
     exposures: tuple[tuple[float, ...], ...]  # posture by posture, 1 among them
     points: int | Literal["auto"] | None = None  # point lights per panel, instead of the rig's
 
     def only(self, posture: int) -> "Setup":
         """One of the postures."""
         one = slice(posture, posture + 1)
-        return replace(self, postures=self.postures[one], angles=self.angles[one], exposures=self.exposures[one])
+        return replace(self, postures=self.postures[one], places=self.places[one], exposures=self.exposures[one])
 
     def panels(self, posture: int) -> tuple[PanelLight, ...]:
         """The lights in a posture, world frame."""
@@ -71,11 +71,11 @@ class Setup:
 
     def panel(self, posture: int, light: int, offset: Offset) -> PanelLight:
         """A light that is off by so much with its body, world frame."""
-        panel = panels_of(self.rig, light, [self.angles[posture][light]], self.points)[0]
+        panel = panels_of(self.rig, light, [self.places[posture][light]], self.points)[0]
         if offset == EXACT:
             return panel
         first = next(own[0] for own in self.bodies if light in own)
-        elevation, azimuth = np.radians(self.angles[posture][first])
+        elevation, azimuth = np.radians(self.places[posture][first][:2])
         upright = elevation_tangent(elevation=elevation, azimuth=azimuth)
         sideways = upright if abs(math.cos(elevation)) < NEAR_ZENITH else np.array([0.0, 0.0, 1.0])
         raised = rotation_from_vector(-math.radians(offset[0]) * azimuth_tangent(azimuth=azimuth))
@@ -106,8 +106,9 @@ class _Assessment(ABC):
     def __call__(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
         # images of other poses than this one and the exact one are not needed again
         self.images = {key: image for key, image in self.images.items() if key[1] in (pose, EXACT)}
-        for posture in range(len(self.setup.postures)):
-            self._compute_images(posture, pose, lights)
+        postures, threads = range(len(self.setup.postures)), self.evaluator.threads or available_processors()
+        evaluator = replace(self.evaluator, threads=max(1, threads // len(postures)))
+        in_threads(lambda posture: self._compute_images(evaluator, posture, pose, lights), postures, threads)
         return self.scores(pose, lights)
 
     @abstractmethod
@@ -128,7 +129,9 @@ class _Assessment(ABC):
         panels: The body's lights where they are then, world frame
         """
 
-    def _compute_images(self, posture: int, pose: Offset, lights: Sequence[Sequence[Offset]]) -> None:
+    def _compute_images(
+        self, evaluator: ImageEvaluator, posture: int, pose: Offset, lights: Sequence[Sequence[Offset]]
+    ) -> None:
         # the images that are not known yet, those of all lights in one go
         keys = ([(posture, pose, body, offset) for offset in offsets] for body, offsets in enumerate(lights))
         missing = [[key[-1] for key in some if key not in self.images] for some in keys]
@@ -138,7 +141,7 @@ class _Assessment(ABC):
         there = Posture(nominal.elevation_deg + pose[0], nominal.rotation_deg + pose[1])
         offsets_of = {light: missing[body] for body, own in enumerate(bodies) for light in own}
         panels = [[self.setup.panel(posture, i, one) for one in offsets_of[i]] for i in range(len(offsets_of))]
-        evaluator = replace(self.evaluator, table=self._table(there, posture))
+        evaluator = replace(evaluator, table=self._table(there, posture))
         matrices = evaluator.matrices(there, panels, exposures=self.setup.exposures[posture])
         for body, own in enumerate(bodies):
             for at, offset in enumerate(missing[body]):

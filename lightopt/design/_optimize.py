@@ -30,7 +30,7 @@ from lightopt.design._problem import (
     images_that_decide,
     run_provenance,
 )
-from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
+from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, places_of
 from lightopt.design._tolerances import Tolerances, analyse_tolerances, check_body_count
 from lightopt.design.blind_spots._blind_spots import BlindSpotSummary, PostureVisibility, planned_visibility
 from lightopt.design.objectives._detectability import DetectabilityObjective
@@ -188,7 +188,7 @@ def _state_problem(
     if options.places is None and not any(map(can_move, rig.lights)):
         run.warn(
             f"{rig.source.at('lights')}: no light can be moved, so that only what the lights show as they stand is "
-            "found; give one or more an elevation_range_deg or an azimuth_range_deg"
+            "found; give one or more an elevation_range_deg, an azimuth_range_deg or a distance_range_mm"
         )
     check_editable(rig)
     objectives = _objectives(rig, part, options, run)
@@ -260,7 +260,7 @@ def _complete(
     if not requested or any(result.answers[0].nothing is not None for result in results):
         return PlanResult(chosen=chosen), ()
     # the lights where they are best for the first objective in each posture, at exposure 1
-    sets = [(result.postures, angles_of(candidates, result.answers[0].found.best)) for result in results]
+    sets = [(result.postures, places_of(candidates, result.answers[0].found.best)) for result in results]
     angles = {posture: own for postures, own in sets for posture in postures}
     exposures = ((1.0,),) * len(angles)
     lights = Setup(problem.rig, tuple(angles), tuple(angles.values()), exposures, points=options.points)

@@ -29,7 +29,8 @@ lights:
 """,
     "ring": """
 lights:
-  - {name: ring, kind: ring, inner_radius_mm: 50, outer_radius_mm: 80, distance_mm: 250, segments: 2}
+  - {name: ring, kind: ring, inner_radius_mm: 50, outer_radius_mm: 80, distance_mm: 250, segments: 2,
+     distance_range_mm: [150, 250], distance_step_mm: 100}
 """,
     "blocked": """
 lights:
@@ -136,6 +137,9 @@ def test_systems_are_designed_compared_and_reported(bench, tmp_path, cli):
         # of what the camera sees, what is not found has a reason
         assert one["share"] + sum(one["not_found"].values()) == pytest.approx(1.0, abs=0.02)
     page = (out / "report.html").read_text(encoding="utf-8")
+    chosen = load_rig(out / "ring" / "rig.optimized.yaml").lights
+    assert len({light.distance_mm for light in chosen}) == 1
+    assert (f"ring to 90°, 270°, {chosen[0].distance_mm:g} mm" in page) is (chosen[0].distance_mm != 250.0)
     for text in ("panels/report.html", "ring/report.html", "Systems that cannot be used", "Why defects are missed"):
         assert text in page
     again = cli(*command, "--min-images", 1)

@@ -135,7 +135,7 @@ def setup_of(rig, postures, exposures=((1.0,),)):
     return Setup(
         rig=rig,
         postures=tuple(postures),
-        angles=(angles,) * len(postures),
+        places=(angles,) * len(postures),
         exposures=tuple(exposures) * (len(postures) // len(exposures)),
     )
 
