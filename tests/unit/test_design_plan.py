@@ -249,6 +249,17 @@ programme:
     np.testing.assert_allclose(off.elements, turned(setup.panels(0)[0], (-1.0, 0.0, 0.0), 4.0).elements, atol=1e-9)
 
 
+def test_images_of_all_kinds_of_light_are_held_by_their_places(world):
+    rig, _ = world
+    cache, setup = ImageCache(1_000), setup_of(rig_of(rig, OTHERS, "others"), POSTURES[:1])
+    first, second, bar = setup.panels(0)
+    cache.keep(POSTURES[0], (1.0,), first, np.arange(3))
+    (held,) = cache.find(POSTURES[0], (1.0,), setup.panels(0)[0])
+    assert held.tolist() == [0, 1, 2]
+    others = (second, bar, setup.panel(0, 0, (1.0, 0.0)))
+    assert [cache.find(POSTURES[0], (1.0,), one) for one in others] == [None] * 3
+
+
 @pytest.mark.parametrize("together", [True, False])
 def test_tolerances_of_channels_are_those_of_recounting_every_corner(world, together):
     rig, evaluator = world
