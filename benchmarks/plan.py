@@ -193,7 +193,7 @@ def tolerances(drawn: ImageEvaluator, choice: PostureChoice) -> tuple[float, int
     setup = Setup(
         rig=rig,
         postures=choice.postures[:1],
-        angles=(tuple((light.elevation_deg, light.azimuth_deg) for light in rig.lights),),
+        places=(tuple((light.elevation_deg, light.azimuth_deg) for light in rig.lights),),
         exposures=((1.0,),),
     )
     names = [light.name for light in rig.lights]

@@ -32,7 +32,7 @@ def main() -> None:
         return float(matrix.areas[even].sum())
 
     best = max(itertools.product(*(range(len(layer)) for layer in matrix.levels)), key=score)
-    for name, angles, number in zip(candidates.names, candidates.angles, best, strict=True):
+    for name, angles, number in zip(candidates.names, candidates.places, best, strict=True):
         print(f"{name}: elevation {angles[number][0]:g}°")
     print(f"{score(best):.0f} mm² lit evenly")
 

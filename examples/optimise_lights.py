@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from lightopt import load_part, load_rig
-from lightopt.design import OptimizeOptions, angles_of, finish_design, optimize, write_design
+from lightopt.design import OptimizeOptions, finish_design, optimize, places_of, write_design
 from lightopt.report.design import design_report
 
 HERE = Path(__file__).parent
@@ -18,7 +18,7 @@ def main(out: Path) -> None:
     result = optimize(rig, part, out, options=options)
     for one in result.results:
         best = one.answers[0].found.ranking[0]  # of the first objective
-        print(one.postures[0], [f"{elevation:g}°" for elevation, _ in angles_of(result.candidates, best)])
+        print(one.postures[0], [f"{elevation:g}°" for elevation, _ in places_of(result.candidates, best)])
     output = write_design(result)
     finish_design(output, design_report(output))
 

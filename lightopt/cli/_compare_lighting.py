@@ -34,6 +34,9 @@ def compare_lighting(
     min_images: int = system_option(2, metavar="K", min=1, help="Number of images that must show a defect."),
     false_alarms: float = system_option(0.05, metavar="N", help="False alarms per posture, the same for all systems."),
     patches: int = system_option(2000, metavar="N", min=1, help="Target number of visible surface patches."),
+    tolerances: bool = system_option(
+        True, "--tolerances/--no-tolerances", help="Compute how far lights and part may be off."
+    ),
     points: common.Points = None,
     report: bool = output_option(True, "--report/--no-report", help="Write a report for each system as well."),
     force: common.Force = False,
@@ -76,7 +79,9 @@ def compare_lighting(
     )
     plan = PlanOptions(choose_postures=choose_postures, exposures=chosen_exposures)
     with run_context(quiet=quiet, threads=threads) as run:
-        found = comparison.compare_lighting(files, part, out, options=options, plan=plan, force=force, run=run)
+        found = comparison.compare_lighting(
+            files, part, out, options=options, plan=plan, tolerances=tolerances, force=force, run=run
+        )
     if quiet:
         return
     echo(comparison.answer_text(found))

@@ -33,8 +33,8 @@ def show_design(output: design.DesignOutput, *, verbose: bool) -> None:
         echo(f"capture: {capture_text(result)}")
     if verbose:
         for out in result.all_candidates.left_out:
-            place = f"elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°"
-            echo(f"left out: {out.light} at {place}: it {out.reason}")
+            named = zip(design.AXES, design.place_text(out.place).split(", "), strict=False)
+            echo(f"left out: {out.light} at {', '.join(map(' '.join, named))}: it {out.reason}")
         if result.patches is not None:
             echo(result.patches.message)
         if result.reused:
@@ -86,7 +86,7 @@ def _show_best(found: design.DesignResult, *, verbose: bool) -> None:
         echo(f"shares of {' and '.join(surface_names)}: of {surface}")
     echo(LEFT_OUT_MEANING)
     echo(near_meaning(objectives))
-    echo("angles of each light: elevation, and azimuth about Z from +X")
+    echo("place of each light: elevation, azimuth about Z from +X, and the distance where it has a range")
 
 
 def _cells(answer: design.ObjectiveResult, result: design.SetResult, found: design.DesignResult) -> list[str]:
@@ -96,11 +96,11 @@ def _cells(answer: design.ObjectiveResult, result: design.SetResult, found: desi
     if answer.nothing is not None:
         blank = ["-"] * (len(found.candidates.names) + len(result.answers))
         return [*blank, result.left_out_text, "-", "all 0", "all 0", counted_text]
-    angles = [f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in design.angles_of(found.candidates, best.best)]
+    places = [design.place_text(place) for place in design.places_of(found.candidates, best.best)]
     objectives = {other.objective.name: other.objective for other in result.answers}
     scores = [result.score_text(value, objectives[name]) for name, value in answer.scores.items()]
     counts = [result.gap_text(answer), answer.ties_text, answer.near_text, counted_text]
-    return [*angles, *scores, result.left_out_text, *counts]
+    return [*places, *scores, result.left_out_text, *counts]
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:

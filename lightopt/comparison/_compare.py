@@ -22,15 +22,20 @@ from lightopt.core.errors import CheckFailed, InputError, counted
 from lightopt.core.provenance import differences, provenance
 from lightopt.core.run_context import RunContext
 from lightopt.design import (
+    DEFAULT_TOLERANCE_TARGET,
     BlindReason,
     DesignOutput,
     DesignResult,
+    JointTolerances,
     OptimizeOptions,
     PlanOptions,
     blind_text,
     deciding_text,
+    design_tolerances,
     finish_design,
     optimize,
+    place_of,
+    place_text,
     write_design,
 )
 from lightopt.images import make_folder, write_text_atomic
@@ -52,6 +57,7 @@ def compare_lighting(
     *,
     options: OptimizeOptions,
     plan: PlanOptions | None = None,
+    tolerances: bool = True,
     force: bool = False,
     run: RunContext | None = None,
 ) -> LightingComparison:
@@ -61,13 +67,14 @@ def compare_lighting(
     camera's view, is reported and does not end the comparison.
 
     options, plan: Of each design; the objective is detectability
+    tolerances: Whether the mounting tolerance and the pose tolerance of each system are computed
     Raises InputError: Whatever is wrong with the part, the rig files or the options, or no system that can be used.
     """
     folder, run, plan = Path(folder), run or RunContext(), plan or PlanOptions()
     part = part if isinstance(part, PartConfig) else load_part(part)
     options = replace(options, objectives=("detectability",), images=False)
     loaded = _loaded([Path(rig) for rig in rigs])
-    facts = _provenance(loaded, part, options, plan)
+    facts = _provenance(loaded, part, options, plan, DEFAULT_TOLERANCE_TARGET if tolerances else None)
     if not force:
         _refuse_other_comparison(folder / DOCUMENT, facts)
     found: list[SystemResult] = []
@@ -92,7 +99,10 @@ def compare_lighting(
             unusable.append(UnusableSystem(name=name, messages=error.messages))
             continue
         warnings |= dict.fromkeys(f"{name}: {text}" for text in output.warnings if "no light can be moved" not in text)
-        found.append(_system(name, output, run.threads))
+        allowed = design_tolerances(result, run=own) if tolerances else None
+        if allowed is not None and allowed.lights is None:
+            warnings[f"{name}: it has too many lights for its mounting tolerance; channels of a light are one"] = None
+        found.append(_system(name, output, allowed, run.threads))
     if not found:
         raise InputError(*(f"{one.name}: {text}" for one in unusable for text in one.messages))
     footprints = [one.footprint_mm for one in found]
@@ -115,15 +125,14 @@ def compare_lighting(
 
 
 def _provenance(
-    rigs: Mapping[str, RigConfig], part: PartConfig, options: OptimizeOptions, plan: PlanOptions
+    rigs: Mapping[str, RigConfig], part: PartConfig, options: OptimizeOptions, plan: PlanOptions, target: float | None
 ) -> dict[str, Any]:
     inputs = {"part": {"file": part.source.path.name, "sha256": part.source.sha256}}
     inputs |= {name: {"file": rig.source.path.name, "sha256": rig.source.sha256} for name, rig in rigs.items()}
     names = ("step_deg", "points", "min_images", "false_alarms", "patch_budget", "report")
     postures = None if options.postures is None else [posture.as_dict() for posture in options.postures]
-    return provenance(
-        inputs, {**{name: getattr(options, name) for name in names}, "postures": postures, **plan.facts()}
-    )
+    facts = {name: getattr(options, name) for name in names} | {"postures": postures, "tolerance_target": target}
+    return provenance(inputs, facts | plan.facts())
 
 
 def _refuse_other_comparison(path: Path, facts: Mapping[str, Any]) -> None:
@@ -157,7 +166,7 @@ def _loaded(paths: Sequence[Path]) -> dict[str, RigConfig]:
     return loaded
 
 
-def _system(name: str, output: DesignOutput, threads: int | None) -> SystemResult:
+def _system(name: str, output: DesignOutput, tolerances: JointTolerances | None, threads: int | None) -> SystemResult:
     result = output.result
     share, grain, defects = _found(output)
     answered = [one for one in result.results if one.answers[0].nothing is None]
@@ -178,6 +187,8 @@ def _system(name: str, output: DesignOutput, threads: int | None) -> SystemResul
         defects=defects,
         reasons=_reasons(result),
         moved=_moved(result),
+        mounting=None if tolerances is None else tolerances.lights,
+        pose=None if tolerances is None else tolerances.part,
         images=images,
         seconds=seconds,
         size_mm=(float(size[0]), float(size[1]), float(size[2])),
@@ -224,11 +235,11 @@ def _moved(result: DesignResult) -> tuple[str, ...]:
     answer = result.results[0].answers[0]
     if answer.nothing is not None:
         return ()
-    places = zip(result.rig.lights, result.candidates.angles, answer.found.best.candidates, strict=True)
+    standing = zip(result.rig.lights, result.candidates.places, answer.found.best.candidates, strict=True)
     found: dict[str, None] = {}
-    for light, angles, k in places:
-        if angles[k] != (light.elevation_deg, light.azimuth_deg):
-            found[f"{light.entry_name} to {angles[k][0]:g}°, {angles[k][1]:g}°"] = None
+    for light, places, k in standing:
+        if places[k] != place_of(light):
+            found[f"{light.entry_name} to {place_text(places[k])}"] = None
     return tuple(found)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lightopt.comparison._results import LightingComparison, SystemResult
 from lightopt.core.errors import counted, percent
-from lightopt.design import BLIND_SHARES_OF, finding_text, share_text
+from lightopt.design import BLIND_SHARES_OF, DEFAULT_TOLERANCE_TARGET, WidestTolerance, finding_text, share_text
 from lightopt.report import (
     Answer,
     Gallery,
@@ -69,7 +69,7 @@ def _cost(one: SystemResult) -> str:
 
 
 def systems_table(comparison: LightingComparison, folder: Path | None = None) -> Table:
-    """The systems, the best first; with links to their designs for a page in `folder`."""
+    """The systems, the best first; for a page in `folder` with the sides of pixels, and links to their designs."""
     best = set(comparison.best)
     rows = [
         [
@@ -78,16 +78,22 @@ def systems_table(comparison: LightingComparison, folder: Path | None = None) ->
             "yes" if one in best else "",
             str(one.images),
             "-" if one.seconds is None else f"{one.seconds:.1f}",
+            _tolerance_text(one.mounting),
+            _tolerance_text(one.pose),
             " × ".join(f"{side:.0f}" for side in one.size_mm),
-            f"{one.footprint_mm:.3g}",
+            *([] if folder is None else [f"{one.footprint_mm:.3g}"]),
             ", ".join(f"{reason} {percent(share, 0)}" for reason, share in _main_reasons(one)) or "-",
         ]
         for one in comparison.systems
     ]
-    header = ["system", "found", "Pareto", "images", "s/part", "size [mm]", "pixel [mm]", "not found, mostly"]
+    header = ["system", "found", "Pareto", "images", "s/part", "lights ±°", "part ±°", "size [mm]", "not found, mostly"]
+    if folder is not None:
+        header.insert(-1, "pixel [mm]")
     caption = (
-        "Found: share of surface × defects. Pareto: no other system finds as much in less time per part. Size: of the "
-        "box around the lights along X, Y, Z. Pixel: its side at the origin."
+        "Found: share of surface × defects. Pareto: no other system finds as much in less time per part. Lights ±°, "
+        "part ±°: how far all angles of the lights, or tilt and rotation of the part, may be off at once while "
+        f"{percent(DEFAULT_TOLERANCE_TARGET, 0)} of the share is kept. Size: of the box around the lights along X, Y, "
+        "Z. Pixel: its side at the origin."
     )
     links = (
         []
@@ -95,6 +101,12 @@ def systems_table(comparison: LightingComparison, folder: Path | None = None) ->
         else [f"{one.folder.relative_to(folder).as_posix()}/report.html" for one in comparison.systems]
     )
     return Table(header=header, rows=rows, numbers_from=1, caption=caption, links=links)
+
+
+def _tolerance_text(one: WidestTolerance | None) -> str:
+    if one is None:
+        return "-"
+    return f"≥ {one.degrees:g}" if one.open_ended else "< 0.05" if one.degrees == 0.0 else f"{one.degrees:.2g}"
 
 
 def _main_reasons(one: SystemResult) -> list[tuple[str, float]]:

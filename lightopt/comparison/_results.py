@@ -9,7 +9,7 @@ from typing import Any
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool, Float32
-from lightopt.design import OptimizeOptions
+from lightopt.design import OptimizeOptions, WidestTolerance
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,6 +38,9 @@ class SystemResult:
     size_mm: tuple[float, float, float]  # of the box around the lights along X, Y, Z
     footprint_mm: float  # side of a pixel at the origin
     pictures: tuple[Picture, ...]  # of the first posture
+    # how far all lights, and the part, may be off while most of the share is kept; None where that was not computed
+    mounting: WidestTolerance | None = None
+    pose: WidestTolerance | None = None
 
     @property
     def cost(self) -> float:
@@ -95,6 +98,8 @@ def comparison_document(comparison: LightingComparison) -> dict[str, Any]:
             "not_found": {reason: round(share, 6) for reason, share in one.reasons.items()},
             "images": one.images,
             "seconds": None if one.seconds is None else round(one.seconds, 3),
+            "mounting_tolerance": _tolerance_dict(one.mounting),
+            "pose_tolerance": _tolerance_dict(one.pose),
             "size_mm": [round(side, 3) for side in one.size_mm],
             "footprint_mm": round(one.footprint_mm, 6),
         }
@@ -108,18 +113,24 @@ def comparison_document(comparison: LightingComparison) -> dict[str, Any]:
     }
 
 
+def _tolerance_dict(one: WidestTolerance | None) -> dict[str, Any] | None:
+    return None if one is None else {"degrees": one.degrees, "or_more": one.open_ended}
+
+
 def comparison_csv(comparison: LightingComparison) -> str:
     """The systems as a table, the best first."""
     kinds = list(dict.fromkeys(kind for one in comparison.systems for kind in one.defects))
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     size = [f"size_{axis}_mm" for axis in "xyz"]
-    table.writerow(["system", "share", *kinds, "images", "seconds", *size, "footprint_mm", "pareto"])
+    widest = ["mounting_tolerance_deg", "pose_tolerance_deg"]
+    table.writerow(["system", "share", *kinds, "images", "seconds", *widest, *size, "footprint_mm", "pareto"])
     best = {one.name for one in comparison.best}
     for one in comparison.systems:
         shares = [f"{one.defects.get(kind, 0.0):.6f}" for kind in kinds]
         seconds = "" if one.seconds is None else f"{one.seconds:.3f}"
         sides = [f"{side:.3f}" for side in one.size_mm]
-        pareto = int(one.name in best)
-        table.writerow([one.name, f"{one.share:.6f}", *shares, one.images, seconds, *sides, one.footprint_mm, pareto])
+        widest = ["" if tolerance is None else f"{tolerance.degrees:g}" for tolerance in (one.mounting, one.pose)]
+        rest = [*widest, *sides, one.footprint_mm, int(one.name in best)]
+        table.writerow([one.name, f"{one.share:.6f}", *shares, one.images, seconds, *rest])
     return text.getvalue()

@@ -15,6 +15,7 @@ from lightopt.config._hardware import (
     HardwareConfig as HardwareConfig,
     StageDeviceConfig as StageDeviceConfig,
 )
+from lightopt.config._light import RANGE_KEYS as RANGE_KEYS
 from lightopt.config._load import (
     LightsOnly as LightsOnly,
     input_hashes as input_hashes,

@@ -181,6 +181,14 @@ ElevationRange = Annotated[
 AzimuthRange = Annotated[
     tuple[Azimuth, Azimuth], LIST, _ASCENDING, expecting("[low, high], two numbers from -360 to 360 (degrees)")
 ]
+Distance = Annotated[
+    float,
+    Field(ge=0, le=1e6),
+    expecting("a length between 0.001 and 1000000 (a number); a light around the part may be at 0"),
+]
+DistanceRange = Annotated[
+    tuple[Distance, Distance], LIST, _ASCENDING, expecting("[low, high], two lengths from 0 to 1000000")
+]
 Tilt = Annotated[float, Field(ge=-180, le=180), expecting("a number from -180 to 180 (degrees of tilt)")]
 TiltRange = Annotated[
     tuple[Tilt, Tilt], LIST, _ASCENDING, expecting("[low, high], two numbers from -180 to 180 (degrees)")

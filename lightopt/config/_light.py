@@ -50,16 +50,12 @@ _KEYS_OF_KIND: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "backlight": (("size_mm",), ("pattern", "direct_level")),
 }
 _PLACE_KEYS = ("name", "kind", "distance_mm", "elevation_deg", "azimuth_deg", "gain")
-_RANGE_KEYS = ("elevation_range_deg", "azimuth_range_deg")
+RANGE_KEYS = ("elevation_range_deg", "azimuth_range_deg", "distance_range_mm", "distance_step_mm")
+"""Keys that say where a light can be moved to."""
 
 MOST_CHANNELS = 256
 _AROUND_PART = ("dome", "low_angle_ring", "tunnel")  # kinds of light that may have the origin in their middle
 
-_Distance = Annotated[
-    float,
-    Field(ge=0, le=1e6),
-    fields.expecting("a length between 0.001 and 1000000 (a number); a light around the part may be at 0"),
-]
 _LightElevation = Annotated[float, Field(ge=-90, lt=180), fields.expecting(fields.ABOVE_TABLE)]
 _Segments = Annotated[int, Field(ge=1, le=MOST_CHANNELS), fields.expecting(f"a whole number from 1 to {MOST_CHANNELS}")]
 _Tilt = Annotated[float, Field(ge=0, lt=90), fields.expecting("degrees from 0 to less than 90 (a number)")]
@@ -80,7 +76,7 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
             yield (key,), raw, fields.absent(f'missing key "{key}", which a light of kind {kind} needs', key)
     known = set(LightConfig.model_fields)
     for key in raw:
-        if key in known and raw[key] is not None and key not in (*_PLACE_KEYS, *_RANGE_KEYS, *needed, *others):
+        if key in known and raw[key] is not None and key not in (*_PLACE_KEYS, *RANGE_KEYS, *needed, *others):
             yield (key,), raw[key], fields.complaint(f"a light of kind {kind} has no such key; leave it out")
     numbers = {key: value for key, value in raw.items() if isinstance(value, (int, float))}
     if numbers.get("rows", 1) * numbers.get("columns", 1) > MOST_CHANNELS:
@@ -94,8 +90,7 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
         yield ("camera_hole_mm",), raw["camera_hole_mm"], fields.complaint(f"expected less than {widest:g}")
     if numbers.get("slot_mm", 0.0) >= 2.0 * numbers.get("radius_mm", 1e9):
         yield ("slot_mm",), raw["slot_mm"], fields.complaint("expected less than the tunnel's diameter")
-    if kind not in _AROUND_PART and numbers.get("distance_mm") == 0:
-        yield ("distance_mm",), 0, fields.complaint(f"a light of kind {kind} cannot stand at the origin")
+    yield from _at_origin(kind, raw)
     if kind == "dome" and widest and numbers.get("camera_hole_mm", 0.0) < widest:
         upper = math.degrees(math.acos(0.5 * max(0.0, numbers.get("camera_hole_mm", 0.0)) / widest))
         if numbers.get("lower_elevation_deg", 0.0) >= upper:
@@ -108,6 +103,16 @@ def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]
     counts = numbers.get("columns", 0), numbers.get("rows", 0)
     if any(numbers.get("led_mm", 0.0) * count > side for side, count in zip(size, counts, strict=False)):
         yield ("led_mm",), raw["led_mm"], fields.complaint("the LEDs overlap; expected at most size_mm by their number")
+
+
+def _at_origin(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
+    lowest = {"distance_mm": raw.get("distance_mm")} | dict.fromkeys(
+        ["distance_range_mm"], next(iter(fields.entries(raw.get("distance_range_mm"))), None)
+    )
+    for key, value in lowest.items():
+        if value == 0 and kind not in _AROUND_PART:
+            what = "a panel" if kind == "panel" else f"a light of kind {kind}"
+            yield (key,), raw[key], fields.complaint(f"{what} cannot stand at the origin")
 
 
 class LightSourceConfig(fields.Frozen):
@@ -145,7 +150,7 @@ class LightConfig(fields.Frozen):
     name-1, name-2, ..."""
     kind: LightKind = "panel"
     """Kind of light. All kinds but panel shine by Lambert's law and fall off with the square of the distance."""
-    distance_mm: _Distance
+    distance_mm: fields.Distance
     """Distance from the origin to the centre of the panel, ring, dome (of its sphere) or other light [mm]; 0 for a dome
     if absent."""
     elevation_deg: _LightElevation
@@ -160,6 +165,11 @@ class LightConfig(fields.Frozen):
     """Elevations [low, high] that the light can be moved to [deg]; fixed if absent."""
     azimuth_range_deg: fields.AzimuthRange | None = None
     """Azimuths [low, high] that the light can be moved to [deg]; fixed if absent."""
+    distance_range_mm: fields.DistanceRange | None = None
+    """Distances [low, high] that the light can be moved to [mm]; fixed if absent. The light is as
+    bright at the origin at each of them; only a panel with inverse_square and a reference_distance_mm is not."""
+    distance_step_mm: fields.Length | None = None
+    """Step of the distances that lightopt optimize tries [mm]; a quarter of the range if absent."""
     gain: fields.Coefficient = 1.0
     """Factor on the brightness of this light."""
     size_mm: fields.Size | None = None
@@ -294,8 +304,7 @@ class LightConfig(fields.Frozen):
             ((key,), raw[key], fields.complaint("a panel has no such key; give the kind of light that has it"))
             for key in sorted(of_others & {key for key, given in raw.items() if given is not None})
         ]
-        if raw.get("distance_mm") == 0:
-            complaints.append((("distance_mm",), 0, fields.complaint("a panel cannot stand at the origin")))
+        complaints += _at_origin("panel", raw)
         if complaints:
             return fields.with_complaints(value, handler, complaints)
         return with_pose(value, handler, point="centre_mm", what="the panel's centre")
@@ -307,7 +316,14 @@ class LightConfig(fields.Frozen):
             raise fields.complaint(f"expected {fields.ABOVE_TABLE}, found {elevation:g}")
         return elevation
 
-    @field_validator("elevation_range_deg", "azimuth_range_deg")
+    @field_validator("distance_step_mm")
+    @classmethod
+    def _of_a_range(cls, step: float | None, info: ValidationInfo) -> float | None:
+        if step is not None and info.data.get("distance_range_mm", step) is None:
+            raise fields.complaint("has no effect without distance_range_mm; leave it out, or add the range")
+        return step
+
+    @field_validator("elevation_range_deg", "azimuth_range_deg", "distance_range_mm")
     @classmethod
     def _holds_the_light(cls, ends: tuple[float, float] | None, info: ValidationInfo) -> tuple[float, float] | None:
         angle = str(info.field_name).replace("_range", "")

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field
 
 from lightopt.config import _fields as fields
-from lightopt.config._light import LightConfig
+from lightopt.config._light import RANGE_KEYS, LightConfig
 
 
 def _fraction(value: object) -> object:
@@ -51,7 +51,7 @@ def programme_misfits(programme: object, lights: Sequence[LightConfig]) -> Itera
                 reason = f'no light "{light}"; the rig has {", ".join(known)}'
                 yield (i, "lights", light), weights[light], fields.complaint(reason)
                 continue
-            if known[light].elevation_range_deg is not None or known[light].azimuth_range_deg is not None:
+            if any(getattr(known[light], key) is not None for key in RANGE_KEYS):
                 reason = f'"{light}" has a range, and lights of a programme are fixed; leave the range out'
                 yield (i, "lights", light), weights[light], fields.complaint(reason)
             others = [one for one in weights if one in known and known[one].entry != known[light].entry]

@@ -7,12 +7,18 @@ Positions are scored on the levels that the camera would deliver at exposure 1. 
 of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
 """
 
-from lightopt.design._candidates import find_candidates as find_candidates
+from lightopt.design._candidates import (
+    find_candidates as find_candidates,
+    place_of as place_of,
+    place_text as place_text,
+)
 from lightopt.design._files import (
     DesignOutput as DesignOutput,
     finish_design as finish_design,
     write_design as write_design,
 )
+from lightopt.design._joint_tolerances import JointTolerances as JointTolerances, design_tolerances as design_tolerances
+from lightopt.design._misalignment import PairAssessment as PairAssessment, Setup as Setup
 from lightopt.design._optimize import optimize as optimize
 from lightopt.design._problem import (
     CalibratedThreshold as CalibratedThreshold,
@@ -25,13 +31,13 @@ from lightopt.design._result import (
     ObjectiveResult as ObjectiveResult,
     PlanResult as PlanResult,
     SetResult as SetResult,
-    angles_of as angles_of,
+    places_of as places_of,
 )
 from lightopt.design._result_json import plan_document as plan_document
 from lightopt.design._tolerances import (
-    PairAssessment as PairAssessment,
-    Setup as Setup,
+    DEFAULT_TOLERANCE_TARGET as DEFAULT_TOLERANCE_TARGET,
     Tolerances as Tolerances,
+    WidestTolerance as WidestTolerance,
     analyse_tolerances as analyse_tolerances,
 )
 from lightopt.design.blind_spots._blind_spots import (
@@ -88,5 +94,5 @@ from lightopt.design.responses._luminance_matrix import (
     area_units as area_units,
 )
 from lightopt.design.responses._packed_bits import sum_of_images as sum_of_images, unpack_flags as unpack_flags
-from lightopt.design.search._curves import Curve as Curve
+from lightopt.design.search._curves import AXES as AXES, Curve as Curve
 from lightopt.design.search._exact_search import search as search

@@ -1,14 +1,14 @@
-"""Candidate positions of the lights: the angles in their ranges, exclusions with reasons, and collisions."""
+"""Candidate positions of the lights: angles and distances in their ranges, exclusions with reasons, and collisions."""
 
 import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from lightopt.config import LightConfig, RigConfig
+from lightopt.config import RANGE_KEYS, LightConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError, counted
 from lightopt.design.search._combinations import CombinationSpace, Rows
@@ -16,23 +16,42 @@ from lightopt.lights import PanelLight, outlines
 from lightopt.rendering import panels_in_part
 from lightopt.scene import PinholeCamera, Scene, area_in_view, build_camera, build_lights, lights_meet
 
-Angles = tuple[float, float]  # elevation and azimuth [°]
+# where a light stands: elevation and azimuth [°], and of a light with a range of distances its distance [mm]
+Place = tuple[float, ...]
+PLACE_KEYS = ("elevation_deg", "azimuth_deg", "distance_mm")  # of these in a rig file
 Reason = tuple[str, str, float | None]  # text, kind and amount of an `ExcludedPosition`
+ROUNDING_MM = 1e-6  # a rim that stands on the table may be that far below it
 MOST_POSITIONS = 100_000  # candidate positions of a light; more are refused
 
 
 def can_move(light: LightConfig) -> bool:
-    """Whether a light has a range in either angle."""
-    return light.elevation_range_deg is not None or light.azimuth_range_deg is not None
+    """Whether a light has a range in either angle, or of distances."""
+    return any(getattr(light, key) is not None for key in RANGE_KEYS)
 
 
-def light_angles(
+def place_of(light: LightConfig) -> Place:
+    """Where a light stands as its file has it."""
+    return tuple(getattr(light, key) for key in PLACE_KEYS[: 2 if light.distance_range_mm is None else 3])
+
+
+def place_dict(place: Place) -> dict[str, float]:
+    """A place by the keys of a rig file."""
+    return dict(zip(PLACE_KEYS, place, strict=False))
+
+
+def place_text(place: Place) -> str:
+    """A place for people, such as ``60°, 45°, 250 mm``."""
+    return ", ".join(f"{value:g}{unit}" for value, unit in zip(place, ("°", "°", " mm"), strict=False))
+
+
+def light_places(
     rig: RigConfig, index: int, *, step_deg: float, elevations: Sequence[float] | None = None
-) -> list[Angles]:
-    """Candidate (elevation, azimuth) of a light [°], ascending by elevation, then azimuth.
+) -> list[Place]:
+    """Candidate places of a light, ascending by elevation, then azimuth, then distance.
 
-    Both ends of a range are candidates, and from the lower one on every `step_deg`. A light without a range stays at
-    that angle. `elevations` replaces those of the light's range, for lights that share their elevation.
+    Both ends of a range are candidates, and from the lower one on every `step_deg`, or every step of the light's
+    distances. A light without a range stays there. `elevations` replaces those of the light's range, for lights that
+    share their elevation.
     """
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"option 'step_deg': expected degrees above 0, found {step_deg:g}")
@@ -42,12 +61,18 @@ def light_angles(
     azimuths = _steps(light.azimuth_range_deg, light.azimuth_deg, step_deg)
     if len(azimuths) > 1 and math.isclose(azimuths[-1] - azimuths[0], 360.0):
         azimuths.pop()  # the full turn ends where it begins
-    if len(elevations) * len(azimuths) > MOST_POSITIONS:
+    ranges: list[Sequence[float]] = [elevations, azimuths]
+    if light.distance_range_mm is not None:
+        low, high = light.distance_range_mm
+        step = light.distance_step_mm or 0.25 * (high - low) or 1.0
+        ranges.append(_steps(light.distance_range_mm, light.distance_mm, step))
+    if math.prod(map(len, ranges)) > MOST_POSITIONS:
+        larger = "a larger step" if len(ranges) == 2 else "a larger step, here or in distance_step_mm"
         raise InputError(
             f"{rig.source.at('lights', index)}: at option 'step_deg' {step_deg:g} light {light.name} has more than "
-            f"{MOST_POSITIONS:,} positions, the maximum; take a larger step"
+            f"{MOST_POSITIONS:,} positions, the maximum; take {larger}"
         )
-    return [(elevation, azimuth) for elevation in elevations for azimuth in azimuths]
+    return list(itertools.product(*ranges))
 
 
 def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
@@ -82,11 +107,14 @@ class ExcludedPosition:
     """A position that a light cannot take."""
 
     light: str
-    elevation_deg: float
-    azimuth_deg: float
+    place: Place
     reason: str
     kind: str  # ``view``, ``table``, ``part`` or ``collision``
     amount: float | None = None  # pixels covered, or mm below the table top; None for the other kinds
+
+    def as_dict(self) -> dict[str, Any]:
+        facts = {name: getattr(self, name) for name in ("reason", "kind", "amount")}
+        return {"light": self.light, **place_dict(self.place), **facts}
 
 
 @dataclass(frozen=True)
@@ -95,8 +123,8 @@ class Candidates:
 
     names: tuple[str, ...]  # of the lights, in the rig's order
     channels: tuple[tuple[int, ...], ...]  # indices of the lights that move together: channels of one light of the rig
-    angles: tuple[tuple[Angles, ...], ...]  # per light: (elevation, azimuth) [°], ascending
-    panels: tuple[tuple[PanelLight, ...], ...]  # per light: the panels at these positions, world frame
+    places: tuple[tuple[Place, ...], ...]  # per light, ascending
+    panels: tuple[tuple[PanelLight, ...], ...]  # per light: the panels at these places, world frame
     left_out: tuple[ExcludedPosition, ...]
     space: CombinationSpace
 
@@ -118,7 +146,7 @@ def find_candidates(
     step_deg: float,
     common_elevation: bool = False,
     points: int | Literal["auto"] | None = None,
-    places: Sequence[Angles] | None = None,
+    places: Sequence[Place] | None = None,
     scene: Scene | None = None,
 ) -> Candidates:
     """The positions that a rig's lights can take.
@@ -127,64 +155,68 @@ def find_candidates(
     with another light at all of its positions. Panels that collide at some positions only exclude combinations.
 
     points: Point lights per panel, instead of the rig's.
-    places: One fixed position per light [°], instead of the ranges.
+    places: One fixed place per light, instead of the ranges.
     scene: The part in its postures; without it the part is not checked.
     Raises InputError: A light without any position left.
     """
     shared = common_elevations(rig, step_deg=step_deg) if common_elevation and places is None else None
     camera = build_camera(rig)
     left_out: list[ExcludedPosition] = []
-    possible: list[list[tuple[Angles, PanelLight]]] = []
+    possible: list[list[tuple[Place, PanelLight]]] = []
     for index in range(len(rig.lights)):
-        free: list[tuple[Angles, PanelLight]] = []
-        angles = light_angles(rig, index, step_deg=step_deg, elevations=shared) if places is None else [places[index]]
-        for at, panel in zip(angles, panels_of(rig, index, angles, points), strict=True):
+        free: list[tuple[Place, PanelLight]] = []
+        own = light_places(rig, index, step_deg=step_deg, elevations=shared) if places is None else [places[index]]
+        for at, panel in zip(own, panels_of(rig, index, own, points), strict=True):
             reason = _reason(panel, camera, scene)
             if reason is None:
                 free.append((at, panel))
             else:
-                left_out.append(ExcludedPosition(panel.name, *at, *reason))
+                left_out.append(ExcludedPosition(panel.name, at, *reason))
         possible.append(free)
     clashes = _clashes(rig, possible)
     always_colliding = _always_colliding(possible, clashes)
     for index, k, other in ((i, k, other) for i, some in always_colliding.items() for k, other in sorted(some.items())):
         reason = f"collides with {rig.lights[other].name} in all of its positions"
-        left_out.append(ExcludedPosition(rig.lights[index].name, *possible[index][k][0], reason, "collision"))
+        left_out.append(ExcludedPosition(rig.lights[index].name, possible[index][k][0], reason, "collision"))
     rows = [[k for k in range(len(some)) if k not in always_colliding[i]] for i, some in enumerate(possible)]
     _check_any(rig, rows, left_out)
     left = [[possible[i][k] for k in row] for i, row in enumerate(rows)]
-    angles_left = tuple(tuple(at for at, _ in some) for some in left)
+    places_left = tuple(tuple(at for at, _ in some) for some in left)
     sizes = tuple(map(len, rows))
-    channels = _channels(rig)
+    channels = bodies_of(rig)
     left_clashes = {(i, j): clash[np.ix_(rows[i], rows[j])] for (i, j), clash in clashes.items()}
     left_clashes = {pair: clash for pair, clash in left_clashes.items() if clash.any()}
-    groups = _together(rig, channels, angles_left, _groups(rig, angles_left, sizes, shared))
+    groups = _together(rig, channels, places_left, _groups(rig, places_left, sizes, shared))
     space = CombinationSpace(sizes=sizes, groups=groups, clashes=left_clashes)
     panels = tuple(tuple(panel for _, panel in some) for some in left)
     names = tuple(light.name for light in rig.lights)
-    return Candidates(names, channels, angles_left, panels, tuple(left_out), space)
+    return Candidates(names, channels, places_left, panels, tuple(left_out), space)
 
 
-def _channels(rig: RigConfig) -> tuple[tuple[int, ...], ...]:
-    # indices of the lights that are one entry of the file, channels of a light
-    found: dict[int, list[int]] = {}
+def bodies_of(rig: RigConfig) -> tuple[tuple[int, ...], ...]:
+    """Indices of the lights that move together: channels of one light of the rig, and lights that a programme mixes."""
+    found: list[tuple[set[int], list[int]]] = []
     for index, light in enumerate(rig.lights):
-        found.setdefault(light.entry, []).append(index)
-    return tuple(map(tuple, found.values()))
+        entries, members = {one.entry for one, _ in light.mixture} or {light.entry}, [index]
+        for own in [own for own in found if own[0] & entries]:
+            found.remove(own)
+            entries, members = entries | own[0], own[1] + members
+        found.append((entries, members))
+    return tuple(sorted(tuple(sorted(members)) for _, members in found))
 
 
 def _together(
-    rig: RigConfig, channels: Sequence[Sequence[int]], angles: Sequence[Sequence[Angles]], groups: Sequence[Rows]
+    rig: RigConfig, channels: Sequence[Sequence[int]], places: Sequence[Sequence[Place]], groups: Sequence[Rows]
 ) -> tuple[Rows, ...]:
     """The groups divided such that the channels of a light stand in one place."""
-    moving = [own for own in channels if len(own) > 1 and any(len(angles[i]) > 1 for i in own)]
+    moving = [own for own in channels if len(own) > 1 and any(len(places[i]) > 1 for i in own)]
     if not moving:
         return tuple(groups)
-    common = [[at for at in angles[own[0]] if all(at in angles[i] for i in own)] for own in moving]
+    common = [[at for at in places[own[0]] if all(at in places[i] for i in own)] for own in moving]
     found: list[Rows] = []
-    for rows, places in itertools.product(groups, itertools.product(*common)):
-        at = {i: place for own, place in zip(moving, places, strict=True) for i in own}
-        chosen = [row[[i not in at or angles[i][k] == at[i] for k in row]] for i, row in enumerate(rows)]
+    for rows, shared in itertools.product(groups, itertools.product(*common)):
+        at = {i: place for own, place in zip(moving, shared, strict=True) for i in own}
+        chosen = [row[[i not in at or places[i][k] == at[i] for k in row]] for i, row in enumerate(rows)]
         if all(map(len, chosen)):
             found.append(tuple(chosen))
     if not found:
@@ -210,11 +242,11 @@ def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence
 
 
 def panels_of(
-    rig: RigConfig, index: int, angles: Sequence[Angles], points: int | Literal["auto"] | None
+    rig: RigConfig, index: int, places: Sequence[Place], points: int | Literal["auto"] | None
 ) -> tuple[PanelLight, ...]:
-    """A light's panels at angles [°], world frame; `points` instead of the rig's point lights per panel."""
+    """A light's panels at places, world frame; `points` instead of the rig's point lights per panel."""
     light = rig.lights[index]
-    moved = tuple(light.model_copy(update={"elevation_deg": e, "azimuth_deg": a}) for e, a in angles)
+    moved = tuple(light.model_copy(update=place_dict(place)) for place in places)
     return build_lights(rig.model_copy(update={"lights": moved}), None, points)
 
 
@@ -246,13 +278,13 @@ def _reason(panel: PanelLight, camera: PinholeCamera, scene: Scene | None) -> Re
         covered = max(1, round(pixels))
         return f"stands in the camera's view, over {counted(covered, 'pixel')}", "view", float(covered)
     lowest = float(outlines(panel)[..., 2].min())
-    if lowest < 0.0:
+    if lowest < -ROUNDING_MM:
         return f"reaches {-lowest:.3g} mm below the table top", "table", -lowest
     inside = () if scene is None else panels_in_part(replace(scene, lights=(panel,)))
     return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 
-def _clashes(rig: RigConfig, possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tuple[int, int], Bool]:
+def _clashes(rig: RigConfig, possible: Sequence[Sequence[tuple[Place, PanelLight]]]) -> dict[tuple[int, int], Bool]:
     clashes: dict[tuple[int, int], Bool] = {}
     for i, j in itertools.combinations(range(len(possible)), 2):
         if rig.lights[i].entry == rig.lights[j].entry:
@@ -261,7 +293,7 @@ def _clashes(rig: RigConfig, possible: Sequence[Sequence[tuple[Angles, PanelLigh
         if clash.size:
             # spheres around the panels exclude most pairs at once
             centres = [np.array([panel.centre for _, panel in possible[k]]) for k in (i, j)]
-            radii = sum(0.5 * float(np.hypot(*possible[k][0][1].size)) for k in (i, j))
+            radii = sum(0.5 * max(float(np.hypot(*panel.size)) for _, panel in possible[k]) for k in (i, j))
             for a, centre in enumerate(centres[0]):
                 apart = np.linalg.norm(centres[1] - centre, axis=1)
                 for b in map(int, np.flatnonzero(apart <= radii)):
@@ -289,13 +321,13 @@ def _always_colliding(
 
 
 def _groups(
-    rig: RigConfig, angles: Sequence[Sequence[Angles]], sizes: Sequence[int], shared: Sequence[float] | None
+    rig: RigConfig, places: Sequence[Sequence[Place]], sizes: Sequence[int], shared: Sequence[float] | None
 ) -> tuple[Rows, ...]:
     if shared is None:
         return (tuple(np.arange(n) for n in sizes),)
-    lights = [(light.elevation_range_deg is None, some) for light, some in zip(rig.lights, angles, strict=True)]
+    lights = [(light.elevation_range_deg is None, some) for light, some in zip(rig.lights, places, strict=True)]
     groups = [
-        tuple(np.flatnonzero([stays or at == elevation for at, _ in some]) for stays, some in lights)
+        tuple(np.flatnonzero([stays or at[0] == elevation for at in some]) for stays, some in lights)
         for elevation in shared
     ]
     groups = [rows for rows in groups if all(map(len, rows))]

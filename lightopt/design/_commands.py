@@ -7,9 +7,10 @@ from pathlib import Path
 
 from lightopt.config import RigConfig
 from lightopt.core.transforms import Posture
+from lightopt.design._misalignment import Setup
 from lightopt.design._previous_result import PLANNED_PART_NAME, RIG_NAME
 from lightopt.design._problem import OptimizeOptions, PlanOptions
-from lightopt.design._tolerances import Setup, Tolerances
+from lightopt.design._tolerances import Tolerances
 from lightopt.images import posture_folder
 from lightopt.scene import travel_order, travel_s
 
@@ -53,7 +54,7 @@ def plan_commands(setup: Setup, options: OptimizeOptions) -> tuple[Command, ...]
     One of each kind for all postures of the same rig file and exposures.
     """
     # as the rig files are written: one where all postures have the same lights
-    one_rig = len(set(setup.angles)) == 1
+    one_rig = len(set(setup.places)) == 1
     groups: dict[tuple[str, tuple[float, ...]], list[Posture]] = {}
     for posture, exposures in zip(setup.postures, setup.exposures, strict=True):
         file = RIG_NAME if one_rig else f"{posture_folder(posture)}/{RIG_NAME}"
@@ -115,7 +116,7 @@ def _plan_words(plan: PlanOptions) -> list[str]:
 
 
 def _posture_words(postures: Sequence[Posture]) -> list[str]:
-    return [f"--posture={degrees_text(p.elevation_deg)},{degrees_text(p.rotation_deg)}" for p in postures]
+    return [f"--posture={decimal_text(p.elevation_deg)},{decimal_text(p.rotation_deg)}" for p in postures]
 
 
 def _differing(options: OptimizeOptions | PlanOptions | Tolerances, names: dict[str, str]) -> list[str]:
@@ -130,6 +131,6 @@ def _text(value: object) -> str:
     return repr(value).removesuffix(".0") if isinstance(value, float) else str(value)
 
 
-def degrees_text(angle: float) -> str:
-    """An angle for a file: at most nine decimals, which is finer than any stage, and no exponent."""
-    return f"{round(angle, 9):.9f}".rstrip("0").rstrip(".")
+def decimal_text(value: float) -> str:
+    """An angle or a length for a file: at most nine decimals, which is finer than any stage, and no exponent."""
+    return f"{round(value, 9):.9f}".rstrip("0").rstrip(".")

@@ -19,8 +19,8 @@ from lightopt.core.arrays import UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture, vector_of_rotation
-from lightopt.design._candidates import panels_of
-from lightopt.design._commands import degrees_text
+from lightopt.design._candidates import Place, panels_of, place_dict, place_of
+from lightopt.design._commands import decimal_text
 from lightopt.design._previous_result import (
     PLANNED_PART_NAME,
     REPORT_NAME,
@@ -29,7 +29,7 @@ from lightopt.design._previous_result import (
     begin_writing,
     end_writing,
 )
-from lightopt.design._result import DesignResult, angles_of
+from lightopt.design._result import DesignResult, places_of
 from lightopt.design._result_json import ranking_csv, result_document
 from lightopt.design.blind_spots._files import BLIND_PNG, blind_files
 from lightopt.images import (
@@ -49,46 +49,46 @@ from lightopt.rendering import PatchTable, RenderOptions, render_image_set
 RANKING_NAME = "ranking.csv"
 IMAGES_NAME = "images"
 
-# a rig file with the new angles, relative to the output folder; the postures that it is for, and its text
+# a rig file with the new places, relative to the output folder; the postures that it is for, and its text
 RigFile = tuple[Path, tuple[Posture, ...], str]
 
 _Pictures = Mapping[Posture, UInt8]
 
 
 def check_editable(rig: RigConfig) -> None:
-    """Refuse a rig whose angles cannot be changed in its file: built in code, or with anchors and aliases."""
-    _rig_text(rig, [(light.elevation_deg, light.azimuth_deg) for light in rig.lights], rig.source.path.parent)
+    """Refuse a rig whose lights cannot be moved in its file: built in code, or with anchors and aliases."""
+    _rig_text(rig, [place_of(light) for light in rig.lights], rig.source.path.parent)
 
 
 def _rig_files(design: DesignResult) -> list[RigFile]:
     # one rig where the same positions are best for all postures, else one per posture
     sets = [
-        (angles_of(design.candidates, answer.found.best), result.postures, Path(posture_folder(result.postures[0])))
+        (places_of(design.candidates, answer.found.best), result.postures, Path(posture_folder(result.postures[0])))
         for result in design.results
         if (answer := result.answers[0]).nothing is None
     ]
-    if sets and len(sets) == len(design.results) and len({angles for angles, _, _ in sets}) == 1:
+    if sets and len(sets) == len(design.results) and len({places for places, _, _ in sets}) == 1:
         sets = [(sets[0][0], tuple(posture for _, postures, _ in sets for posture in postures), Path())]
     text = partial(_rig_text, design.rig)
-    return [(home / RIG_NAME, postures, text(angles, design.folder / home)) for angles, postures, home in sets]
+    return [(home / RIG_NAME, postures, text(places, design.folder / home)) for places, postures, home in sets]
 
 
-def _rig_text(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -> str:
+def _rig_text(rig: RigConfig, places: Sequence[Place], home: Path) -> str:
     values: dict[tuple[str | int, ...], str] = {}
-    for index, (light, (elevation, azimuth)) in enumerate(zip(rig.lights, angles, strict=True)):
+    for index, (light, place) in enumerate(zip(rig.lights, places, strict=True)):
         if light.pose is not None:
-            if (elevation, azimuth) != (light.elevation_deg, light.azimuth_deg):
-                values |= _moved_pose(rig, index, (elevation, azimuth))
+            if place != place_of(light):
+                values |= _moved_pose(rig, index, place)
             continue
-        if light.elevation_range_deg is not None:
-            values["lights", index, "elevation_deg"] = degrees_text(elevation)
-        if light.azimuth_range_deg is not None:
-            values["lights", index, "azimuth_deg"] = degrees_text(azimuth)
-    return _edited(rig, "the rig", "the new angles", lambda: copied_text(rig, home, values))
+        ranges = light.elevation_range_deg, light.azimuth_range_deg, light.distance_range_mm
+        for (key, value), ends in zip(place_dict(place).items(), ranges, strict=False):
+            if ends is not None:
+                values["lights", index, key] = decimal_text(value)
+    return _edited(rig, "the rig", "the new places", lambda: copied_text(rig, home, values))
 
 
-def _moved_pose(rig: RigConfig, index: int, angles: tuple[float, float]) -> dict[tuple[str | int, ...], str]:
-    panel = panels_of(rig, index, [angles], None)[0]
+def _moved_pose(rig: RigConfig, index: int, place: Place) -> dict[tuple[str | int, ...], str]:
+    panel = panels_of(rig, index, [place], None)[0]
     rotation = np.stack([panel.across, panel.along, panel.outward], axis=1)
     pose = {"centre_mm": panel.centre, "rotation_vector_deg": np.degrees(vector_of_rotation(rotation))}
     values = ((key, i, float(value)) for key, vector in pose.items() for i, value in enumerate(vector))
@@ -109,7 +109,7 @@ def _edited(config: RigConfig | PartConfig, kind: str, what: str, edit: Callable
 
 def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: Path, comment: str) -> str:
     """Text of a part file with other postures, below a comment; the mesh is named relative to `folder`."""
-    angles = [(degrees_text(p.elevation_deg), degrees_text(p.rotation_deg)) for p in postures]
+    angles = [(decimal_text(p.elevation_deg), decimal_text(p.rotation_deg)) for p in postures]
     entries = [f"{{elevation_deg: {elevation}, rotation_deg: {rotation}}}" for elevation, rotation in angles]
 
     def edit() -> str:

@@ -13,9 +13,10 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import RunContext
-from lightopt.design._candidates import Candidates, can_move
+from lightopt.design._candidates import Candidates, bodies_of, can_move
 from lightopt.design._commands import HOME, command_text, plan_commands
 from lightopt.design._files import check_editable, planned_part_text
+from lightopt.design._misalignment import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.design._previous_result import refuse_other_result
 from lightopt.design._problem import (
     DEFECT_OBJECTIVE,
@@ -29,15 +30,8 @@ from lightopt.design._problem import (
     images_that_decide,
     run_provenance,
 )
-from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
-from lightopt.design._tolerances import (
-    ObjectiveAssessment,
-    PairAssessment,
-    Setup,
-    Tolerances,
-    analyse_tolerances,
-    check_light_count,
-)
+from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, places_of
+from lightopt.design._tolerances import Tolerances, analyse_tolerances, check_body_count
 from lightopt.design.blind_spots._blind_spots import BlindSpotSummary, PostureVisibility, planned_visibility
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
@@ -119,7 +113,7 @@ def _check_request(rig: RigConfig, part: PartConfig, options: OptimizeOptions, p
     check_options(options, plan)
     _check_image_count(rig, part, options, plan)
     if plan.tolerances is not None:
-        check_light_count(len(rig.lights))
+        check_body_count(len(bodies_of(rig)))
     if plan.chooses or plan.exposures:
         planned_part_text(part, [HOME], folder=folder, comment="")
     if plan.chooses:
@@ -194,7 +188,7 @@ def _state_problem(
     if options.places is None and not any(map(can_move, rig.lights)):
         run.warn(
             f"{rig.source.at('lights')}: no light can be moved, so that only what the lights show as they stand is "
-            "found; give one or more an elevation_range_deg or an azimuth_range_deg"
+            "found; give one or more an elevation_range_deg, an azimuth_range_deg or a distance_range_mm"
         )
     check_editable(rig)
     objectives = _objectives(rig, part, options, run)
@@ -266,7 +260,7 @@ def _complete(
     if not requested or any(result.answers[0].nothing is not None for result in results):
         return PlanResult(chosen=chosen), ()
     # the lights where they are best for the first objective in each posture, at exposure 1
-    sets = [(result.postures, angles_of(candidates, result.answers[0].found.best)) for result in results]
+    sets = [(result.postures, places_of(candidates, result.answers[0].found.best)) for result in results]
     angles = {posture: own for postures, own in sets for posture in postures}
     exposures = ((1.0,),) * len(angles)
     lights = Setup(problem.rig, tuple(angles), tuple(angles.values()), exposures, points=options.points)
@@ -308,10 +302,9 @@ def _placed_tolerances(
     """How far the objective's score falls, in each posture and in all together."""
     problem, min_images = matrices.problem, matrices.problem.options.min_images
     drawn = replace(evaluator, table=drawn_patches(evaluator.table, DRAWN_PATCHES))
-    names = [light.name for light in setup.rig.lights]
     several = len(setup.postures) > 1
     # one posture alone shows nothing where it has fewer lights than images that must show a defect
-    groups = [setup.only(i) for i in range(len(setup.postures)) if len(names) >= min_images or not several]
+    groups = [setup.only(i) for i in range(len(setup.postures)) if len(setup.rig.lights) >= min_images or not several]
     groups += [setup] if several else []
     found: list[ToleranceResult] = []
     for group in groups:
@@ -322,7 +315,7 @@ def _placed_tolerances(
             single, levels = replace(group, exposures=((1.0,),) * len(group.postures)), replace(drawn, detection=None)
             score = ObjectiveAssessment(levels, single, objective=objective, thresholds=problem.thresholds)
         progress = matrices.run.stage(f"tolerances, {', '.join(map(str, group.postures))}")
-        robustness = analyse_tolerances(score, names, tolerances, progress=progress)
+        robustness = analyse_tolerances(score, setup.names, tolerances, progress=progress)
         patches, grain = len(drawn.patches), drawn.table.grain
         found.append(ToleranceResult(group.postures, robustness, objective.unit, patches=patches, grain=grain))
     return tuple(found)

@@ -10,7 +10,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.defects import DARK, DEFAULT_FALSE_ALARMS, false_alarms_problem
-from lightopt.design._candidates import Angles, Candidates, can_move, find_candidates
+from lightopt.design._candidates import Candidates, Place, can_move, find_candidates
 from lightopt.design._tolerances import Tolerances
 from lightopt.design.objectives._detectability import DetectabilityObjective, min_images_problem
 from lightopt.design.objectives._objective import Objective
@@ -58,9 +58,8 @@ class OptimizeOptions:
     report: bool = False  # whether an HTML report is part of the results
     rows: int = 100  # combinations in the ranking, for each posture and objective
     limit: int = DEFAULT_LIMIT  # most combinations to score
-    # elevation and azimuth of each light [°], where they were chosen before for the first objective: then only the
-    # others are searched
-    places: tuple[tuple[float, float], ...] | None = None
+    # of each light, where they were chosen before for the first objective: then only the others are searched
+    places: tuple[Place, ...] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,7 +206,7 @@ def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None
 
 
 def candidates_in(
-    scene: Scene | None, rig: RigConfig, options: OptimizeOptions, places: Sequence[Angles] | None = None
+    scene: Scene | None, rig: RigConfig, options: OptimizeOptions, places: Sequence[Place] | None = None
 ) -> Candidates:
     """The same, without positions inside the scene's part; or `places`, one position of each light."""
     return find_candidates(

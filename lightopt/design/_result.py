@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from lightopt.core.transforms import Posture
-from lightopt.design._candidates import Candidates
+from lightopt.design._candidates import Candidates, Place
 from lightopt.design._commands import Command, Way
 from lightopt.design._problem import PlanOptions, Problem
 from lightopt.design._tolerances import ToleranceAnalysis
@@ -128,9 +128,9 @@ class SetResult:
         return gap if gap.startswith("<") else f"{'' if found.complete else '≥ '}−{gap}"
 
 
-def angles_of(candidates: Candidates, ranked: Ranked) -> tuple[tuple[float, float], ...]:
-    """Elevation and azimuth of each light in a combination [°]."""
-    return tuple(angles[k] for angles, k in zip(candidates.angles, ranked.candidates, strict=True))
+def places_of(candidates: Candidates, ranked: Ranked) -> tuple[Place, ...]:
+    """Where each light stands in a combination."""
+    return tuple(places[k] for places, k in zip(candidates.places, ranked.candidates, strict=True))
 
 
 # what the shares of a plan are shares of, and those of exposures for a part's own postures

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lightopt.core.arrays import Bool
-from lightopt.design._candidates import Candidates
+from lightopt.design._candidates import Candidates, Place, place_dict
 from lightopt.design._commands import Way
 from lightopt.design._result import (
     OWN_SHARES_OF,
@@ -17,7 +17,7 @@ from lightopt.design._result import (
     PlanResult,
     SetResult,
     ToleranceResult,
-    angles_of,
+    places_of,
 )
 from lightopt.design.objectives._objective import NEAR_PER_MILLE
 from lightopt.design.postures._exposures import Brackets
@@ -42,10 +42,11 @@ def result_document(
             "saturated_from": thresholds.saturation,
         },
         "candidates": [
-            {"light": name, "positions_deg": [list(at) for at in angles]}
-            for name, angles in zip(choice.names, choice.angles, strict=True)
+            {"light": name, "positions_deg": [list(at[:2]) for at in places]}
+            | ({"distances_mm": [at[2] for at in places]} if len(places[0]) > 2 else {})
+            for name, places in zip(choice.names, choice.places, strict=True)
         ],
-        "left_out": [vars(out) for out in choice.left_out],
+        "left_out": [out.as_dict() for out in choice.left_out],
         "results": [
             {
                 "postures": [posture.as_dict() for posture in one.postures],
@@ -100,7 +101,7 @@ def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candida
     share = answer.objective.share_of_whole(found.best.score, result.area)
 
     def lights_of(ranked: Ranked) -> list[dict[str, Any]]:
-        return _lights(candidates.names, angles_of(candidates, ranked))
+        return _lights(candidates.names, places_of(candidates, ranked))
 
     return {
         **facts,
@@ -122,11 +123,8 @@ def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candida
     }
 
 
-def _lights(names: Sequence[str], angles: Sequence[tuple[float, float]]) -> list[dict[str, Any]]:
-    return [
-        {"light": name, "elevation_deg": elevation, "azimuth_deg": azimuth}
-        for name, (elevation, azimuth) in zip(names, angles, strict=True)
-    ]
+def _lights(names: Sequence[str], places: Sequence[Place]) -> list[dict[str, Any]]:
+    return [{"light": name, **place_dict(place)} for name, place in zip(names, places, strict=True)]
 
 
 def plan_document(result: PlanResult) -> dict[str, Any]:
@@ -256,14 +254,18 @@ def ranking_csv(results: tuple[SetResult, ...], candidates: Candidates) -> str:
     """The best combinations of each posture and objective, one a line."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    angles = [f"{name}_{axis}_deg" for name in candidates.names for axis in ("elevation", "azimuth")]
-    table.writerow(["postures", "objective", "rank", "score", "usable_sum", *angles])
+    keys = [
+        f"{name}_{key}"
+        for name, some in zip(candidates.names, candidates.places, strict=True)
+        for key in place_dict(some[0])
+    ]
+    table.writerow(["postures", "objective", "rank", "score", "usable_sum", *keys])
     for result in results:
         postures = " ".join(f"{p.elevation_deg:g},{p.rotation_deg:g}" for p in result.postures)
         for answer in result.answers:
             if answer.nothing is not None:
                 continue
             for rank, ranked in enumerate(answer.found.ranking, start=1):
-                flat = [f"{angle:.9g}" for pair in angles_of(candidates, ranked) for angle in pair]
+                flat = [f"{value:.9g}" for place in places_of(candidates, ranked) for value in place]
                 table.writerow([postures, answer.objective.name, rank, ranked.score, ranked.usable, *flat])
     return text.getvalue()

@@ -1,51 +1,39 @@
 """Tolerance analysis: how far a score falls when the lights or the part are misaligned.
 
 Each light is off by up to so many degrees in elevation and in azimuth, the part by up to so many in tilt and in
-rotation. Three results: the worst *corner*, where every angle is off by the full tolerance one way or the other; the
-5 % quantile over draws where every angle is off by a uniformly random amount within its tolerance; and angle by angle
-the widest tolerance that keeps the score. Each image is computed once: of a posture, with the part off by so much,
-under one light that is off by so much. The scores of all combinations are composed of them.
+rotation. Channels of one light move as one body, as :mod:`lightopt.design._misalignment` describes.
+
+Three results: the worst *corner*, where every angle is off by the full tolerance one way or the other; the 5 % quantile
+over draws where every angle is off by a uniformly random amount within its tolerance; and angle by angle the widest
+tolerance that keeps the score.
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from operator import itemgetter
-from typing import Any, Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
-from lightopt.config import RigConfig
-from lightopt.core.arrays import Int64, UInt64
+from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, WorkCounter
-from lightopt.core.threads import available_processors
-from lightopt.core.transforms import Posture
-from lightopt.design._candidates import panels_of
-from lightopt.design.objectives._objective import Objective
-from lightopt.design.postures._light_positions import combination_sums
-from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
-from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
-from lightopt.geometry import face_normals
-from lightopt.lights import PanelLight
-from lightopt.rendering import PatchTable, camera_visibility
-from lightopt.scene import view_from_part
 
 T = TypeVar("T")
 Offset = tuple[float, float]  # elevation and azimuth of a light, or tilt and rotation of the part, off by so much [°]
 
-# scores of all combinations of offsets, the last light's varying fastest, for an offset of the part, the same in all
-# postures, and offsets of each light
+# scores of all combinations of offsets, the last body's varying fastest, for an offset of the part, the same in all
+# postures, and offsets of each body of lights
 ScoreFunction = Callable[[Offset, Sequence[Sequence[Offset]]], Int64]
 
 EXACT: Offset = (0.0, 0.0)
 DEFAULT_TOLERANCE_TARGET = 0.95  # share of the score that the widest tolerances keep by default
 LARGEST_TOLERANCE = 16.0  # the widest tolerance that is tried, and the largest that may be requested [°]
 
-# Of which all corners are tried: 4 per light, some million in all. Two lights more would be sixteen times as many.
-MOST_LIGHTS = 10
+# Of which all corners are tried: 4 per body, some million in all. Two bodies more would be sixteen times as many.
+MOST_BODIES = 10
 
 QUANTILE = 0.05  # of the draws
 STEPS_PER_DEG = 20  # the widest tolerances are multiples of 0.05°, and a step more does not keep the score
@@ -53,10 +41,8 @@ STEPS_PER_DEG = 20  # the widest tolerances are multiples of 0.05°, and a step 
 # tolerances that are tried before the first that costs too much is bisected [°]
 RUNGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, LARGEST_TOLERANCE)
 
-# what is off, in which angle, and which light that is: the index, None for all of them or the part
+# what is off, in which angle, and which body that is: the index, None for all of them or the part
 Angle = tuple[str, str, int | None]
-
-ImageKey = tuple[int, Offset, int, Offset]  # a posture, the offset of the part, a light, and its offset
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,13 +72,13 @@ class Tolerances:
             raise InputError(*problems)
 
 
-def check_light_count(lights: int) -> None:
-    """Refuse more lights than the number for which all corners can be tried."""
-    if lights > MOST_LIGHTS:
+def check_body_count(bodies: int) -> None:
+    """Refuse more bodies of lights than the number for which all corners can be tried."""
+    if bodies > MOST_BODIES:
         raise InputError(
-            "option 'light_deg', option 'pose_deg': all corners of the lights' angles are tried, 4 per light: expected "
-            f"at most {MOST_LIGHTS} lights ({4**MOST_LIGHTS:,} corners), found {lights}; omit the tolerances, or "
-            "remove lights from the rig"
+            "option 'light_deg', option 'pose_deg': all corners of the lights' angles are tried, 4 per light (channels "
+            f"of one light move together): expected at most {MOST_BODIES} lights ({4**MOST_BODIES:,} corners), found "
+            f"{bodies}; omit the tolerances, or remove lights from the rig"
         )
 
 
@@ -141,11 +127,11 @@ class ToleranceAnalysis:
 def analyse_tolerances(
     score: ScoreFunction, names: Sequence[str], tolerances: Tolerances, *, progress: Share | None = None
 ) -> ToleranceAnalysis:
-    """Find how far a score falls, for lights of these names.
+    """Find how far a score falls, for bodies of lights of these names.
 
-    Raises InputError: More lights than all corners can be tried of.
+    Raises InputError: More bodies than all corners can be tried of.
     """
-    check_light_count(len(names))
+    check_body_count(len(names))
     varied: list[Angle] = [(name, axis, i) for i, name in enumerate(names) for axis in ("elevation", "azimuth")]
     varied += [("all lights", "both angles at once", None), ("part", "tilt", None), ("part", "rotation", None)]
     pose_corners, light_corners = list(corners(tolerances.pose_deg)), list(corners(tolerances.light_deg))
@@ -198,138 +184,24 @@ def _widest_tolerance(
             return all(score(pose, exact)[0] >= least for pose in either)
         return score(EXACT, [either if i == light else o for i, o in enumerate(exact)]).min() >= least
 
+    degrees, open_ended = widest_kept(keeps)
+    return WidestTolerance(what=what, angle=angle, degrees=degrees, open_ended=open_ended)
+
+
+def widest_kept(
+    keeps: Callable[[float], bool], rungs: Sequence[float] = RUNGS, known_to: float = 0.0
+) -> tuple[float, bool]:
+    """The widest tolerance that keeps the score [°], to a step or a share of it, and whether that is the last rung."""
     widest = 0.0
-    for rung in RUNGS:
+    for rung in rungs:
         if not keeps(rung):
             break
         widest = rung
     else:
-        return WidestTolerance(what=what, angle=angle, degrees=widest, open_ended=True)
+        return widest, True
     # rungs are multiples of a step
     low, high = round(widest * STEPS_PER_DEG), round(rung * STEPS_PER_DEG)
-    while high - low > 1:
+    while high - low > max(1.0, known_to * high):
         middle = (low + high) // 2
         low, high = (middle, high) if keeps(middle / STEPS_PER_DEG) else (low, middle)
-    return WidestTolerance(what=what, angle=angle, degrees=low / STEPS_PER_DEG, open_ended=False)
-
-
-@dataclass(frozen=True)
-class Setup:
-    """Postures that are evaluated together, and the positions of the lights in them."""
-
-    rig: RigConfig
-    postures: tuple[Posture, ...]
-    angles: tuple[tuple[tuple[float, float], ...], ...]  # elevation and azimuth of each light, posture by posture [°]
-    exposures: tuple[tuple[float, ...], ...]  # posture by posture, 1 among them
-    points: int | Literal["auto"] | None = None  # point lights per panel, instead of the rig's
-
-    def only(self, posture: int) -> "Setup":
-        """One of the postures."""
-        one = slice(posture, posture + 1)
-        return replace(self, postures=self.postures[one], angles=self.angles[one], exposures=self.exposures[one])
-
-    def panels(self, posture: int) -> tuple[PanelLight, ...]:
-        """The lights in a posture, world frame."""
-        return tuple(self.panel(posture, light, EXACT) for light in range(len(self.rig.lights)))
-
-    def panel(self, posture: int, light: int, offset: Offset) -> PanelLight:
-        """A light that is off by so much, world frame."""
-        elevation, azimuth = self.angles[posture][light]
-        return panels_of(self.rig, light, [(elevation + offset[0], azimuth + offset[1])], self.points)[0]
-
-
-class _Assessment(ABC):
-    """Scores of combinations of offsets, from images that are computed once: a `ScoreFunction`.
-
-    The patches of the evaluator stay the same; which of them are visible does not.
-    """
-
-    def __init__(self, evaluator: ImageEvaluator, setup: Setup) -> None:
-        self.evaluator, self.setup = evaluator, setup
-        self.patches = evaluator.patches
-        self.images: dict[ImageKey, Any] = {}
-        self._facets = face_normals(evaluator.scene.mesh)[evaluator.table.patches.face[self.patches]]
-
-    def __call__(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
-        # images of other poses than this one and the exact one are not needed again
-        self.images = {key: image for key, image in self.images.items() if key[1] in (pose, EXACT)}
-        for posture in range(len(self.setup.postures)):
-            self._compute_images(posture, pose, lights)
-        return self.scores(pose, lights)
-
-    @abstractmethod
-    def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
-        """Scores of all combinations, the last light's offsets varying fastest."""
-
-    @abstractmethod
-    def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
-        """The stored part of an image: row `at` of a light, in matrices of all exposures."""
-
-    def _compute_images(self, posture: int, pose: Offset, lights: Sequence[Sequence[Offset]]) -> None:
-        # the images that are not known yet, those of all lights in one go
-        keys = ([(posture, pose, light, offset) for offset in offsets] for light, offsets in enumerate(lights))
-        missing = [[key[-1] for key in some if key not in self.images] for some in keys]
-        if not any(missing):
-            return
-        nominal = self.setup.postures[posture]
-        there = Posture(nominal.elevation_deg + pose[0], nominal.rotation_deg + pose[1])
-        panels = [[self.setup.panel(posture, light, one) for one in offsets] for light, offsets in enumerate(missing)]
-        evaluator = replace(self.evaluator, table=self._table(there, posture))
-        matrices = evaluator.matrices(there, panels, exposures=self.setup.exposures[posture])
-        for light, offsets in enumerate(missing):
-            for at, offset in enumerate(offsets):
-                self.images[posture, pose, light, offset] = self.keep(matrices, light, at)
-
-    def _table(self, posture: Posture, at: int) -> PatchTable:
-        table = self.evaluator.table
-        visible, grazing = np.zeros((2, 1, len(table.patches)), np.bool_)
-        points, normals = table.patches.centroids[self.patches], table.patches.normals[self.patches]
-        view = view_from_part(self.evaluator.scene, posture)
-        sight = camera_visibility(points, normals, self._facets, view, self.evaluator.caster)
-        visible[0, self.patches], grazing[0, self.patches] = sight
-        # edges hardly move within the tolerances
-        nominal = table.postures.index(self.setup.postures[at])
-        return replace(table, postures=(posture,), visible=visible, grazing=grazing | table.grazing[nominal])
-
-
-class PairAssessment(_Assessment):
-    """Weight of the pairs of patch and defect that the images of all postures together find."""
-
-    def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
-        """One image, whatever the number of its exposures."""
-        return scattered_flags(matrices, self.patches, light=light, place=at)
-
-    def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
-        """Add up the postures, then all combinations of the lights."""
-        totals: list[UInt64] = []
-        weights, needed, postures = self.evaluator.weights, self.evaluator.needed, range(len(self.setup.postures))
-        for light, offsets in enumerate(lights):
-            images = ([self.images[i, pose, light, offset] for i in postures] for offset in offsets)
-            totals.append(np.stack([weights.sum_counts(some, needed) for some in images]))
-        return combination_sums(totals, weights, needed, benefit=False, threads=self.evaluator.threads)[0]
-
-
-class ObjectiveAssessment(_Assessment):
-    """Score of an objective of levels at exposure 1, summed over the postures."""
-
-    def __init__(
-        self, evaluator: ImageEvaluator, setup: Setup, *, objective: Objective, thresholds: LevelThresholds
-    ) -> None:
-        super().__init__(evaluator, setup)
-        self._objective, self._thresholds = objective, thresholds
-
-    def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
-        """Levels, and the areas of their patches."""
-        return matrices[0].levels[light][at], matrices[0].areas
-
-    def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
-        """All combinations by the objective's own search."""
-        total = np.zeros(int(np.prod([len(offsets) for offsets in lights])), np.int64)
-        for posture in range(len(self.setup.postures)):
-            keys = [[(posture, pose, light, offset) for offset in offsets] for light, offsets in enumerate(lights)]
-            images = [[self.images[key] for key in some] for some in keys]
-            levels = tuple(np.stack([own for own, _ in some]) for some in images)
-            matrix = LuminanceMatrix(levels=levels, areas=images[0][0][1])
-            threads, weights = self.evaluator.threads or available_processors(), self._objective.weights(matrix.areas)
-            total += self._objective.scores(matrix, weights, self._thresholds, threads, None)
-        return total
+    return low / STEPS_PER_DEG, False

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lightopt.config import RigConfig
+from lightopt.config import RANGE_KEYS, RigConfig
 from lightopt.lights import PanelLight, SurfaceLight, outlines, surface_mesh
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, percent
 from lightopt.rendering import hidden_by, panels_in_part
@@ -103,14 +103,20 @@ def check_collisions(checked: CheckedRig) -> Iterator[Finding]:
 
 
 def _moved(rig: RigConfig, index: int, step: float) -> list[PanelLight]:
-    # the light at the ends of its ranges and, at `step` degrees or less, between them
+    # the light at the ends of its ranges and, at `step` degrees or less, between those of its angles
     light = rig.lights[index]
-    if light.elevation_range_deg is None and light.azimuth_range_deg is None:
+    ranges = {
+        "elevation_deg": light.elevation_range_deg,
+        "azimuth_deg": light.azimuth_range_deg,
+        "distance_mm": light.distance_range_mm,
+    }
+    moving = {key: ends for key, ends in ranges.items() if ends is not None}
+    if not moving:
         return []
-    elevations = _steps(light.elevation_range_deg or (light.elevation_deg, light.elevation_deg), step)
-    azimuths = _steps(light.azimuth_range_deg or (light.azimuth_deg, light.azimuth_deg), step)
+    # distances at the ends only
+    values = [sorted({*ends}) if key == "distance_mm" else _steps(ends, step) for key, ends in moving.items()]
     lights = tuple(
-        light.model_copy(update={"elevation_deg": e, "azimuth_deg": a}) for e in elevations for a in azimuths
+        light.model_copy(update=dict(zip(moving, place, strict=True))) for place in itertools.product(*values)
     )
     return list(build_lights(rig.model_copy(update={"lights": lights})))
 
@@ -128,7 +134,7 @@ def _close_pairs(moved: list[list[PanelLight]]) -> Iterator[tuple[int, int]]:
     moved = [moved[i] for i in numbers]
     centres = [np.mean([p.centre for p in places], axis=0) for places in moved]
     reach = [
-        max(float(np.linalg.norm(p.centre - c)) for p in places) + 0.5 * float(np.hypot(*places[0].size))
+        max(float(np.linalg.norm(p.centre - c)) + 0.5 * float(np.hypot(*p.size)) for p in places)
         for places, c in zip(moved, centres, strict=True)
     ]
     for i, j in itertools.combinations(range(len(moved)), 2):
@@ -140,9 +146,11 @@ def _at_range(checked: CheckedRig, index: int, topic: str, moved: list[PanelLigh
     elevations = [math.degrees(p.elevation) for p in moved]
     azimuths = [math.degrees(p.azimuth) for p in moved]
     ranges = f"elevation {_span(elevations)}, azimuth {_span(azimuths)}"
-    name = checked.lights[index].name
-    tilts = checked.rig.lights[index].elevation_range_deg is not None
-    where = checked.at("lights", index, "elevation_range_deg" if tilts else "azimuth_range_deg")
+    name, light = checked.lights[index].name, checked.rig.lights[index]
+    if light.distance_range_mm is not None:
+        distances = [p.distance for p in moved]
+        ranges += f", distance {min(distances):.4g} to {max(distances):.4g} mm"
+    where = checked.at("lights", index, next(key for key in RANGE_KEYS if getattr(light, key) is not None))
     values = {
         "light": name,
         "elevation_deg": [min(elevations), max(elevations)],

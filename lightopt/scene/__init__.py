@@ -35,7 +35,7 @@ from lightopt.scene._defects import (
     defect_facts as defect_facts,
     place_defects as place_defects,
 )
-from lightopt.scene._image_area import area_in_view as area_in_view
+from lightopt.scene._image_area import area_in_view as area_in_view, obstructions as obstructions
 from lightopt.scene._lights import display_picture as display_picture
 from lightopt.scene._part_size import guess_unit as guess_unit, is_absurd as is_absurd, view_size as view_size
 from lightopt.scene._point_spacing import (

@@ -91,7 +91,7 @@ def _panel(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | N
         return place_light(distance=light.distance_mm, **_where(light), **panel)
     measured = standing_at(light.pose.centre_mm)
     return pose_light(
-        centre=np.array(light.pose.centre_mm, np.float64),
+        centre=np.array(light.pose.centre_mm, np.float64) * (light.distance_mm / measured["distance_mm"]),
         rotation=rotation_from_vector(np.radians(light.pose.rotation_vector_deg)),
         start=(math.radians(measured["elevation_deg"]), math.radians(measured["azimuth_deg"])),
         **_where(light),

@@ -69,7 +69,7 @@ def test_levels_are_those_of_the_equations_at_the_centroids(tmp_path, part, shad
     eye = scene.camera.position - at["point"]
     hits = SimpleNamespace(**at, view=eye / np.linalg.norm(eye, axis=1, keepdims=True))
     differing = total = 0
-    for light, layer, angles in zip(LIGHTS, matrix.levels, found.angles, strict=True):
+    for light, layer, angles in zip(LIGHTS, matrix.levels, found.places, strict=True):
         for row, (elevation, azimuth) in zip(layer, angles, strict=True):
             panel = replace(light, elevation=elevation, azimuth=azimuth)
             level = np.zeros(len(seen))
@@ -99,7 +99,7 @@ def test_levels_are_those_of_the_image_and_do_not_depend_on_threads(tmp_path):
     shown = images.geometry.patch
     pixels = np.flatnonzero((shown >= 0).ravel())
     pixels = pixels[row_of[shown.ravel()[pixels]] >= 0]
-    now = found.angles[0].index((45.0, 20.0))
+    now = found.places[0].index((45.0, 20.0))
     image = np.clip(np.floor(images.lights[0].level.ravel()[pixels] + 0.5), 0, 255)
     patch = matrix.levels[0][now, row_of[shown.ravel()[pixels]]].astype(float)
     assert np.median(np.abs(image - patch)) <= 1

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import shutil
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,10 @@ import trimesh
 from designed import design
 
 from lightopt.cli._main import run
-from lightopt.config import load_rig
-from lightopt.design import OptimizeOptions, area_text
+from lightopt.config import load_part, load_rig
+from lightopt.core.run_context import RunContext
+from lightopt.core.transforms import Posture
+from lightopt.design import OptimizeOptions, area_text, design_tolerances, optimize, places_of
 from lightopt.images import read_image_set, read_png
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -541,3 +544,83 @@ def test_an_anchor_that_shares_an_angle_is_reported(three, cli):
     ran = cli("optimize", three.rig, three.part, "-o", three.out, *FEW, *BARE, "--posture", "0,0")
     assert ran.status == 2
     assert "write anchors and aliases out" in ran.err
+
+
+DISTANT = """\
+lights:
+  - {name: light1, distance_mm: 250, elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [40, 60], \
+distance_range_mm: [250, 330], distance_step_mm: 80}
+  - name: light2
+    distance_mm: 225    # the near one
+    elevation_deg: 50
+    azimuth_deg: 160
+    distance_range_mm: [200, 300]
+"""
+
+
+def best_score(rig, part, folder, objective):
+    options = OptimizeOptions(
+        objectives=(objective,),
+        step_deg=20.0,
+        min_images=1,
+        patch_budget=200,
+        images=False,
+        postures=(Posture(0.0, 0.0),),
+    )
+    result = optimize(rig, part, folder, options=options, run=RunContext(threads=1))
+    return result, result.results[0].answers[0].found
+
+
+@pytest.mark.parametrize("objective", ["coverage", "detectability"])
+def test_the_best_distances_are_those_of_trying_all(objective, bench, tmp_path):
+    with_lights(bench, DISTANT)
+    rig, part = load_rig(bench.rig), load_part(bench.part)
+    result, found = best_score(rig, part, tmp_path / "searched", objective)
+    assert found.proven
+    scores = {}
+    for elevation, near, far in product((40.0, 60.0), (250.0, 330.0), (200.0, 225.0, 250.0, 275.0, 300.0)):
+        moved = {"elevation_deg": elevation, "distance_mm": near}, {"distance_mm": far}
+        fixed = dict.fromkeys(("elevation_range_deg", "distance_range_mm", "distance_step_mm"))
+        lights = tuple(one.model_copy(update={**fixed, **own}) for one, own in zip(rig.lights, moved, strict=True))
+        fixed_rig = rig.model_copy(update={"lights": lights})
+        folder = tmp_path / f"{elevation:g}-{near:g}-{far:g}"
+        scores[elevation, near, far] = best_score(fixed_rig, part, folder, objective)[1].best.score
+    assert found.best.score == max(scores.values()) > min(scores.values())
+    first, second = places_of(result.candidates, found.best)
+    assert scores[first[0], first[2], second[2]] == found.best.score
+    assert found.scored + found.excluded == len(scores)
+    # tolerances start from there
+    fixed = {"elevation_range_deg": None, "distance_range_mm": None, "distance_step_mm": None}
+    best = ({**fixed, "elevation_deg": e, "azimuth_deg": a, "distance_mm": d} for e, a, d in (first, second))
+    lights = tuple(one.model_copy(update=own) for one, own in zip(rig.lights, best, strict=True))
+    there, _ = best_score(rig.model_copy(update={"lights": lights}), part, tmp_path / "there", objective)
+    allowed = design_tolerances(result, run=RunContext(threads=1))
+    assert allowed == design_tolerances(there, run=RunContext(threads=1))
+    assert (allowed is None) == (objective == "coverage")
+
+
+def test_results_name_the_distances(bench, cli):
+    with_lights(bench, DISTANT)
+    ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, "--objective", "coverage", "--step", 20,
+              "--posture", "0,0", "--patches", 200, "--no-images", "--verbose")  # fmt: skip
+    assert ran.status == 0, ran.err
+    result = result_of(bench.out)
+    answer = result["results"][0]["objectives"][0]
+    near, far = (light["distance_mm"] for light in answer["lights"])
+    assert {near, far} != {250.0, 225.0}
+    assert result["candidates"][1]["distances_mm"] == [200.0, 225.0, 250.0, 275.0, 300.0]
+    assert f"50°, 160°, {far:g} mm" in ran.out
+    best = load_rig(bench.out / "rig.optimized.yaml")
+    assert [light.distance_mm for light in best.lights] == [near, far]
+    text = (bench.out / "rig.optimized.yaml").read_text(encoding="utf-8")
+    assert f"distance_mm: {far:g}    # the near one" in text
+    with (bench.out / "ranking.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert (float(rows[0]["light1_distance_mm"]), float(rows[0]["light2_distance_mm"])) == (near, far)
+    assert {curve["axis"] for curve in result["results"][0]["curves"]} == {"elevation", "distance"}
+    (of_far,) = (curve for curve in result["results"][0]["curves"] if curve["light"] == "light2")
+    assert max(of_far["scores"]) == answer["score"]
+    assert of_far["distances_mm"] == [200.0, 225.0, 250.0, 275.0, 300.0]
+    page = (bench.out / "report.html").read_text(encoding="utf-8")
+    assert f"{far:g}\u00a0mm" in page
+    assert "distance [mm]" in page or "Score against distance" in page

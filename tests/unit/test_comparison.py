@@ -9,11 +9,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from lightopt.comparison import PRESETS, answer_text, preset_files
+from lightopt.comparison import PRESETS, answer_text, preset_files, systems_table
 from lightopt.comparison._results import LightingComparison, SystemResult, comparison_csv
 from lightopt.config import load_rig
 from lightopt.core.errors import InputError
-from lightopt.design import OptimizeOptions
+from lightopt.design import OptimizeOptions, WidestTolerance
 from lightopt.scene import build_camera, pixel_footprint
 
 CAMERA = (
@@ -29,7 +29,8 @@ lights:
 """,
     "ring": """
 lights:
-  - {name: ring, kind: ring, inner_radius_mm: 50, outer_radius_mm: 80, distance_mm: 250, segments: 2}
+  - {name: ring, kind: ring, inner_radius_mm: 50, outer_radius_mm: 80, distance_mm: 250, segments: 2,
+     distance_range_mm: [150, 250], distance_step_mm: 100}
 """,
     "blocked": """
 lights:
@@ -73,6 +74,23 @@ def test_no_other_system_finds_as_much_in_less_time():
     assert answer_text(found).startswith("a finds most: 90.0 % of the catalogue's defects")
 
 
+def test_tolerances_are_in_the_table_and_the_csv_file():
+    def widest(degrees, open_ended=False):
+        return WidestTolerance(what="part", angle="both angles at once", degrees=degrees, open_ended=open_ended)
+
+    found = comparison_of(
+        system("a", 0.9, 8.0, mounting=widest(1.35), pose=widest(16.0, True)),
+        system("b", 0.8, 5.0, mounting=widest(0.0), pose=widest(12.5)),
+        system("c", 0.7, 6.0),
+    )
+    table = systems_table(found)
+    columns = [table.header.index(name) for name in ("lights ±°", "part ±°")]
+    assert [[row[i] for i in columns] for row in table.rows] == [["1.4", "≥ 16"], ["< 0.05", "12"], ["-", "-"]]
+    rows = list(csv.DictReader(comparison_csv(found).splitlines()))
+    assert [row["mounting_tolerance_deg"] for row in rows] == ["1.35", "0", ""]
+    assert [row["pose_tolerance_deg"] for row in rows] == ["16", "12.5", ""]
+
+
 def test_presets_have_the_pixels_and_the_sensor_of_the_rig_they_are_compared_with(tmp_path):
     rig = load_rig(rig_file(tmp_path, "panels"))
     own = pixel_footprint(build_camera(rig), 550.0)
@@ -113,16 +131,24 @@ def test_systems_are_designed_compared_and_reported(bench, tmp_path, cli):
         assert one["defects"] == objective["defects"]
         assert one["images"] == 2
         assert 0.0 < one["seconds"] < 60.0
+        for name in ("mounting_tolerance", "pose_tolerance"):
+            assert 0.0 < one[name]["degrees"] <= 16.0
+            assert one[name]["or_more"] is (one[name]["degrees"] == 16.0)
         # of what the camera sees, what is not found has a reason
         assert one["share"] + sum(one["not_found"].values()) == pytest.approx(1.0, abs=0.02)
     page = (out / "report.html").read_text(encoding="utf-8")
+    chosen = load_rig(out / "ring" / "rig.optimized.yaml").lights
+    assert len({light.distance_mm for light in chosen}) == 1
+    assert (f"ring to 90°, 270°, {chosen[0].distance_mm:g} mm" in page) is (chosen[0].distance_mm != 250.0)
     for text in ("panels/report.html", "ring/report.html", "Systems that cannot be used", "Why defects are missed"):
         assert text in page
     again = cli(*command, "--min-images", 1)
     assert again.status == 2
     assert "the result of another comparison" in again.err
     assert "--force" in again.err
-    assert cli(*command, "--force", "-q").status == 0
+    assert cli(*command, "--force", "-q", "--no-tolerances").status == 0
+    found = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
+    assert [one["pose_tolerance"] for one in found["systems"]] == [None, None]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from lightopt import build_scene
 from lightopt.config import load_rig
 from lightopt.core.errors import InputError
 from lightopt.design import find_candidates
-from lightopt.design._candidates import light_angles
+from lightopt.design._candidates import light_places
 
 RIG = """\
 format: lightopt-rig/1
@@ -44,21 +44,62 @@ def test_ranges_at_a_step_include_both_ends(tmp_path):
         light("d", 50, 270),
     )
     found = find_candidates(rig, step_deg=5.0)
-    assert found.angles[0] == ((30.0, 0.0), (35.0, 0.0), (40.0, 0.0), (42.0, 0.0))
-    assert found.angles[1] == tuple((50.0, a) for a in (80.0, 85.0, 90.0, 95.0, 100.0))
-    assert found.angles[2] == tuple((e, a) for e in (40.0, 45.0, 50.0) for a in (170.0, 175.0, 180.0, 185.0, 190.0))
-    assert found.angles[3] == ((50.0, 270.0),)
+    assert found.places[0] == ((30.0, 0.0), (35.0, 0.0), (40.0, 0.0), (42.0, 0.0))
+    assert found.places[1] == tuple((50.0, a) for a in (80.0, 85.0, 90.0, 95.0, 100.0))
+    assert found.places[2] == tuple((e, a) for e in (40.0, 45.0, 50.0) for a in (170.0, 175.0, 180.0, 185.0, 190.0))
+    assert found.places[3] == ((50.0, 270.0),)
     assert found.space.sizes == (4, 5, 15, 1)
     assert found.left_out == ()
     panel = found.panels[2][7]
-    assert np.rad2deg([panel.elevation, panel.azimuth]) == pytest.approx(found.angles[2][7])
+    assert np.rad2deg([panel.elevation, panel.azimuth]) == pytest.approx(found.places[2][7])
     # steps that rounding keeps just off the end do not give the end twice
-    assert [e for e, _ in light_angles(rig, 0, step_deg=0.1)][-2:] == [41.9, 42.0]
+    assert [e for e, _ in light_places(rig, 0, step_deg=0.1)][-2:] == [41.9, 42.0]
+
+
+def test_distances_in_their_range_are_candidates_with_every_angle(tmp_path):
+    rig = rig_of(
+        tmp_path,
+        light("a", 40, 0, ", elevation_range_deg: [30, 40], distance_range_mm: [300, 340]"),
+        light("b", 50, 90, ", distance_range_mm: [330, 400], distance_step_mm: 30"),
+        light("c", 50, 180, ", distance_range_mm: [330, 330]"),
+        light("d", 50, 270),
+        "name: e, kind: dome, radius_mm: 200, segments: 2, distance_range_mm: [0, 20], distance_step_mm: 20, "
+        "camera_hole_mm: 150",
+    )
+    found = find_candidates(rig, step_deg=10.0)
+    assert found.places[0] == tuple((e, 0.0, d) for e in (30.0, 40.0) for d in (300.0, 310.0, 320.0, 330.0, 340.0))
+    assert found.places[1] == tuple((50.0, 90.0, d) for d in (330.0, 360.0, 390.0, 400.0))
+    assert found.places[2] == ((50.0, 180.0, 330.0),)
+    assert found.places[3] == ((50.0, 270.0),)
+    for places, panels in zip(found.places[:2], found.panels[:2], strict=True):
+        assert [panel.distance for panel in panels] == [place[2] for place in places]
+        assert [np.linalg.norm(panel.centre) for panel in panels] == pytest.approx([place[2] for place in places])
+    # channels of the dome stand at one distance
+    assert found.places[4] == found.places[5] == ((90.0, 270.0, 0.0), (90.0, 270.0, 20.0))
+    assert [[row.tolist() for row in group[4:]] for group in found.space.groups] == [[[0], [0]], [[1], [1]]]
+
+
+def test_distances_that_a_light_cannot_have_are_left_out_one_by_one(tmp_path):
+    rig = rig_of(
+        tmp_path,
+        light("low", 5, 180, ", distance_range_mm: [330, 400], distance_step_mm: 70"),
+        light("a", 45, 0, ", distance_range_mm: [330, 400], distance_step_mm: 70"),
+        light("b", 45, 5),
+    )
+    found = find_candidates(rig, step_deg=10.0)
+    assert [(out.light, out.place, out.kind) for out in found.left_out] == [
+        ("low", (5.0, 180.0, 330.0), "table"),
+        ("a", (45.0, 0.0, 330.0), "collision"),
+    ]
+    assert found.places == (((5.0, 180.0, 400.0),), ((45.0, 0.0, 400.0),), ((45.0, 5.0),))
+    with pytest.raises(InputError, match="more than 100,000 positions, the maximum; take a larger step, here or in"):
+        light_places(rig_of(tmp_path, light("a", 45, 0, ", distance_range_mm: [1, 400], distance_step_mm: 0.001")), 0,
+                     step_deg=1.0)  # fmt: skip
 
 
 def test_a_full_turn_has_no_position_twice(tmp_path):
     rig = rig_of(tmp_path, light("a", 40, 0, ", azimuth_range_deg: [0, 360]"), light("b", 40, 0, distance=500))
-    assert len(light_angles(rig, 0, step_deg=90.0)) == 4
+    assert len(light_places(rig, 0, step_deg=90.0)) == 4
 
 
 def test_common_elevation_ties_those_that_move(tmp_path):
@@ -70,12 +111,12 @@ def test_common_elevation_ties_those_that_move(tmp_path):
     )
     found = find_candidates(rig, step_deg=5.0, common_elevation=True)
     shared = [45.0, 50.0, 55.0, 60.0]
-    assert sorted({e for e, _ in found.angles[0]}) == shared
-    assert found.angles[1] == tuple((e, 90.0) for e in shared)
+    assert sorted({e for e, _ in found.places[0]}) == shared
+    assert found.places[1] == tuple((e, 90.0) for e in shared)
     assert len(found.space.groups) == 4
     for elevation, rows in zip(shared, found.space.groups, strict=True):
-        assert {found.angles[0][k][0] for k in rows[0]} == {elevation}
-        assert {found.angles[1][k][0] for k in rows[1]} == {elevation}
+        assert {found.places[0][k][0] for k in rows[0]} == {elevation}
+        assert {found.places[1][k][0] for k in rows[1]} == {elevation}
         assert rows[2].tolist() == [0]
 
 
@@ -86,10 +127,10 @@ def test_positions_that_the_machine_cannot_take_are_listed(tmp_path):
         light("low", 10, 180, ", elevation_range_deg: [2, 12]"),
     )
     found = find_candidates(rig, step_deg=5.0)
-    said = {(out.light, out.elevation_deg): out.reason for out in found.left_out}
+    said = {(out.light, out.place[0]): out.reason for out in found.left_out}
     assert "stands in the camera's view, over" in said["high", 90.0]
     assert "mm below the table top" in said["low", 2.0]
-    kept = {e for e, _ in found.angles[0]} | {e for e, _ in found.angles[1]}
+    kept = {e for e, _ in found.places[0]} | {e for e, _ in found.places[1]}
     assert kept & {e for _, e in said} == set()
     assert 70.0 in kept
     assert 12.0 in kept
@@ -103,7 +144,7 @@ def test_what_a_lens_bends_into_view_is_left_out(tmp_path):
     bent = straight.replace("image_distance_mm: 55,", "image_distance_mm: 55, distortion: {k1: -20},")
     (tmp_path / "rig.yaml").write_text(bent, encoding="utf-8")
     (out,) = find_candidates(load_rig(tmp_path / "rig.yaml"), step_deg=16.0).left_out
-    assert (out.light, out.elevation_deg) == ("a", 82.2)
+    assert (out.light, out.place[0]) == ("a", 82.2)
     assert "stands in the camera's view, over" in out.reason
 
 
@@ -113,14 +154,14 @@ def test_panels_that_meet_are_kept_apart(tmp_path):
         tmp_path, light("a", 45, 0, ", azimuth_range_deg: [0, 40]"), light("b", 45, 60, ", azimuth_range_deg: [20, 60]")
     )
     found = find_candidates(rig, step_deg=20.0)
-    assert found.angles == (tuple((45.0, a) for a in (0.0, 20.0, 40.0)), tuple((45.0, a) for a in (20.0, 40.0, 60.0)))
+    assert found.places == (tuple((45.0, a) for a in (0.0, 20.0, 40.0)), tuple((45.0, a) for a in (20.0, 40.0, 60.0)))
     np.testing.assert_array_equal(
         found.space.clashes[0, 1], [[False, False, False], [True, False, False], [False, True, False]]
     )
     blocked = find_candidates(
         rig_of(tmp_path, light("a", 45, 0, ", azimuth_range_deg: [0, 40]"), light("b", 45, 20)), step_deg=20.0
     )
-    assert [(out.light, out.azimuth_deg) for out in blocked.left_out] == [("a", 20.0)]
+    assert [(out.light, out.place[1]) for out in blocked.left_out] == [("a", 20.0)]
     assert blocked.left_out[0].reason == "collides with b in all of its positions"
     assert blocked.space.clashes == {}
 
@@ -186,12 +227,12 @@ def test_a_panel_inside_the_part_is_left_out_and_the_posture_named(tmp_path):
     )
     scene = build_scene(rig, tmp_path / "part.yaml")
     found = find_candidates(rig, step_deg=45.0, scene=scene)
-    assert found.angles[0] == ((30.0, 45.0),)
-    assert [(out.azimuth_deg, out.reason) for out in found.left_out] == [
+    assert found.places[0] == ((30.0, 45.0),)
+    assert [(out.place[1], out.reason) for out in found.left_out] == [
         (0.0, "is inside the part in posture (0°, 0°)"),
         (90.0, "is inside the part in posture (0°, 90°)"),
     ]
-    assert len(find_candidates(rig, step_deg=45.0).angles[0]) == 3
+    assert len(find_candidates(rig, step_deg=45.0).places[0]) == 3
 
 
 SEGMENTS = """\

@@ -44,7 +44,7 @@ def test_the_others_are_found_as_without_it(three):
         assert answer.scores == alone.answers[0].scores
     # the first stands where it was put, and has the scores of that combination
     best = first.found.best
-    angles = tuple(some[k] for some, k in zip(beside.candidates.angles, best.candidates, strict=True))
+    angles = tuple(some[k] for some, k in zip(beside.candidates.places, best.candidates, strict=True))
     assert (angles, first.found.scored) == (PLACES, 1)
     assert first.scores["coverage"] <= others[0].found.best.score
     assert first.scores["paper"] <= others[1].found.best.score

@@ -13,7 +13,7 @@ from planned import CATALOGUE
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
-from lightopt.core.transforms import Posture
+from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.design import (
     OBJECTIVES,
     DetectionModel,
@@ -31,17 +31,17 @@ from lightopt.design import (
     luminance_matrix,
     planned_catalogue,
 )
-from lightopt.design._tolerances import ObjectiveAssessment
+from lightopt.design._misalignment import ObjectiveAssessment
 from lightopt.design.blind_spots._blind_spots import planned_visibility
 from lightopt.design.postures import _light_positions as placing, _posture_search as turning
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._plan_postures import target_not_reached
-from lightopt.design.responses._evidence import UNITS_OF_IMAGE, PatchEvidence
+from lightopt.design.responses._evidence import UNITS_OF_IMAGE, PatchEvidence, spare_units
 from lightopt.design.responses._image_evaluator import ImageCache
 from lightopt.geometry import face_normals
-from lightopt.rendering import build_patches, camera_visibility, cast_rays_at
-from lightopt.scene import build_catalogue, build_lights, build_scene, view_from_part
+from lightopt.rendering import build_patches, camera_visibility, cast_rays_at, hidden_by
+from lightopt.scene import build_catalogue, build_lights, build_scene, obstructions, view_from_part
 
 LIGHTS = """\
 lights:
@@ -135,7 +135,7 @@ def setup_of(rig, postures, exposures=((1.0,),)):
     return Setup(
         rig=rig,
         postures=tuple(postures),
-        angles=(angles,) * len(postures),
+        places=(angles,) * len(postures),
         exposures=tuple(exposures) * (len(postures) // len(exposures)),
     )
 
@@ -195,6 +195,110 @@ def test_tolerances_of_pairs_are_those_of_recounting_every_corner(world, least):
     draws = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 3, 2)) * np.array([3.0, 4.0, 4.0])[:, None]
     assert found.least_drawn == min(plain(d[0], d[1:]) for d in draws)
     assert found.quantile == found.least_drawn
+
+
+OTHERS = """\
+lights:
+  - {name: ring, kind: ring, inner_radius_mm: 60, outer_radius_mm: 80, distance_mm: 250, segments: 2}
+  - {name: bar, kind: bar, size_mm: [40, 20], distance_mm: 200, elevation_deg: 40, azimuth_deg: 90}
+"""
+
+
+def rig_of(rig, lights, name):
+    """The rig with other lights."""
+    text = rig.source.path.read_text(encoding="utf-8")
+    head, rest = text.split("lights:\n", 1)
+    path = rig.source.path.with_name(f"{name}.yaml")
+    path.write_text(head + lights + rest[rest.index("stage:") :], encoding="utf-8")
+    return load_rig(path)
+
+
+def turned(panel, axis, degrees):
+    return panel.moved(rotation_from_vector(math.radians(degrees) * np.array(axis)), np.zeros(3))
+
+
+def test_channels_move_as_one_body_and_a_ring_overhead_tilts_both_ways(world):
+    rig, _ = world
+    setup = setup_of(rig_of(rig, OTHERS, "others"), POSTURES[:1])
+    assert setup.names == ("ring", "bar")
+    assert setup.bodies == ((0, 1), (2,))
+    nominal = setup.panels(0)
+    for offset, axis in (((5.0, 0.0), (-1.0, 0.0, 0.0)), ((0.0, 5.0), (0.0, 1.0, 0.0))):
+        for light in (0, 1):
+            # at azimuth 270° of the ring, its e_φ is X and its e_θ is Y
+            off, expected = setup.panel(0, light, offset), turned(nominal[light], axis, 5.0)
+            np.testing.assert_allclose(off.elements, expected.elements, atol=1e-9)
+        cosine = off.outward @ nominal[1].outward
+        assert cosine == pytest.approx(math.cos(math.radians(5.0)))
+    # lower lights are off as their angles in the file would be
+    bar = setup.panel(0, 2, (3.0, -7.0))
+    np.testing.assert_allclose(bar.elements, moved(setup.rig, 2, (3.0, -7.0)).elements, atol=1e-9)
+    assert setup.panel(0, 2, (0.0, 0.0)).centre.tolist() == nominal[2].centre.tolist()
+
+
+def test_lights_that_a_programme_mixes_are_one_body(world):
+    rig, _ = world
+    programme = """\
+programme:
+  - {name: both, lights: {ring-1: 1, bar: 0.5}}
+  - {name: half, lights: {ring-2: 1}}
+"""
+    setup = setup_of(rig_of(rig, OTHERS + programme, "mixed"), POSTURES[:1])
+    assert setup.names == ("ring + bar",)
+    off = setup.panel(0, 0, (4.0, 0.0))
+    np.testing.assert_allclose(off.elements, turned(setup.panels(0)[0], (-1.0, 0.0, 0.0), 4.0).elements, atol=1e-9)
+
+
+def test_images_of_all_kinds_of_light_are_held_by_their_places(world):
+    rig, _ = world
+    cache, setup = ImageCache(1_000), setup_of(rig_of(rig, OTHERS, "others"), POSTURES[:1])
+    first, second, bar = setup.panels(0)
+    cache.keep(POSTURES[0], (1.0,), first, np.arange(3))
+    (held,) = cache.find(POSTURES[0], (1.0,), setup.panels(0)[0])
+    assert held.tolist() == [0, 1, 2]
+    others = (second, bar, setup.panel(0, 0, (1.0, 0.0)))
+    assert [cache.find(POSTURES[0], (1.0,), one) for one in others] == [None] * 3
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_tolerances_of_channels_are_those_of_recounting_every_corner(world, together):
+    rig, evaluator = world
+    evaluator = deciding(evaluator, 2)
+    postures = POSTURES[:2]
+    setup = setup_of(rig_of(rig, OTHERS, "others"), postures)
+    assess = PairAssessment(evaluator, setup, together=together)
+    corner = list(product((-12.0, 12.0), repeat=2))  # where the ring hides some of the part
+    weights = heavy(evaluator)
+    facts = evaluator.detection.sensor, 2
+    found, hidden_places = assess((0.0, 0.0), [corner, corner]), 0
+
+    def plain(offsets):
+        nonlocal hidden_places
+        panels = [setup.panel(0, light, offsets[body]) for light, body in ((0, 0), (1, 0), (2, 1))]
+        counts = []
+        for posture in postures:
+            units = pairs_of(evaluator, posture, panels).sum(axis=0)
+            if not together:
+                # the bar lights a place in any of its corners, the ring, of which each corner is tried apart, as it is
+                every = [panels[:1], panels[1:2], [setup.panel(0, 2, one) for one in corner]]
+                levels = evaluator.matrices(posture, every)[0].levels
+                seen = evaluator.table.inspectable(posture)
+                units[seen] += spare_units(levels, *facts)[:, None]
+            standing = obstructions(evaluator.scene.camera, panels)
+            if standing is not None:
+                scene = replace(evaluator.scene, camera=replace(evaluator.scene.camera, obstructions=standing))
+                camera = view_from_part(scene, posture).camera
+                hides = hidden_by(camera.obstructions, camera.position, evaluator.table.patches.centroids)
+                units[hides] = 0
+                hidden_places += int(hides.sum())
+            counts.append(units)
+        if together:
+            return int(weights[sum(counts) >= evaluator.needed].sum())
+        return sum(int(weights[one >= evaluator.needed].sum()) for one in counts)
+
+    assert found.tolist() == [plain(offsets) for offsets in product(corner, corner)]
+    assert hidden_places
+    assert found.min() < found.max()
 
 
 @pytest.mark.slow

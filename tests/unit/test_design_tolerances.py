@@ -10,6 +10,7 @@ import pytest
 
 from lightopt.core.errors import InputError
 from lightopt.design import Tolerances, analyse_tolerances
+from lightopt.design._joint_tolerances import FEW_RUNGS, joint_tolerances
 
 NAMES = ("left", "right", "top")
 
@@ -92,6 +93,50 @@ def test_widest_tolerances_are_those_of_a_fine_scan():
         assert widest.degrees == round(widest.degrees * 20) / 20
     assert {w.what for w in trust.widest} == {*NAMES, "all lights", "part"}
     assert any(w.open_ended for w in trust.widest)  # azimuth of the first light costs nothing
+
+
+@pytest.mark.parametrize("bodies", [1, 3])
+def test_joint_tolerances_are_those_of_a_fine_scan(bodies):
+    exact = [(0.0, 0.0)] * bodies
+
+    def scores(pose, lights):
+        # the part's posture is best as it is
+        return np.array([smooth((pose[0] + 0.2, pose[1]), some) for some in product(*lights)], np.int64)
+
+    def of_lights(off):
+        return scores((0.0, 0.0), [list(product((-off, off), repeat=2))] * bodies).min()
+
+    def of_part(off):
+        return min(scores(pose, [[one] for one in exact])[0] for pose in product((-off, off), repeat=2))
+
+    found = joint_tolerances(scores, bodies, 0.995)
+    for one, least in ((found.lights, of_lights), (found.part, of_part)):
+        kept = 0.995 * least(0.0)
+        assert not one.open_ended
+        assert one.angle == "both angles at once"
+        assert least(one.degrees) >= kept
+        assert least(one.degrees + max(0.05, 0.05 * (one.degrees + 0.1)) + 1e-9) < kept
+    assert joint_tolerances(scores, bodies, 1e-9).part.open_ended
+
+
+def test_joint_tolerances_try_few_offsets():
+    tried = []
+
+    def step(pose, lights):
+        tried.append(lights[0][0])
+        return np.array([0 if max(map(abs, (*pose, *lights[0][0]))) > 1.3 else 100])
+
+    found = joint_tolerances(step, 1, 0.95)
+    assert (found.lights.degrees, found.lights.open_ended) == (found.part.degrees, False)
+    assert 1.3 - 0.1 <= found.lights.degrees <= 1.3
+    assert found.lights.degrees >= FEW_RUNGS[0]
+    assert len(tried) <= 2 * 16 + 1
+
+
+def test_too_many_lights_have_no_joint_tolerance():
+    found = joint_tolerances(lambda _, lights: np.ones(math.prod(map(len, lights)), np.int64), 11, 0.95)
+    assert found.lights is None
+    assert found.part.open_ended
 
 
 def test_nothing_off_is_nothing_lost():

@@ -162,6 +162,17 @@ def test_a_panel_moves_about_its_measured_pose(tmp_path):
     assert there.distance == pytest.approx(here.distance)
 
 
+def test_a_panel_of_a_measured_pose_moves_along_its_direction(tmp_path):
+    pose = "{centre_mm: [0, 180, 240], rotation_vector_deg: [30, 0, 0]}"
+    posed = rig(tmp_path, (LIGHT, f"{{name: light1, pose: {pose}, distance_range_mm: [300, 400]}}"))
+    light = posed.lights[0]
+    here, there = panels_of(posed, 0, [(light.elevation_deg, light.azimuth_deg, d) for d in (300.0, 400.0)], None)
+    assert (here.centre == build_lights(posed)[0].centre).all()
+    np.testing.assert_allclose(there.centre, [0, 240, 320], atol=1e-9)
+    assert (there.across == here.across).all()
+    assert there.distance == pytest.approx(400.0)
+
+
 def test_reference_distance(tmp_path):
     far = rig(
         tmp_path,

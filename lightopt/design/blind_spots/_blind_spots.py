@@ -27,7 +27,7 @@ from lightopt.core.arrays import Float64, Int32
 from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
-from lightopt.design._tolerances import Setup
+from lightopt.design._misalignment import Setup
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.responses._evidence import units_needed
 from lightopt.design.responses._image_evaluator import ImageEvaluator

@@ -10,10 +10,10 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import CheckFailed, counted, percent
 from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
-from lightopt.design._candidates import Candidates
+from lightopt.design._candidates import Candidates, place_of
 from lightopt.design._commands import way_through
 from lightopt.design._problem import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, candidates_of, detection_model_of
-from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, angles_of
+from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, places_of
 from lightopt.design.blind_spots._blind_spots import (
     BlindReason,
     DefectVisibility,
@@ -78,8 +78,8 @@ def planned_answers(
 def _curves(
     best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share | None
 ) -> tuple[Curve, ...]:
-    at, evaluator, weights = angles_of(candidates, best), chosen.evaluator, chosen.evaluator.weights
-    among = free is not None and all(angles in some for angles, some in zip(at, free.angles, strict=True))
+    at, evaluator, weights = places_of(candidates, best), chosen.evaluator, chosen.evaluator.weights
+    among = free is not None and all(place in some for place, some in zip(at, free.places, strict=True))
     if free is None or not among or not position_counts_fit(evaluator, free):
         return ()
     postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
@@ -89,7 +89,7 @@ def _curves(
         shown = (places[k] for places, k in zip(lights, combination, strict=True))
         return weights.covered(weights.sum_counts(shown, evaluator.needed))
 
-    here = tuple(some.index(angles) for angles, some in zip(at, free.angles, strict=True))
+    here = tuple(some.index(place) for place, some in zip(at, free.places, strict=True))
     return score_curves(free, replace(best, candidates=here), score)
 
 
@@ -103,7 +103,7 @@ def _planned(
     score = evaluator.weights.covered(counts)
     scores = {**answer.scores, goal.name: score}
     if answer.objective.name != goal.name:
-        searched = not moves or any(len(some) > 1 for some in candidates.angles)
+        searched = not moves or any(len(some) > 1 for some in candidates.places)
         return replace(answer, scores=scores, proven_of=None if searched else PROVEN_OF_ONE)
     # where no other positions show more in these postures; else no bound is known but all there is to see
     best_there = choice.exact and choice.converged
@@ -255,10 +255,10 @@ def plan_postures(
 
 def with_chosen(options: OptimizeOptions, rig: RigConfig, chosen: ChosenPostures) -> OptimizeOptions:
     """The options with chosen postures and the light positions that go with them."""
-    places = tuple((light.elevation_deg, light.azimuth_deg) for light in rig.lights)
+    places = tuple(place_of(light) for light in rig.lights)
     if chosen.choice.lights is not None:
         free = candidates_of(rig, options)
         assert free is not None
-        places = tuple(angles[k] for angles, k in zip(free.angles, chosen.choice.lights, strict=True))
+        places = tuple(some[k] for some, k in zip(free.places, chosen.choice.lights, strict=True))
     objectives, postures = options.objectives or (DEFECT_OBJECTIVE,), chosen.way.order
     return replace(options, objectives=objectives, postures=postures, common_lights=True, places=places)

@@ -4,7 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property, lru_cache, reduce
 
 from lightopt.core.errors import InputError
 from lightopt.defects import MAX_SLOPE, PLANNING_GRID, SHAPE_KINDS, CatalogueEntry, DefectHypotheses, defect_hypotheses
@@ -48,6 +48,12 @@ def planned_catalogue(catalogue: Sequence[CatalogueEntry]) -> PlannedCatalogue:
 
     Raises InputError: No entry, a slope of 0 or above 60°, too many defects.
     """
+    return _planned(tuple(catalogue))
+
+
+@lru_cache(maxsize=4)
+def _planned(catalogue: tuple[CatalogueEntry, ...]) -> PlannedCatalogue:
+    # equal catalogues are one object, whose stencils are made once
     problems: list[str] = []
     if not catalogue:
         problems.append("defect catalogue: expected at least one kind of defect to plan for, found none")

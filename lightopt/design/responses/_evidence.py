@@ -16,7 +16,8 @@ j (:mod:`lightopt.design.responses._packed_bits`).
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -117,7 +118,6 @@ class DetectionModel:
     false_alarms: float = defects.DEFAULT_FALSE_ALARMS  # allowed in the images of a posture of a good part
     min_images: int = 1  # images that must show a defect
     threshold: float | None = None  # score of a calibrated inspection's threshold; None for that of noise alone
-    _stencils: dict[int, Stencils] = field(default_factory=dict[int, Stencils], init=False, repr=False)
 
     def __post_init__(self) -> None:
         if problem := defects.false_alarms_problem(self.false_alarms):
@@ -126,9 +126,7 @@ class DetectionModel:
     def stencils(self, footprint: float) -> Stencils:
         """What pixels of this footprint see of the defects."""
         step = round(_FOOTPRINT_STEPS * math.log2(footprint))
-        if step not in self._stencils:
-            self._stencils[step] = _make_stencils(self.catalogue, 2.0 ** (step / _FOOTPRINT_STEPS))
-        return self._stencils[step]
+        return _make_stencils(self.catalogue, 2.0 ** (step / _FOOTPRINT_STEPS))
 
     def limits(self, pixels: float, footprint: float) -> Float64:
         """Evidence from which on an image counts for one unit and more, for each entry, shape (e, 3).
@@ -163,6 +161,7 @@ def _greatest_of_segments(own: defects.DefectHypotheses) -> float:
     return float(special.ndtri((segments - 0.375) / (segments + 0.25))) if segments > 1.0 else 0.0
 
 
+@lru_cache(maxsize=16)
 def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
     groups: list[tuple[Any, ...]] = []
     before = 0

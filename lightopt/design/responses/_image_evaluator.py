@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from threading import Lock
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,8 +58,13 @@ _Block = tuple[slice, SurfacePoints, _Passed]  # patches that are worked on toge
 
 def _image_key(posture: Posture, exposures: Sequence[float], panel: PanelLight) -> Any:
     # the same wherever a light of these properties stands at this place, whichever object that is
-    place = (value.tobytes() if isinstance(value, np.ndarray) else value for value in vars(panel).values())
-    return posture, tuple(exposures), *place
+    return posture, tuple(exposures), *map(_hashable, vars(panel).values())
+
+
+def _hashable(value: Any) -> Any:
+    if isinstance(value, tuple):  # a pattern has arrays, too
+        return tuple(map(_hashable, cast("tuple[Any, ...]", value)))
+    return value.tobytes() if isinstance(value, np.ndarray) else value
 
 
 def _channels_of_places(lights: Sequence[PanelLight], some: Sequence[int]) -> list[list[int]]:
@@ -67,7 +72,9 @@ def _channels_of_places(lights: Sequence[PanelLight], some: Sequence[int]) -> li
     found: dict[Any, list[int]] = {}
     for at in some:
         light = lights[at]
-        key = (light.entry, light.centre.tobytes()) if isinstance(light, SurfaceLight) else at
+        key: Any = at
+        if isinstance(light, SurfaceLight):
+            key = light.entry, *(vector.tobytes() for vector in (light.centre, light.across, light.along))
         found.setdefault(key, []).append(at)
     return [own[i : i + AT_ONCE] for own in found.values() for i in range(0, len(own), AT_ONCE)]
 

@@ -27,6 +27,16 @@ Levels = NDArray[np.uint8 | np.uint16]
 AREA_UNIT_MM2 = 1e-6  # areas are counted in whole square micrometres, so that sums are exact in any order
 
 
+def flags_alike(units: UInt8, words: int) -> Words | None:
+    """Flags of units of patches, shape (p,), alike for all defects: shape (most units, p, words); None for no unit."""
+    if not units.any():
+        return None
+    flags = np.zeros((int(units.max()), len(units), words), np.uint64)
+    for unit in range(len(flags)):
+        flags[unit, units > unit] = ~np.uint64(0)
+    return flags
+
+
 @dataclass(frozen=True)
 class Visibility:
     """Evidence of t planned defects on patches by the image of each light position in one posture."""
@@ -71,12 +81,7 @@ class Visibility:
     @property
     def spare_flags(self) -> Words | None:
         """Flags of the spare units, alike for all defects, shape (units, p, ⌈t / 64⌉); None where there are none."""
-        if self.spare is None or not self.spare.any():
-            return None
-        flags = np.zeros((int(self.spare.max()), *self.words[0].shape[2:]), np.uint64)
-        for unit in range(len(flags)):
-            flags[unit, self.spare > unit] = ~np.uint64(0)
-        return flags
+        return None if self.spare is None else flags_alike(self.spare, self.words[0].shape[-1])
 
     @property
     def counted(self) -> tuple[Words, ...]:

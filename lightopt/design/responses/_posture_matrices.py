@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.config import RANGE_KEYS
 from lightopt.core.provenance import computed_by, file_sha256
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.design._candidates import Candidates
+from lightopt.design._candidates import Candidates, Place
 from lightopt.design._problem import Problem, detection_model_of
 from lightopt.design.responses._defect_hypotheses import PlannedDefect
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, spare_units
@@ -28,15 +29,13 @@ from lightopt.rendering import PatchTable, patches_for_edge
 from lightopt.scene import chord_tolerance, pixel_footprint
 
 
-def write_matrix(
-    path: Path, matrix: LuminanceMatrix, angles: Sequence[Sequence[tuple[float, float]]], *, key: str
-) -> str:
+def write_matrix(path: Path, matrix: LuminanceMatrix, places: Sequence[Sequence[Place]], *, key: str) -> str:
     """Write a matrix atomically, over one of other inputs if need be; returns the file's SHA-256."""
     arrays: dict[str, NDArray[Any]] = {"key": np.array(key), "areas_mm2": matrix.areas}
     arrays["grazing_mm2"] = np.array(matrix.grazing_mm2)
-    for index, (layer, places) in enumerate(zip(matrix.levels, angles, strict=True)):
+    for index, (layer, own) in enumerate(zip(matrix.levels, places, strict=True)):
         arrays[f"light_{index}"] = layer
-        arrays[f"angles_{index}_deg"] = np.array(places, dtype=np.float64)
+        arrays[f"angles_{index}_deg"] = np.array(own, dtype=np.float64)
     seen = matrix.visibility
     if seen is not None:
         arrays |= {f"defects_{index}": words for index, words in enumerate(seen.words)}
@@ -154,7 +153,7 @@ class PostureMatrices:
         (matrix,) = evaluator.matrices(posture, panels, most_bytes=most, progress=stage)
         if self.problem.options.keep_matrix:
             make_folder(path.parent)
-            write_matrix(path, matrix, self.problem.candidates.angles, key=key)
+            write_matrix(path, matrix, self.problem.candidates.places, key=key)
         return self._with_spare(matrix)
 
     def _with_spare(self, matrix: LuminanceMatrix) -> LuminanceMatrix:
@@ -186,7 +185,7 @@ class PostureMatrices:
 def _matrix_facts(problem: Problem, detection: DetectionModel | None) -> dict[str, Any]:
     # all that a level depends on, and nothing else: not the names and ranges of the lights, nor the sensor's noise and
     # saturation, which thresholds are made of
-    moving = {"name", "elevation_deg", "azimuth_deg", "elevation_range_deg", "azimuth_range_deg"}
+    moving = {"name", "elevation_deg", "azimuth_deg", *RANGE_KEYS}
     rig, part, scene, options = problem.rig, problem.part, problem.scene, problem.options
     mesh = part.source.resolve(part.mesh.file)
     defects: dict[str, Any] = {}
@@ -201,7 +200,7 @@ def _matrix_facts(problem: Problem, detection: DetectionModel | None) -> dict[st
         "sensor": {"bit_depth": scene.sensor.bit_depth, "black_level": scene.sensor.black_level},
         "light_source": None if rig.light_source is None else rig.light_source.model_dump(mode="json"),
         "lights": [light.model_dump(mode="json", exclude=moving) for light in rig.lights],
-        "angles_deg": [list(map(list, angles)) for angles in problem.candidates.angles],
+        "angles_deg": [list(map(list, places)) for places in problem.candidates.places],
         "stage": rig.stage.model_dump(mode="json", exclude={"elevation_range_deg", "rotation_range_deg"}),
         "part": part.model_dump(mode="json", exclude=_NOT_OF_LEVELS),
         # of the file's name only what says how it is read

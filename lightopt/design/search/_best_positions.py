@@ -8,7 +8,7 @@ import numpy as np
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.threads import blocks
 from lightopt.core.transforms import Posture
-from lightopt.design._candidates import Candidates, can_move
+from lightopt.design._candidates import Candidates, can_move, place_of
 from lightopt.design._result import ObjectiveResult, SetResult
 from lightopt.design.blind_spots._blind_spots import PostureVisibility, by_light, defect_visibility
 from lightopt.design.objectives._objective import Objective
@@ -99,10 +99,10 @@ def _initial_score(
     problem = source.problem
     if problem.options.places is not None:
         return None
-    now = [(light.elevation_deg, light.azimuth_deg) for light in problem.rig.lights]
-    angles = problem.candidates.angles
-    if all(place in some for place, some in zip(now, angles, strict=True)):
-        at = tuple(some.index(place) for place, some in zip(now, angles, strict=True))
+    now = [place_of(light) for light in problem.rig.lights]
+    places = problem.candidates.places
+    if all(place in some for place, some in zip(now, places, strict=True)):
+        at = tuple(some.index(place) for place, some in zip(now, places, strict=True))
         initial = [matrix.combination(at) for matrix in matrices]
     else:
         evaluator, panels = source.evaluator(source.detection), [[panel] for panel in problem.scene.lights]
@@ -116,7 +116,7 @@ def candidates_of_others(source: PostureMatrices) -> Candidates | None:
     places, free = problem.options.places, problem.all_candidates
     if places is None or len(problem.objectives) == 1 or not any(map(can_move, problem.rig.lights)):
         return None
-    among = all(place in some for place, some in zip(places, free.angles, strict=True))
+    among = all(place in some for place, some in zip(places, free.places, strict=True))
     if among and source.fits_memory(free):
         return free
     why = "they are too many for memory" if among else "the chosen ones are not among them"
@@ -136,7 +136,7 @@ def search_other_objectives(
     """
     objectives, thresholds, places = source.problem.objectives, source.problem.thresholds, source.problem.options.places
     assert places is not None
-    at = tuple(some.index(place) for some, place in zip(candidates.angles, places, strict=True))
+    at = tuple(some.index(place) for some, place in zip(candidates.places, places, strict=True))
     completed: list[SetResult] = []
     for result in results:
         levels = [source.levels(posture, candidates) for posture in result.postures]

@@ -38,7 +38,7 @@ def plan_limits(path: Path, rig: RigConfig) -> dict[str, float]:
         raise InputError(
             f"{path}: the plan has a tolerance of 0° for {zero[0]}, which no rig keeps; give limits instead"
         )
-    distances = {light.name: light.distance_mm for light in rig.lights}
+    distances = {light.entry_name: light.distance_mm for light in rig.lights}  # whose channels move together
     panels = [distances[what] * math.tan(math.radians(angle)) for what, _, angle in widest if what in distances]
     part = [degrees for what, _, degrees in widest if what == "part"]
     return {**({"panel_mm": min(panels)} if panels else {}), **({"part_deg": min(part)} if part else {})}

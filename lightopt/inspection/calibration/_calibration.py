@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from scipy import special
 
-from lightopt.config import PartConfig, RigConfig
+from lightopt.config import RANGE_KEYS, PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import computed_by, differences, file_sha256
 from lightopt.core.transforms import Posture
@@ -144,14 +144,13 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
     of_part: dict[str, bool | set[str]] = {**dict.fromkeys(names, True), "mesh": {"file"}}
     if DETECTORS[options.scored_by].uses_catalogue or options.reference == "self":
         del of_part["defect_catalogue"]
-    ranges = {"elevation_range_deg", "azimuth_range_deg"}
     by_synthetic = DETECTORS[options.detector].uses_synthetic
     names = ("reference", "detector", "register", "fusion" if by_synthetic else "min_images")
     chosen = {name: getattr(options, name) for name in names}
     of_rig = {
         "camera": rig.camera.model_dump(mode="json"),
         "light_source": None if rig.light_source is None else rig.light_source.model_dump(mode="json"),
-        "lights": [light.model_dump(mode="json", exclude=ranges) for light in rig.lights],
+        "lights": [light.model_dump(mode="json", exclude={*RANGE_KEYS}) for light in rig.lights],
         "stage": rig.stage.model_dump(mode="json", exclude={"elevation_range_deg", "rotation_range_deg"}),
     }
     return {

@@ -7,7 +7,17 @@ from dataclasses import replace
 from PIL import Image
 
 from lightopt.core.errors import InputError, counted
-from lightopt.design import Curve, DesignOutput, DesignResult, DetectabilityObjective, SetResult, angles_of
+from lightopt.design import (
+    AXES,
+    Curve,
+    DesignOutput,
+    DesignResult,
+    DetectabilityObjective,
+    SetResult,
+    place_of,
+    place_text,
+    places_of,
+)
 from lightopt.images import ImageEntry, ImageSet, read_image_set, read_png
 from lightopt.report._charts import COLOURS, chart, name_lines
 from lightopt.report._contact_sheet import degrees, entry_thumbnail, light_position, saturation_text
@@ -51,12 +61,12 @@ def setting_blocks(output: DesignOutput) -> list[Block]:
 def _setting_table(design: DesignResult, results: Sequence[SetResult], *, name_postures: bool) -> Table:
     rows: list[list[str]] = []
     best = results[0].answers[0].found.best
-    panels, found = design.candidates.panels_at(best.candidates), angles_of(design.candidates, best)
-    for panel, (elevation, azimuth), light in zip(panels, found, design.rig.lights, strict=True):
-        now = (light.elevation_deg, light.azimuth_deg)
+    panels, found = design.candidates.panels_at(best.candidates), places_of(design.candidates, best)
+    for panel, place, light in zip(panels, found, design.rig.lights, strict=True):
+        now = place_of(light)
         centre = [f"{coordinate:.1f}" for coordinate in panel.centre]
-        before = "stays" if now == (elevation, azimuth) else f"{degrees(now[0])}, {degrees(now[1])}"
-        angles = degrees(elevation), degrees(azimuth)
+        before = "stays" if now == place else place_text(now)
+        angles = degrees(place[0]), degrees(place[1])
         rows.append([panel.name, *angles, f"{panel.distance:g} mm", ", ".join(centre), before])
     caption = (
         "Elevation from the table plane, azimuth about Z from +X towards +Y, distance from the table's centre to the "
@@ -71,13 +81,13 @@ def _setting_table(design: DesignResult, results: Sequence[SetResult], *, name_p
 def _setting_drawing(design: DesignResult, results: Sequence[SetResult]) -> Picture:
     best = results[0].answers[0].found.best
     postures = tuple(posture for result in results for posture in result.postures)
-    lights = zip(design.candidates.names, angles_of(design.candidates, best), strict=True)
-    angles = "; ".join(f"{name} {degrees(elevation)}, {degrees(azimuth)}" for name, (elevation, azimuth) in lights)
+    lights = zip(design.candidates.names, places_of(design.candidates, best), strict=True)
+    places = "; ".join(f"{name} {place_text(place)}" for name, place in lights)
     scene = replace(design.scene, lights=design.candidates.panels_at(best.candidates), postures=postures)
     return Picture(
         png=png_bytes(rig_image(scene)),
-        alt=f"The rig: {angles}",
-        caption=f"The rig with these angles, the part in {postures[0]}.",
+        alt=f"The rig: {places}",
+        caption=f"The rig with the lights there, the part in {postures[0]}.",
     )
 
 
@@ -127,10 +137,10 @@ def _picture(images: ImageSet, entry: ImageEntry) -> Picture:
 
 
 def curve_blocks(output: DesignOutput) -> list[Block]:
-    """The score against the angles, one chart for each set and kind of angle."""
+    """The score against angles and distances, one chart for each set and axis."""
     blocks: list[Block] = []
     for result in output.result.results:
-        for axis in ("elevation", "azimuth"):
+        for axis in AXES:
             curves = [curve for curve in result.curves if curve.axis == axis]
             if curves:
                 blocks.append(_chart(result, axis, curves))
@@ -151,12 +161,14 @@ def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
     surface = f"inspectable surface{' × defects' * isinstance(best.objective, DetectabilityObjective)}"
     label = f"% of the {surface}" if area else best.objective.unit
     figure, (panel,) = chart(
-        title=f"{best.objective.name}, {where}", x_label=f"{axis} [°]", labels=[f"score [{label}]"]
+        title=f"{best.objective.name}, {where}",
+        x_label=f"{axis} [{'mm' if axis == 'distance' else '°'}]",
+        labels=[f"score [{label}]"],
     )
     for curve, colour in zip(curves, itertools.cycle(COLOURS)):
         shares = [best.objective.share_of_whole(score, result.area) for score in curve.scores]
         scores = [score if share is None else 100.0 * share for score, share in zip(curve.scores, shares, strict=True)]
-        panel.plot(curve.angles_deg, scores, ".-", color=colour, label=printable(curve.name))
+        panel.plot(curve.values, scores, ".-", color=colour, label=printable(curve.name))
     name_lines(panel)
     names = ", ".join(curve.name for curve in curves)
     return Picture(png=png_bytes(figure_image(figure)), alt=f"Score against {axis} for {where}: {names}")

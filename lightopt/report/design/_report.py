@@ -8,7 +8,6 @@ from lightopt.core.errors import counted
 from lightopt.core.transforms import Posture
 from lightopt.lights import PanelLight
 from lightopt.rendering import GRAZING_DEG
-from lightopt.report._contact_sheet import degrees
 from lightopt.report._page import Answer, Block, Facts, Note, Page, Section, Table, Warnings, page_html
 from lightopt.report.design import _plan
 from lightopt.report.design._pictures import capture_text, curve_blocks, image_blocks, setting_blocks
@@ -54,7 +53,8 @@ def answer_blocks(output: design.DesignOutput) -> list[Block]:
         rows.append([_plan.postures_text(result.postures), *_angles(output, best), score])
     if rows:
         caption = (
-            "Angles of each light: elevation from the table plane, and azimuth about Z from the world's +X towards +Y."
+            "Place of each light: elevation from the table plane, azimuth about Z from the world's +X towards +Y, and "
+            "the distance from the origin where it has a range."
         )
         blocks.append(Table(header=header, rows=rows, caption=caption))
     proofs = [_proof(result) for result, _ in found] if chosen is None else [_plan.plan_proof(chosen)]
@@ -116,8 +116,8 @@ def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None)
 
 def _angles(output: design.DesignOutput, answer: design.ObjectiveResult) -> list[str]:
     return [
-        f"{degrees(elevation)},\u00a0{degrees(azimuth)}"
-        for elevation, azimuth in design.angles_of(output.result.candidates, answer.found.best)
+        design.place_text(place).replace(" ", "\u00a0").replace("-", "−")
+        for place in design.places_of(output.result.candidates, answer.found.best)
     ]
 
 
@@ -166,7 +166,7 @@ def fact_blocks(output: design.DesignOutput) -> list[Block]:
     """LevelThresholds, sensor, reflectance, patches, options, versions and hashes; and the positions left out."""
     blocks: list[Block] = [Facts(rows=[*_physics(output), *_search(output)]), Facts(rows=_provenance(output))]
     excluded = output.result.all_candidates.left_out
-    left_out = [[one.light, f"{one.elevation_deg:g}°, {one.azimuth_deg:g}°", one.reason] for one in excluded]
+    left_out = [[one.light, design.place_text(one.place), one.reason] for one in excluded]
     if left_out:
         blocks.append(Table(header=["light", "position", "left out because it"], rows=left_out, numbers_from=3))
     return blocks
@@ -209,7 +209,7 @@ def _light(light: PanelLight) -> str:
 
 def _search(output: design.DesignOutput) -> list[tuple[str, str]]:
     options = output.document["provenance"]["options"]
-    positions = " × ".join(str(len(angles)) for angles in output.result.all_candidates.angles)
+    positions = " × ".join(str(len(places)) for places in output.result.all_candidates.places)
     common = ", all lights at one elevation" * options["common_elevation"]
     common += ", the same for all postures" * options["common_lights"]
     facts = [
