@@ -138,7 +138,7 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
     candidates = Candidates(
         names=("a", "b", "c"),
         channels=((0,), (1,), (2,)),
-        angles=places,
+        places=places,
         panels=((),) * 3,
         left_out=(),
         space=CombinationSpace.of((3, 3, 3)),
