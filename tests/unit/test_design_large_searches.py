@@ -143,7 +143,7 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
         left_out=(),
         space=CombinationSpace.of((3, 3, 3)),
     )
-    lights = [SimpleNamespace(elevation_deg=30.0, azimuth_deg=0.0)] * 3
+    lights = [SimpleNamespace(elevation_deg=30.0, azimuth_deg=0.0, distance_range_mm=None)] * 3
     problem = SimpleNamespace(
         rig=SimpleNamespace(lights=lights),
         candidates=candidates,
