@@ -613,9 +613,8 @@ def _shade_chunk(
     elements, pattern, shares = channels.elements, channels.pattern, channels.shares
     inverse = 0.5 / reflectance.sigma**2
     # where the lobe's exponent is more, an element adds nothing to a level
-    most = -1.0
-    if reflectance.R_s > 0.0:
-        most = max(0.0, math.log(weight * reflectance.R_s / LEAST_LEVEL))
+    greatest = weight * reflectance.R_s / LEAST_LEVEL
+    most = math.log(max(greatest, 1.0)) if greatest > 0.0 else -1.0
     clear, hidden = elements_seen(surface, elements, caster)
     size = len(surface)
     group, kinds = groups_of(shares)

@@ -299,7 +299,7 @@ class PatchEvidence:
         blocker: RayCaster | None,
         exposures: Sequence[float],
         *,
-        threads: int,
+        threads: int = 1,
     ) -> Iterator[tuple[Float32, list[Words]]]:
         """Levels of the patches, and the units of evidence of an image at each exposure, of each of some lights.
 
