@@ -78,7 +78,7 @@ def part_name(folder: Path, name: str) -> str:
 
 
 def catalogue_text(larger: float) -> str:
-    """The built-in catalogue for a part's file, with defects so many times as large and as steep as they are."""
+    """The built-in catalogue for a part's file, with defects so many times as large, and as steep."""
     lines = ["", "defect_catalogue:"]
     for entry in BUILT_IN_CATALOGUE:
         shape = entry.shape
@@ -175,7 +175,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=7, help="defects per set")
     parser.add_argument("--processes", type=int, default=1, help="cases at once")
     parser.add_argument("--width", type=int, default=320, help="of the images [px]")
-    parser.add_argument("--larger", type=float, default=2.0, help="defects than the built-in ones, times")
+    parser.add_argument(
+        "--larger", type=float, default=2.0, help="size of the defects, as a multiple of that in the built-in catalogue"
+    )
     parser.add_argument("--patches", type=int, default=3000, help="about how many patches are visible")
     parser.add_argument("--out", type=Path, default=Path("out/lighting"), help="folder of lighting.csv")
     parser.add_argument("--page", action="store_true", help="put the table into docs/validation/lighting.md")

@@ -22,6 +22,12 @@ def vector_at(rows: Float64, i: int) -> Vector:
 
 
 @kernel
+def column_at(rows: Float64, j: int) -> Vector:
+    """Column j of an array of shape (3, k)."""
+    return Vector(rows[0, j], rows[1, j], rows[2, j])
+
+
+@kernel
 def plus(a: Vector, b: Vector) -> Vector:
     """A + b."""
     return Vector(a.x + b.x, a.y + b.y, a.z + b.z)

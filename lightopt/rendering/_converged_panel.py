@@ -15,7 +15,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Index, UInt8
 from lightopt.core.kernels import kernel
-from lightopt.core.threads import end_if_stopped, in_threads
+from lightopt.core.threads import end_if_stopped
 from lightopt.core.vectors import Vector
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight, panel_grid, panel_numbers
@@ -26,7 +26,7 @@ from lightopt.rendering._penumbra_cells import ConvergedLight
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
 from lightopt.rendering._point_lights import clear_targets, shade_points, visible_counts
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._surface_light import points_at_once, shade_surface_lights
+from lightopt.rendering._surface_light import shade_surface_lights
 from lightopt.rendering._whole_panel import whole_panel
 from lightopt.scene import Scene
 
@@ -172,9 +172,7 @@ def shade_isolated(
     shadows: bool,
     threads: int = 1,
 ) -> list[Float64]:
-    """Level of points none of which is a neighbour of another, under each light, as images have it, shape (k,).
-
-    Levels are grey levels.
+    """Level under each light of points that are not neighbours, as images have it [grey level], shape (k,) each.
 
     panels: Part frame; channels of one light are worked out together
     threads: That work on the points of such a light
@@ -184,7 +182,9 @@ def shade_isolated(
     for group in channel_groups(shaded):
         lights = [light for i in group if isinstance(light := shaded[i], SurfaceLight)]
         if lights:
-            diffuse, specular = _shade_in_threads(surface, lights, reflectance, blocker, threads)
+            diffuse, specular = shade_surface_lights(
+                surface, lights, reflectance=reflectance, caster=blocker, threads=threads
+            )
             levels |= {
                 i: reflectance.R_d * d + reflectance.R_s * s for i, d, s in zip(group, diffuse, specular, strict=True)
             }
@@ -203,23 +203,6 @@ def _shade_alone(
     # every second place of a row
     sample, shape = 2 * np.arange(len(surface)), (1, 2 * len(surface))
     return shade_converged(surface, light, sample=sample, shape=shape, reflectance=reflectance, caster=caster)[:2]
-
-
-def _shade_in_threads(
-    surface: SurfacePoints,
-    lights: Sequence[SurfaceLight],
-    reflectance: Reflectance,
-    caster: RayCaster | None,
-    threads: int,
-) -> tuple[Float64, Float64]:
-    def chunk(start: int) -> tuple[Float64, Float64]:
-        some = surface.take(slice(start, start + step))
-        return shade_surface_lights(some, lights, reflectance=reflectance, caster=caster)
-
-    step = points_at_once(len(surface), threads)
-    found = in_threads(chunk, range(0, max(1, len(surface)), step), threads)
-    diffuse, specular = (np.concatenate([one[k] for one in found], axis=1) for k in range(2))
-    return diffuse, specular
 
 
 def shade_changed_points(

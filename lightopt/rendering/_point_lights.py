@@ -7,7 +7,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
-from lightopt.core.vectors import Vector, dot, minus, plus, scaled, vector_at
+from lightopt.core.vectors import Vector, column_at, dot, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, attenuated, panel_grid, panel_numbers
 from lightopt.optics import (
@@ -182,21 +182,21 @@ def add_points(
                     normals[first + j, axis],
                     views[first + j, axis],
                 )
-            n_dot_v[j] = dot(_column(n, j), _column(v, j))
+            n_dot_v[j] = dot(column_at(n, j), column_at(v, j))
         # of slices the compiler knows that no index counts from the end: it takes several at once
         own_diffuse, own_specular = diffuse[first : first + count], specular[first : first + count]
         for k in range(len(targets)):
             q, own_clear = vector_at(targets, k), clear[k, first : first + count]
             for j in range(count):
-                normal = _column(n, j)
-                light = minus(q, _column(p, j))
+                normal = column_at(n, j)
+                light = minus(q, column_at(p, j))
                 r2[j] = dot(light, light)
                 light = scaled(light, 1.0 / math.sqrt(r2[j]))
                 cosine[j] = dot(panel.outward, light)
                 n_dot_l = dot(normal, light)
                 lit = own_clear[j] & (n_dot_l > 0.0)
                 terms[j] = lambert(n_dot_l) if lit else 0.0
-                half = plus(light, _column(v, j))
+                half = plus(light, column_at(v, j))
                 length_squared = dot(half, half)
                 chord = minus(normal, scaled(half, 1.0 / math.sqrt(length_squared)))
                 chord_squared[j] = dot(chord, chord)
@@ -216,8 +216,3 @@ def add_points(
                     lobe = lobe / specular_cosine(n_dot_v[j])
                     own_specular[j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * lobe)
     return diffuse, specular
-
-
-@kernel
-def _column(rows: Float64, j: int) -> Vector:
-    return Vector(rows[0, j], rows[1, j], rows[2, j])

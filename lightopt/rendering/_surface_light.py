@@ -15,7 +15,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import available_processors, end_if_stopped, in_threads
-from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled, vector_at
+from lightopt.core.vectors import Vector, column_at, cross, dot, length, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import (
     PICTURE,
@@ -59,9 +59,8 @@ FAR_OFF = 1.5  # of the negligible exponent: where the quadratic form's least is
 NEAR = 0.02  # of an element's sides: steps that are less end the search
 _CROSSING_STEPS, _CROSSING_NEAR = 20, 1e-9  # of the search for the horizon, and how near it is, as a share of a side
 
-_AT_ONCE = 512  # points whose numbers are in the processor's nearest cache together
+_SIDE_BY_SIDE = 512  # points whose numbers are in the processor's nearest cache together
 _LEAST_AT_ONCE = 256
-_CHUNK = 8192  # surface points that a thread works on at once
 AT_ONCE = 1 << 21  # surface points times elements times terms of patterns that are shaded at once
 
 
@@ -112,15 +111,38 @@ def diffuse_of_element(p: Vector, n: Vector, places: Float64, light: Float64, we
 
 
 @kernel
-def _light_of_place(p: Vector, n: Vector, v: Vector, e: Element, s: float, t: float, inverse: float) -> float:
-    # lobe times radiance · cosα / r² · dA per ds dt; 0 below the point's horizon
-    q, along_s, along_t = element_place(e, s, t)
-    towards = minus(q, p)
-    if dot(n, towards) <= 0.0:
-        return 0.0
-    half = plus(divided(towards, length(towards)), v)
-    chord = minus(n, divided(half, length(half)))
-    return specular_lobe(dot(chord, chord), inverse) * element_weight(e, towards, along_s, along_t)
+def _values_of_nodes(
+    p: Vector, n: Vector, v: Vector, e: Element, area: Rectangle, counts: tuple[int, int], inverse: float
+) -> Float64:
+    # lobe times radiance · cosα / r² · dA per ds dt of the nodes of a part of an element, shape (count_s, count_t); 0
+    # below the horizon. As in `whole_panel`, the processor works on several nodes at once
+    count_s, count_t = counts
+    values, chord = np.empty((count_s, count_t)), np.empty(count_t)
+    cosine, sine, at_t = np.ones(count_t), np.zeros(count_t), np.empty(count_t)
+    for j in range(count_t):
+        at_t[j] = area.t0 + (area.t1 - area.t0) * NODES[count_t, j]
+        if e.shape == SPHERE:
+            cosine[j], sine[j] = math.cos(at_t[j]), math.sin(at_t[j])
+    for i in range(count_s):
+        s = area.s0 + (area.s1 - area.s0) * NODES[count_s, i]
+        of_s, row = (math.cos(s), math.sin(s)), values[i]
+        for j in range(count_t):
+            q, along_s, along_t = place_on_element(e, s, at_t[j], of_s, (cosine[j], sine[j]))
+            towards = minus(q, p)
+            half = plus(scaled(towards, 1.0 / length(towards)), v)
+            away = minus(n, scaled(half, 1.0 / length(half)))
+            chord[j] = dot(away, away)
+            row[j] = element_weight(e, towards, along_s, along_t) if dot(n, towards) > 0.0 else 0.0
+        widest = 0.0
+        for j in range(count_t):
+            widest = max(widest, chord[j])
+        if widest < NARROW_CHORD_SQUARED:
+            for j in range(count_t):
+                row[j] *= narrow_specular_lobe(chord[j], inverse)
+        else:
+            for j in range(count_t):
+                row[j] *= specular_lobe(chord[j], inverse)
+    return values
 
 
 @kernel
@@ -192,7 +214,6 @@ def _add_above_horizon(
             ends[1 + side] = area.s0 + share * (area.s1 - area.s0)
     ends.sort()
     weights_s, weights_t = np.empty((len(terms), count_s)), np.empty(count_t)
-    values = np.empty(count_t)
     for piece in range(3):
         start, width = ends[piece], ends[piece + 1] - ends[piece]
         if width <= 0.0:
@@ -210,47 +231,11 @@ def _add_above_horizon(
                     low = border
             elif _height(p, n, e, s, 0.5 * (low + high)) <= 0.0:
                 continue
-            for j in range(count_t):
-                values[j] = _light_of_place(p, n, v, e, s, low + (high - low) * NODES[count_t, j], inverse)
+            values = _values_of_nodes(p, n, v, e, Rectangle(s, s, low, high), (1, count_t), inverse)[0]
             factor = width * (high - low) / specular_cosine(dot(n, v))
             for b in range(len(terms)):
                 pattern_weights(terms[b], 1, low, high - low, count_t, False, weights_t)
                 found[b] += factor * weights_s[b, i] * np.dot(weights_t, values)
-
-
-@kernel
-def _set_values(
-    p: Vector, n: Vector, v: Vector, e: Element, area: Rectangle, counts: tuple[int, int], inverse: float
-) -> Float64:
-    # lobe times radiance · cosα / r² · dA per ds dt of the nodes of a part of an element, shape (count_s, count_t); 0
-    # below the horizon. As in `whole_panel`, the processor works on several nodes at once
-    count_s, count_t = counts
-    values, chord = np.empty((count_s, count_t)), np.empty(count_t)
-    cosine, sine, at_t = np.ones(count_t), np.zeros(count_t), np.empty(count_t)
-    for j in range(count_t):
-        at_t[j] = area.t0 + (area.t1 - area.t0) * NODES[count_t, j]
-        if e.shape == SPHERE:
-            cosine[j], sine[j] = math.cos(at_t[j]), math.sin(at_t[j])
-    for i in range(count_s):
-        s = area.s0 + (area.s1 - area.s0) * NODES[count_s, i]
-        of_s, row = (math.cos(s), math.sin(s)), values[i]
-        for j in range(count_t):
-            q, along_s, along_t = place_on_element(e, s, at_t[j], of_s, (cosine[j], sine[j]))
-            towards = minus(q, p)
-            half = plus(scaled(towards, 1.0 / length(towards)), v)
-            away = minus(n, scaled(half, 1.0 / length(half)))
-            chord[j] = dot(away, away)
-            row[j] = element_weight(e, towards, along_s, along_t) if dot(n, towards) > 0.0 else 0.0
-        widest = 0.0
-        for j in range(count_t):
-            widest = max(widest, chord[j])
-        if widest < NARROW_CHORD_SQUARED:
-            for j in range(count_t):
-                row[j] *= narrow_specular_lobe(chord[j], inverse)
-        else:
-            for j in range(count_t):
-                row[j] *= specular_lobe(chord[j], inverse)
-    return values
 
 
 @kernel
@@ -342,7 +327,7 @@ def specular_of_element(
         _add_above_horizon(p, n, v, e, window, (count_s, count_t), terms, inverse, found)
         return
     factor = width * height / specular_cosine(n_dot_v)
-    values = _set_values(p, n, v, e, window, (count_s, count_t), inverse)
+    values = _values_of_nodes(p, n, v, e, window, (count_s, count_t), inverse)
     if len(terms) == 1 and terms[0, 2] == 0.0:
         for i in range(count_s):
             total = 0.0
@@ -419,11 +404,6 @@ def all_diffuse_nodes(elements: Float64, pattern: Pattern) -> tuple[Float64, Flo
 
 
 @kernel
-def _column(rows: Float64, j: int) -> Vector:
-    return Vector(rows[0, j], rows[1, j], rows[2, j])
-
-
-@kernel
 def _add_elements(
     points: Float64,
     normals: Float64,
@@ -443,10 +423,10 @@ def _add_elements(
     terms = len(pattern.terms)
     found, limits = np.empty(terms), _most_exponents(normals, views, most)
     places, light, weights = all_diffuse_nodes(elements, pattern)
-    p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
-    value, near, limit = np.empty(_AT_ONCE), np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE)
-    for first in range(0, len(points), _AT_ONCE):
-        count = min(_AT_ONCE, len(points) - first)
+    p, n, v = np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE))
+    value, near, limit = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE, np.bool_), np.empty(_SIDE_BY_SIDE)
+    for first in range(0, len(points), _SIDE_BY_SIDE):
+        count = min(_SIDE_BY_SIDE, len(points) - first)
         for j in range(count):
             for axis in range(3):
                 p[axis, j], n[axis, j] = points[first + j, axis], normals[first + j, axis]
@@ -458,23 +438,23 @@ def _add_elements(
                 for k in range(DIFFUSE_NODES**2):
                     q, shining = vector_at(places[m], k), vector_at(light[m], k)
                     for j in range(count):
-                        towards = minus(q, _column(p, j))
+                        towards = minus(q, column_at(p, j))
                         r2 = dot(towards, towards)
-                        facing = max(0.0, dot(_column(n, j), towards)) * max(0.0, -dot(shining, towards))
+                        facing = max(0.0, dot(column_at(n, j), towards)) * max(0.0, -dot(shining, towards))
                         value[j] = facing / (r2 * r2)
                     for b in range(terms):
                         to = diffuse[group[m], b, first : first + count]
                         for j in range(count):
                             to[j] += weights[m, b, k] * value[j] if own[j] else 0.0
             for j in range(count):
-                point, normal = _column(p, j), _column(n, j)
+                point, normal = column_at(p, j), column_at(n, j)
                 above = dot(normal, minus(e.centre, point)) > -e.reach
-                near[j] = above & lobe_reaches(point, normal, _column(v, j), e, inverse, limit[j])
+                near[j] = above & lobe_reaches(point, normal, column_at(v, j), e, inverse, limit[j])
             for j in range(count):
                 if near[j]:
                     i = first + j
                     found[:] = 0.0
-                    geometry = _column(p, j), _column(n, j), _column(v, j)
+                    geometry = column_at(p, j), column_at(n, j), column_at(v, j)
                     specular_of_element(*geometry, e, whole_element(e), pattern, inverse, limit[j], found)
                     for b in range(terms):
                         specular[m, b, i] = found[b]
@@ -539,11 +519,15 @@ class Channels:
     elements: Of all channels, of radiance 1, shape (e, ELEMENT_NUMBERS)
     pattern: The terms of all patterns, of coefficient 1
     shares: Radiance times coefficient of each channel, element and term, shape (channels, e, b)
+    group: Of each element, of those that are alike in every channel, shape (e,)
+    group_shares: The shares of the groups, shape (channels, groups, b)
     """
 
     elements: Float64
     pattern: Pattern
     shares: Float64
+    group: Index
+    group_shares: Float64
 
 
 def channels_of(lights: Sequence[SurfaceLight]) -> Channels:
@@ -556,7 +540,9 @@ def channels_of(lights: Sequence[SurfaceLight]) -> Channels:
     shares = np.zeros((len(lights), len(elements), len(terms)))
     for share, light, m, b in zip(shares, lights, element, term, strict=True):
         share[np.ix_(m, b)] = light.elements[:, RADIANCE, None] * light.pattern.terms[:, 0]
-    return Channels(elements, lights[0].pattern._replace(terms=terms), shares)
+    alike, group = np.unique(shares.swapaxes(0, 1), axis=0, return_inverse=True)
+    pattern, group_shares = lights[0].pattern._replace(terms=terms), np.ascontiguousarray(alike.swapaxes(0, 1))
+    return Channels(elements, pattern, shares, group.ravel().astype(np.intp), group_shares)
 
 
 def _different(rows: Sequence[Float64], all_rows: Float64) -> tuple[Float64, list[Index]]:
@@ -575,17 +561,13 @@ def points_at_once(points: int, threads: int) -> int:
     return max(_LEAST_AT_ONCE, -(-points // (4 * threads)))
 
 
-def groups_of(shares: Float64) -> tuple[Index, Float64]:
-    """Group of each element, shape (e,), of those that are alike in every channel, and the shares of the groups.
-
-    shares: Of elements, shape (channels, e, b); those of groups have the shape (channels, groups, b)
-    """
-    kinds, group = np.unique(shares.swapaxes(0, 1), axis=0, return_inverse=True)
-    return group.ravel().astype(np.intp), np.ascontiguousarray(kinds.swapaxes(0, 1))
-
-
 def shade_surface_lights(
-    surface: SurfacePoints, lights: Sequence[SurfaceLight], *, reflectance: Reflectance, caster: RayCaster | None
+    surface: SurfacePoints,
+    lights: Sequence[SurfaceLight],
+    *,
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+    threads: int = 1,
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of the channels of a light, per unit of R_d and R_s; two arrays, shape (channels, k).
 
@@ -594,21 +576,22 @@ def shade_surface_lights(
         that light is left out, and 0
     caster: For shadows; None for none
     """
-    channels = channels_of(lights)
-    step = max(1, AT_ONCE // (len(channels.elements) * len(channels.pattern.terms)))
-    shape = len(lights), len(surface)
-    diffuse, specular = np.zeros(shape), np.zeros(shape)
-    for start in range(0, len(surface), step):
-        some = slice(start, start + step)
-        diffuse[:, some], specular[:, some] = _shade_chunk(
-            surface.take(some), channels, lights[0].total_weight, reflectance, caster
-        )
-    return diffuse, specular
+    channels, weight = channels_of(lights), lights[0].total_weight
+    most = max(1, AT_ONCE // (len(channels.elements) * len(channels.pattern.terms)))
+    step = min(most, points_at_once(len(surface), threads))
+
+    def chunk(start: int) -> Float64:
+        return _shade_chunk(surface.take(slice(start, start + step)), channels, weight, reflectance, caster)
+
+    # no point at all is a chunk, too
+    found = np.concatenate(in_threads(chunk, range(0, max(1, len(surface)), step), threads), axis=2)
+    return found[0], found[1]
 
 
 def _shade_chunk(
     surface: SurfacePoints, channels: Channels, weight: float, reflectance: Reflectance, caster: RayCaster | None
-) -> tuple[Float64, Float64]:
+) -> Float64:
+    # diffuse and specular light, shape (2, channels, k)
     end_if_stopped()
     elements, pattern, shares = channels.elements, channels.pattern, channels.shares
     inverse = 0.5 / reflectance.sigma**2
@@ -617,12 +600,11 @@ def _shade_chunk(
     most = math.log(max(greatest, 1.0)) if greatest > 0.0 else -1.0
     clear, hidden = elements_seen(surface, elements, caster)
     size = len(surface)
-    group, kinds = groups_of(shares)
-    diffuse = np.zeros((kinds.shape[1], len(pattern.terms), size))
+    diffuse = np.zeros((channels.group_shares.shape[1], len(pattern.terms), size))
     specular = np.zeros((len(elements), len(pattern.terms), size))
     geometry = surface.points, surface.normals, surface.views
     diffusing = clear if reflectance.R_d > 0.0 else np.zeros_like(clear)
-    _add_elements(*geometry, elements, pattern, group, diffusing, inverse, most, diffuse, specular)
+    _add_elements(*geometry, elements, pattern, channels.group, diffusing, inverse, most, diffuse, specular)
     specular[..., ~surface.front] = 0.0
     if caster is not None and hidden.any():
         # in the channel where they are brightest
@@ -633,9 +615,9 @@ def _shade_chunk(
         free = _free_pieces(surface, elements, caster, element, point)
         _replace_pieces(*geometry, elements, pattern, element, point, free, inverse, most, specular)
     levels = np.zeros((2, len(shares), size))
-    _add_channels(diffuse, kinds, levels[0])
+    _add_channels(diffuse, channels.group_shares, levels[0])
     _add_channels(specular, shares, levels[1])
-    return weight * levels[0], weight * levels[1]
+    return weight * levels
 
 
 def elements_seen(surface: SurfacePoints, elements: Float64, caster: RayCaster | None) -> tuple[Bool, Bool]:
@@ -679,18 +661,9 @@ def light_of_channels(
     reflectance = Reflectance(R_d=float(diffuse), R_s=0.0, sigma=1e-3)
     if sigma is not None:
         reflectance = replace(reflectance, R_s=MOST_R_S_SIGMA_2 / sigma**2, sigma=sigma)
-    threads = threads or available_processors()
-    step = min(_CHUNK, points_at_once(len(surface), threads))
-
-    def chunk(start: int) -> tuple[Float64, Float64]:
-        some = surface.take(slice(start, start + step))
-        return shade_surface_lights(some, lights, reflectance=reflectance, caster=None)
-
     # light is per unit of R_s: only where it is negligible depends on R_s
-    found = in_threads(chunk, range(0, len(surface), step), threads)
-    empty = [np.zeros((len(lights), 0))]
-    layers = [np.concatenate([one[k] for one in found] or empty, axis=1) for k in range(2)]
-    return layers[0], layers[1]
+    threads = threads or available_processors()
+    return shade_surface_lights(surface, lights, reflectance=reflectance, caster=None, threads=threads)
 
 
 @kernel

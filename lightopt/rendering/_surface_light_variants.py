@@ -27,7 +27,6 @@ from lightopt.rendering._surface_light import (
     diffuse_of_element,
     element_weights,
     elements_seen,
-    groups_of,
     points_at_once,
     specular_of_element,
     whole_element,
@@ -242,7 +241,7 @@ def surface_light_variants(
     """
     channels = channels_of(lights)
     elements = channels.elements
-    group, shares = groups_of(channels.shares)
+    group, shares = channels.group, channels.group_shares
     # what is far below the noise does not count
     variants = variants._replace(most=variants.most - math.log(NEGLIGIBLE_CHANGE / LEAST_LEVEL))
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import Vector, dot, minus, scaled
+from lightopt.core.vectors import column_at, dot, minus, scaled
 from lightopt.lights import attenuated, panel_point
 from lightopt.optics import lambert
 from lightopt.rendering._panel_quadrature import (
@@ -43,24 +43,24 @@ def whole_panel(
             for axis in range(3):
                 p[axis, j], n[axis, j], v[axis, j] = points[i, axis], normals[i, axis], views[i, axis]
         for j in range(count):
-            normal = _column(n, j)
+            normal = column_at(n, j)
             reach = 0.5 * (abs(dot(normal, panel.across)) + abs(dot(normal, panel.along)))
-            above[j] = dot(normal, minus(panel.centre, _column(p, j))) > reach
-            near[j] = not out_of_reach(_column(p, j), normal, _column(v, j), panel, inverse)
+            above[j] = dot(normal, minus(panel.centre, column_at(p, j))) > reach
+            near[j] = not out_of_reach(column_at(p, j), normal, column_at(v, j), panel, inverse)
             diffuse[j] = 0.0
         for a in range(nodes):
             for b in range(nodes):
                 q = panel_point(panel, NODES[nodes, b] - 0.5, NODES[nodes, a] - 0.5)
                 weight = WEIGHTS[nodes, a] * WEIGHTS[nodes, b]
                 for j in range(count):
-                    towards = minus(q, _column(p, j))
+                    towards = minus(q, column_at(p, j))
                     r2 = dot(towards, towards)
                     towards = scaled(towards, 1.0 / math.sqrt(r2))
-                    term = weight * lambert(dot(_column(n, j), towards))
+                    term = weight * lambert(dot(column_at(n, j), towards))
                     diffuse[j] += attenuated(term, panel, r2, dot(panel.outward, towards))
         for j in range(count):
             i = index[first + j]
-            point, normal, view = _column(p, j), _column(n, j), _column(v, j)
+            point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
             if not above[j]:
                 diffuse[j] = rectangle_diffuse(point, normal, panel, WHOLE_PANEL, nodes)
             terms[i, 0], terms[i, 1] = diffuse[j], 0.0
@@ -68,8 +68,3 @@ def whole_panel(
                 terms[i, 1] = rectangle_specular(
                     point, normal, view, dot(normal, view), panel, WHOLE_PANEL, inverse, nodes
                 )
-
-
-@kernel
-def _column(rows: Float64, j: int) -> Vector:
-    return Vector(rows[0, j], rows[1, j], rows[2, j])

@@ -284,6 +284,17 @@ def test_channels_with_the_same_surface_share_its_elements() -> None:
         assert len(channels.elements) == AROUND * UP_DOME
 
 
+@pytest.mark.parametrize("name", ["quadrant", "display"])
+def test_threads_do_not_matter(name: str) -> None:
+    """The same bytes, though each number of threads works on other points at once."""
+    lights, surface, reflectance = built(**KINDS[name][0]), sphere(1503), Reflectance(R_d=R_D, R_s=1e4, sigma=0.0475)
+    found = [
+        shade_surface_lights(surface, lights, reflectance=reflectance, caster=None, threads=threads)
+        for threads in (1, 2, 3)
+    ]
+    assert all(np.array_equal(found[0], other) for other in found[1:])
+
+
 @pytest.mark.parametrize("sigma", SIGMAS)
 def test_phases_follow_from_three_channels(sigma: float) -> None:
     """Images of five phases are what uniform light, cosine and sine by the reference give."""
