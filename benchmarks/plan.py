@@ -28,6 +28,7 @@ from lightopt.design import (
     drawn_patches,
     find_candidates,
     place_lights,
+    place_of,
     planned_catalogue,
     sum_of_images,
 )
@@ -191,10 +192,7 @@ def tolerances(drawn: ImageEvaluator, choice: PostureChoice) -> tuple[float, int
     """What the worst corner keeps of the first posture's score, and the patches that this was computed on."""
     rig = load_rig(RIG)
     setup = Setup(
-        rig=rig,
-        postures=choice.postures[:1],
-        places=(tuple((light.elevation_deg, light.azimuth_deg) for light in rig.lights),),
-        exposures=((1.0,),),
+        rig=rig, postures=choice.postures[:1], places=(tuple(map(place_of, rig.lights)),), exposures=((1.0,),)
     )
     names = [light.name for light in rig.lights]
     assess = PairAssessment(drawn, setup)

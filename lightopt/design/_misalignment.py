@@ -116,18 +116,13 @@ class _Assessment(ABC):
         """Scores of all combinations, the last body's offsets varying fastest."""
 
     @abstractmethod
-    def keep(
-        self,
-        matrices: Sequence[LuminanceMatrix],
-        lights: Sequence[int],
-        at: int,
-        posture: Posture,
-        panels: Sequence[PanelLight],
-    ) -> _BodyImages:
-        """The stored part of images in a posture: row `at` of a body's lights, in matrices of all exposures.
+    def keep(self, matrices: Sequence[LuminanceMatrix], lights: Sequence[int], at: int) -> _BodyImages:
+        """The stored part of a posture's images: row `at` of a body's lights, in matrices of all exposures."""
 
-        panels: The body's lights where they are then, world frame
-        """
+    def hidden(self, posture: Posture, lights: Sequence[PanelLight]) -> Bool | None:
+        """Patches that a body's lights, world frame, hide from the camera, shape (p,); None where that is left out."""
+        del posture, lights
+        return None
 
     def _compute_images(
         self, evaluator: ImageEvaluator, posture: int, pose: Offset, lights: Sequence[Sequence[Offset]]
@@ -145,8 +140,8 @@ class _Assessment(ABC):
         matrices = evaluator.matrices(there, panels, exposures=self.setup.exposures[posture])
         for body, own in enumerate(bodies):
             for at, offset in enumerate(missing[body]):
-                standing = [panels[i][at] for i in own]
-                self.images[posture, pose, body, offset] = self.keep(matrices, own, at, there, standing)
+                hidden = self.hidden(there, [panels[i][at] for i in own])
+                self.images[posture, pose, body, offset] = replace(self.keep(matrices, own, at), hidden=hidden)
 
     def in_parts(
         self,
@@ -186,23 +181,17 @@ class PairAssessment(_Assessment):
         super().__init__(evaluator, setup)
         self._together, self._weights, self._needed = together, evaluator.weights, evaluator.needed
 
-    def keep(
-        self,
-        matrices: Sequence[LuminanceMatrix],
-        lights: Sequence[int],
-        at: int,
-        posture: Posture,
-        panels: Sequence[PanelLight],
-    ) -> _BodyImages:
+    def keep(self, matrices: Sequence[LuminanceMatrix], lights: Sequence[int], at: int) -> _BodyImages:
         """Units of evidence of all of the body's images, of which each is one whatever the number of its exposures."""
         images = (scattered_flags(matrices, self.patches, light=light, place=at) for light in lights)
         seen = matrices[0].visibility
         assert seen is not None
         levels = np.zeros((len(lights), len(self.patches)), matrices[0].levels[0].dtype)
         levels[:, np.searchsorted(self.patches, seen.patch)] = [matrices[0].levels[light][at] for light in lights]
-        return _BodyImages(self._weights.sum_counts(images, self._needed), levels, self._hidden(posture, panels))
+        return _BodyImages(self._weights.sum_counts(images, self._needed), levels)
 
-    def _hidden(self, posture: Posture, lights: Sequence[PanelLight]) -> Bool | None:
+    def hidden(self, posture: Posture, lights: Sequence[PanelLight]) -> Bool | None:
+        """By the lights as they stand."""
         scene = self.evaluator.scene
         standing = obstructions(scene.camera, lights)
         if standing is None:
@@ -260,16 +249,8 @@ class ObjectiveAssessment(_Assessment):
         super().__init__(evaluator, setup)
         self._objective, self._thresholds = objective, thresholds
 
-    def keep(
-        self,
-        matrices: Sequence[LuminanceMatrix],
-        lights: Sequence[int],
-        at: int,
-        posture: Posture,
-        panels: Sequence[PanelLight],
-    ) -> _BodyImages:
+    def keep(self, matrices: Sequence[LuminanceMatrix], lights: Sequence[int], at: int) -> _BodyImages:
         """Levels, and the areas of their patches."""
-        del posture, panels
         return _BodyImages(matrices[0].areas, [matrices[0].levels[light][at] for light in lights])
 
     def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:

@@ -18,7 +18,7 @@ from lightopt.core.threads import in_threads
 from lightopt.core.vectors import Vector, divided, dot, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, panel_grid, panel_numbers, panel_point
-from lightopt.rendering._converged_panel import MOST_TOGETHER, converged_panel
+from lightopt.rendering._converged_panel import channel_groups, converged_panel
 from lightopt.rendering._panel_quadrature import (
     WHOLE_PANEL,
     mirror_point,
@@ -78,22 +78,20 @@ class LightLayer:
 
 def specular_of_layers(layers: Sequence[LightLayer], sigma: float, *, threads: int | None = None) -> list[Float64]:
     """As :meth:`LightLayer.specular` of each; channels of one light at the same points are worked out together."""
-    found: list[Float64] = []
-    while len(found) < len(layers):
-        first, lights = layers[len(found)], list[SurfaceLight]()
-        for layer in layers[len(found) : len(found) + MOST_TOGETHER]:
-            light = layer.light
-            if not isinstance(light, SurfaceLight):
-                break
-            same_light = not lights or (light.entry, light.total_weight) == (lights[0].entry, lights[0].total_weight)
-            if not (same_light and np.array_equal(layer.surface.points, first.surface.points)):
-                break
-            lights.append(light)
-        if lights:
-            found += list(light_of_channels(first.surface, lights, sigma, diffuse=False, threads=threads)[1])
-        else:
-            found.append(first.specular(sigma, threads=threads))
-    return found
+    found: dict[int, Float64] = {}
+    for group in channel_groups([layer.light for layer in layers]):
+        left = group
+        while left:
+            first = layers[left[0]]
+            same = [i for i in left if np.array_equal(layers[i].surface.points, first.surface.points)]
+            lights = [light for i in same if isinstance(light := layers[i].light, SurfaceLight)]
+            if lights:
+                levels = light_of_channels(first.surface, lights, sigma, diffuse=False, threads=threads)[1]
+                found |= dict(zip(same, levels, strict=True))
+            else:
+                found[left[0]] = first.specular(sigma, threads=threads)
+            left = [i for i in left if i not in found]
+    return [found[i] for i in range(len(layers))]
 
 
 def light_layer(

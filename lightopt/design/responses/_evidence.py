@@ -320,9 +320,15 @@ class PatchEvidence:
         plain_levels = [one.good for one in found]
         exact = [i for i, panel in enumerate(panels) if panel.points == "auto"]
         if exact:
-            lights, shadows = [panels[i] for i in exact], blocker is not None
-            how: dict[str, Any] = {"reflectance": self._scene.reflectance, "caster": caster, "threads": threads}
-            for i, level in zip(exact, shade_isolated(self._surface, lights, shadows=shadows, **how), strict=True):
+            levels = shade_isolated(
+                self._surface,
+                [panels[i] for i in exact],
+                reflectance=self._scene.reflectance,
+                caster=caster,
+                shadows=blocker is not None,
+                threads=threads,
+            )
+            for i, level in zip(exact, levels, strict=True):
                 plain_levels[i] = level
         for plain, shaded in zip(plain_levels, found, strict=True):
             levels = np.empty(len(plain), np.float32)

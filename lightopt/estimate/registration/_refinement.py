@@ -184,10 +184,10 @@ class RefinementProblem:
         width = np.where(self.correlated, _OUTLINE_STEP, _INNER_STEP)
         found: list[Float64] = []
         for axis, off in enumerate(np.eye(self._poses)):
-            ahead, behind = (self._light_at(x, sign * off * steps) for sign in (1.0, -1.0))
+            ahead, behind = (self._layers(x, off=sign * off * steps) for sign in (1.0, -1.0))
             found.append((ahead - behind) / (2.0 * width * steps[axis]))
-        wider, narrower = (self._light_at(x, wider=sign * _SIGMA_STEP) for sign in (1.0, -1.0))
-        found.append((wider - narrower) / (2.0 * _SIGMA_STEP))
+        _, wider, narrower = self._layers(x, wider=(_SIGMA_STEP, -_SIGMA_STEP))
+        found.append(np.stack([np.zeros_like(wider), (wider - narrower) / (2.0 * _SIGMA_STEP)]))
         self._derivative_cache = place, log_sigma, found
         return found
 
@@ -196,23 +196,23 @@ class RefinementProblem:
         gain = self._scale * np.exp(own[GAINS:-1])[self._light]
         return np.minimum(gain * (math.exp(own[R_D]) * light[0] + math.exp(own[R_S]) * light[1]) + own[-1], self._top)
 
-    def _light_at(self, x: Float64, off: Float64 | None = None, wider: float = 0.0) -> Float64:
-        # per unit of R_d and of R_s, shape (2, n), of the part moved by `off` pixels, and with so much more ln σ
-        here = off is None and wider == 0.0
-        if here and self._light_cache is not None and np.array_equal(self._light_cache[0], x):
-            return self._light_cache[1]
-        sigmas = [math.exp(x[self._poses + SIGMA] + wider)]
+    def _light_at(self, x: Float64) -> Float64:
+        # per unit of R_d and of R_s, shape (2, n)
+        if self._light_cache is None or not np.array_equal(self._light_cache[0], x):
+            self._light_cache = x.copy(), self._layers(x)
+        return self._light_cache[1]
+
+    def _layers(self, x: Float64, *, off: Float64 | None = None, wider: Sequence[float] = (0.0,)) -> Float64:
+        # per unit of R_d, and of R_s for so much more ln σ each, shape (1 + len(wider), n), moved by `off` pixels
+        sigmas = [math.exp(x[self._poses + SIGMA] + more) for more in wider]
         parts: list[Float64] = []
         for pixels in self._sets:
             width = _OUTLINE_STEP if pixels.rays > 1 else _INNER_STEP
             place = self._frame.placement(x[: self._poses] + (0.0 if off is None else width * off))
             view = view_of_placed(self._scene, pixels.posture, place)
             diffuse, specular = light_at(self._scene, pixels, view, self._caster, sigmas=sigmas, threads=self._threads)
-            parts.append(np.concatenate([diffuse[None], specular]).reshape(2, -1))
-        found = np.concatenate(parts, axis=1) if parts else np.zeros((2, 0))
-        if here:
-            self._light_cache = x.copy(), found
-        return found
+            parts.append(np.concatenate([diffuse[None], specular]).reshape(1 + len(sigmas), -1))
+        return np.concatenate(parts, axis=1) if parts else np.zeros((1 + len(sigmas), 0))
 
     def _weigh_outline(self, start: Float64, here: Float64) -> None:
         # an outline that the images show counts as much as one that is known to OUTLINE_PX
