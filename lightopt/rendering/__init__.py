@@ -43,8 +43,8 @@ from lightopt.rendering._pixels import (
     WHOLE as WHOLE,
     PosturePixels as PosturePixels,
     mask_pixels as mask_pixels,
-    panel_visibility as panel_visibility,
     trace_pixels as trace_pixels,
+    visibility_of_lights as visibility_of_lights,
 )
 from lightopt.rendering._scene_checks import (
     panels_in_part as panels_in_part,

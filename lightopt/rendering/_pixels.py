@@ -1,6 +1,7 @@
 """The pixels of a posture whose light can be predicted: off silhouettes, creases and the edges of shadows."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -216,6 +217,23 @@ def panel_visibility(
         if own.any() and beside.any():
             visibility[own & _spread(beside, pixels.row, pixels.column)] = LEFT_OUT
     return visibility
+
+
+def visibility_of_lights(
+    pixels: PosturePixels,
+    lights: Sequence[PanelLight],
+    caster: RayCaster,
+    *,
+    moving: bool = False,
+    threads: int | None = None,
+) -> UInt8:
+    """As :func:`panel_visibility` of each light, shape (lights, k); the same places are asked once."""
+    found: dict[bytes, UInt8] = {}
+    places = [shadow_targets(light).tobytes() for light in lights]
+    for place, light in zip(places, lights, strict=True):
+        if place not in found:
+            found[place] = panel_visibility(pixels, light, caster, moving=moving, threads=threads)
+    return np.stack([found[place] for place in places])
 
 
 def _edges(surface: SurfacePoints, row: Int32, column: Int32, shape: tuple[int, int]) -> Bool:

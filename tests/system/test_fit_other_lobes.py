@@ -20,7 +20,8 @@ from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.reflectance._validation import leave_lights_out
 from lightopt.lights import panel_grid
 from lightopt.optics import expose, image_rng
-from lightopt.rendering import UNLIT, cast_rays_at, panel_visibility, trace_pixels
+from lightopt.rendering import UNLIT, cast_rays_at, trace_pixels
+from lightopt.rendering._pixels import panel_visibility
 
 
 def heavy_tails(delta, width):

@@ -11,7 +11,8 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._image_evaluator import luminance_matrix
 from lightopt.geometry import _blocker_maps as maps
-from lightopt.rendering import build_patches, cast_rays_at, panel_visibility, render_posture, trace_pixels
+from lightopt.rendering import build_patches, cast_rays_at, render_posture, trace_pixels
+from lightopt.rendering._pixels import panel_visibility
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 POSTURE = Posture(-30.0, 50.0)

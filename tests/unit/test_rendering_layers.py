@@ -10,17 +10,8 @@ import pytest
 
 from lightopt import build_scene, render
 from lightopt.config import load_rig
-from lightopt.rendering import (
-    UNLIT,
-    WHOLE,
-    cast_rays_at,
-    light_layer,
-    mask_pixels,
-    panel_visibility,
-    specular_of_layers,
-    trace_pixels,
-)
-from lightopt.rendering._pixels import LEFT_OUT
+from lightopt.rendering import UNLIT, WHOLE, cast_rays_at, light_layer, mask_pixels, specular_of_layers, trace_pixels
+from lightopt.rendering._pixels import LEFT_OUT, panel_visibility
 from lightopt.rendering._surface import GRAZING_COSINE
 from lightopt.scene import build_lights, pixel_directions
 

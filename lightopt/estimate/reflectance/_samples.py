@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
+from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, ignore
 from lightopt.core.transforms import Posture
@@ -23,9 +23,9 @@ from lightopt.rendering import (
     LightLayer,
     PosturePixels,
     light_layer,
-    panel_visibility,
     specular_of_layers,
     trace_pixels,
+    visibility_of_lights,
 )
 from lightopt.scene import Scene, lens_share
 
@@ -136,12 +136,16 @@ def collect_samples(
     groups: list[SampleGroup] = []
     wanted = sorted({(scene.postures.index(o.posture), names.index(o.light)) for o in observations})
     pixels: PosturePixels | None = None
+    verdicts: dict[int, UInt8] = {}
     draws: dict[tuple[int, int | str], int] = {}  # channels of a light take the same pixels
     for done, (posture, light) in enumerate(wanted):
         if pixels is None or pixels.posture != scene.postures[posture]:
             pixels = trace_pixels(scene, scene.postures[posture], caster, threads=threads)
+            own = [number for at, number in wanted if at == posture]
+            seen = visibility_of_lights(pixels, [pixels.view.lights[i] for i in own], caster, threads=threads)
+            verdicts = dict(zip(own, seen, strict=True))
         draw = draws.setdefault((posture, _entry(pixels.view.lights[light])), light)
-        groups += _choose(pixels, posture, light, draw, caster, budget, uniform, threads)
+        groups += _choose(pixels, verdicts[light], posture, light, draw, caster, budget, uniform, threads)
         progress((done + 1) / len(wanted))
     return _assemble(scene, groups, tuple(observations), threads)
 
@@ -204,6 +208,7 @@ def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
 
 def _choose(
     pixels: PosturePixels,
+    verdict: UInt8,
     posture: int,
     light: int,
     draw: int,  # number that the pixels are drawn by
@@ -213,7 +218,6 @@ def _choose(
     threads: int | None,
 ) -> list[SampleGroup]:
     panel = pixels.view.lights[light]
-    verdict = panel_visibility(pixels, panel, caster, threads=threads)
     whole = np.flatnonzero(pixels.clean & (verdict == WHOLE))
     unlit = np.flatnonzero(pixels.clean & (verdict == UNLIT))
     layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Int32, UInt8
+from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.threads import available_processors, in_threads
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration._observations import Observation
@@ -22,9 +22,8 @@ from lightopt.rendering import (
     channel_groups,
     light_layer,
     light_of_channels,
-    panel_visibility,
-    shadow_targets,
     trace_samples,
+    visibility_of_lights,
 )
 from lightopt.scene import PartView, Scene, lens_share, view_from_part
 
@@ -104,16 +103,6 @@ def _layers(
         yield layer.specular(sigma, threads=1)[None]
 
 
-def _verdicts(pixels: PosturePixels, group: Sequence[PanelLight], caster: RayCaster) -> UInt8:
-    # what each pixel sees of each channel, shape (channels, n); those of the same places are asked for once
-    found: dict[bytes, UInt8] = {}
-    places = [shadow_targets(panel).tobytes() for panel in group]
-    for place, panel in zip(places, group, strict=True):
-        if place not in found:
-            found[place] = panel_visibility(pixels, panel, caster, moving=True, threads=1)
-    return np.stack([found[place] for place in places])
-
-
 def light_at(
     scene: Scene,
     pixels: PixelSet,
@@ -149,7 +138,7 @@ def light_at(
 
     def shade(number: int) -> None:
         group = [panels[names[i]] for i in groups[number]]
-        verdicts = _verdicts(some, group, caster)
+        verdicts = visibility_of_lights(some, group, caster, moving=True, threads=1)
         whole = verdicts == WHOLE
         found = np.stack([np.where(whole | (verdicts == UNLIT), 0.0, np.nan)] * (1 + len(sigmas)))
         seen = np.flatnonzero(whole.any(axis=0))
