@@ -121,17 +121,64 @@ class PlacementConfig(Frozen):
     also its height and its tilt."""
 
 
-class ReflectanceConfig(Frozen):
-    """Reflection of the surface: Lambert's diffuse part and Torrance and Sparrow's specular lobe."""
+_Sigma = Annotated[float, Field(ge=1e-5, le=0.5), expecting("a number from 0.00001 to 0.5 (radians)")]
+_Alpha = Annotated[float, Field(ge=2e-5, le=1.0), expecting("a number from 0.00002 to 1")]
+_Index = Annotated[float, Field(gt=0, le=50), expecting("a number above 0, up to 50")]
 
+
+class ReflectanceConfig(Frozen):
+    """Reflection of the surface: Lambert's diffuse part and a specular lobe."""
+
+    model: Literal["torrance-sparrow", "ggx", "two-lobe"] = "torrance-sparrow"
+    """Form of the specular lobe. torrance-sparrow: Gaussian in the angle between normal and half vector; ggx: with the
+    long tails of plated and ground metal; two-lobe: a narrow and a wide Gaussian one, as of chrome."""
     R_d: fields.Coefficient
     """Diffuse coefficient [levels of full_scale]."""
     R_s: fields.Coefficient
     """Specular coefficient [levels of full_scale]."""
-    sigma_rad: Annotated[float, Field(ge=1e-5, le=0.5), expecting("a number from 0.00001 to 0.5 (radians)")]
-    """Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating."""
+    sigma_rad: _Sigma | None = Field(default=None, validate_default=True)
+    """Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating. All models but ggx."""
+    alpha: _Alpha | None = Field(default=None, validate_default=True)
+    """ggx: roughness α, the root mean square slope of a surface with such a lobe without its tails. About twice the σ
+    that fits the middle of the lobe."""
+    R_s_wide: fields.Coefficient | None = Field(default=None, validate_default=True)
+    """two-lobe: specular coefficient of the wide lobe, at most R_s [levels of full_scale]."""
+    sigma_wide_rad: _Sigma | None = Field(default=None, validate_default=True)
+    """two-lobe: width of the wide lobe, more than sigma_rad [rad]."""
+    refractive_index: Annotated[tuple[_Index, _Index], LIST, expecting("[n, k], two numbers above 0")] | None = None
+    """Complex refractive index [n, k] of a metal: its specular reflection grows towards grazing angles by Fresnel's
+    equations. If absent, it does not depend on the angle of incidence."""
     full_scale: fields.Positive = 255.0
     """Full scale in which R_d and R_s are expressed [levels]."""
+
+    @property
+    def sigma(self) -> float:
+        """Width of the lobe where it is brightest [rad]; half of ggx's α."""
+        return 0.5 * self.alpha if self.alpha is not None else self.sigma_rad or 0.0
+
+    @field_validator("sigma_rad", "alpha", "R_s_wide", "sigma_wide_rad")
+    @classmethod
+    def _of_the_model(cls, value: float | None, info: ValidationInfo) -> float | None:
+        name, model = str(info.field_name), info.data.get("model")
+        if model is None:
+            return value
+        wanted = _KEYS_OF_MODELS[model]
+        if name in wanted and value is None:
+            raise fields.absent(f'missing key "{name}": model {model} needs {" and ".join(wanted)}', name)
+        if name not in wanted and value is not None:
+            raise complaint(f"model {model} has no such key; it has {' and '.join(wanted)}")
+        narrow, wide = {"R_s_wide": ("R_s", False), "sigma_wide_rad": ("sigma_rad", True)}.get(name, ("", False))
+        bound = info.data.get(narrow)
+        if value is not None and bound is not None and (value <= bound if wide else value > bound):
+            raise complaint(f"expected {'more than' if wide else 'at most'} {narrow}, {bound:g}, found {value:g}")
+        return value
+
+
+_KEYS_OF_MODELS = {
+    "torrance-sparrow": ("sigma_rad",),
+    "ggx": ("alpha",),
+    "two-lobe": ("sigma_rad", "R_s_wide", "sigma_wide_rad"),
+}
 
 
 class SurfaceConfig(Frozen):

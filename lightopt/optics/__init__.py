@@ -1,18 +1,26 @@
-"""How a surface reflects: Lambert's diffuse and Torrance–Sparrow's specular component. Pure functions of numbers.
+"""How a surface reflects: Lambert's diffuse component and a specular lobe. Pure functions of numbers.
 
 A model is a scalar function compiled as a kernel, called per surface point and point light by the kernels of
 :mod:`lightopt.rendering`; it knows neither meshes nor rigs.
 """
 
 from lightopt.optics._reflection_model import (
+    EVERYWHERE as EVERYWHERE,
     MAX_LOBE_EXPONENT as MAX_LOBE_EXPONENT,
     MIN_COS_VIEW as MIN_COS_VIEW,
     NARROW_CHORD_SQUARED as NARROW_CHORD_SQUARED,
+    Lobe as Lobe,
     Reflectance as Reflectance,
+    SpecularModel as SpecularModel,
+    farthest_exponent as farthest_exponent,
     lambert as lambert,
-    narrow_specular_lobe as narrow_specular_lobe,
-    specular_cosine as specular_cosine,
+    light_factor as light_factor,
+    lobe_of_width as lobe_of_width,
+    narrow_gaussian as narrow_gaussian,
+    narrow_lobe as narrow_lobe,
+    specular_divisor as specular_divisor,
     specular_lobe as specular_lobe,
+    wide_lobe as wide_lobe,
 )
 from lightopt.optics._saturated_region import saturated_region as saturated_region
 from lightopt.optics._sensor import (

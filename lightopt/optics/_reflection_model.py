@@ -1,12 +1,74 @@
-"""The reflection model: Lambert's diffuse and Torrance–Sparrow's specular component, as functions of cosines."""
+"""The reflection model: Lambert's diffuse component and a specular lobe, as functions of cosines.
+
+The lobe is Torrance and Sparrow's of the paper (equation 3), a sum of two of them, or the one of GGX:
+
+    B. Walter, S. R. Marschner, H. Li, K. E. Torrance: Microfacet models for refraction through rough surfaces,
+    Eurographics Symposium on Rendering 2007, equations 20, 33 and 34, doi:10.2312/EGWR/EGSR07/195-206
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 from lightopt.core.kernels import kernel
 from lightopt.optics._exponential import exponential
+
+ModelName = Literal["torrance-sparrow", "ggx", "two-lobe"]
+
+MIN_COS_VIEW = 0.01
+"""cosθ_o is clamped to this from below in equation (3), whose 1/cosθ_o diverges at the silhouette (θ_o > 89.4°)."""
+
+MAX_LOBE_EXPONENT = 60.0
+"""Lobes are zero where δ²/(2σ²) exceeds this: e⁻⁶⁰ = 9e-27 of R_s is nothing beside a grey level."""
+
+EVERYWHERE = 1e30
+"""Exponent that no place exceeds: a lobe that is nowhere negligible."""
+
+NARROW_CHORD_SQUARED = 0.25
+"""Lobes where |N − H|² is less than this, δ < 0.505 rad, are computed without branches."""
+
+
+class Lobe(NamedTuple):
+    """A specular lobe in the form that kernels take; its greatest value is R_s, where N = H = V.
+
+    inverse: 1/(2σ²) [rad⁻²]; for GGX, 2/α²
+    farthest: δ²/(2σ²) from which the lobe is zero
+    plain: Whether it is one Gaussian lobe without Fresnel's factor, which equation (3) has
+    ggx: Whether it is the lobe of GGX
+    wide_share: Height of a second, wider Gaussian lobe, as a share of the first; 0 without one
+    wide_inverse: 1/(2σ²) of that lobe [rad⁻²]
+    n, k: Complex refractive index n + ik of a metal; 0 where reflection does not depend on the angle
+    normal_reflectance: Fresnel reflectance of the metal at normal incidence
+    """
+
+    inverse: float
+    farthest: float
+    plain: bool
+    ggx: bool
+    wide_share: float
+    wide_inverse: float
+    n: float
+    k: float
+    normal_reflectance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpecularModel:
+    """What a specular lobe is like, apart from how wide and how high it is.
+
+    name: torrance-sparrow, one Gaussian lobe in δ; ggx, with masking by Smith; two-lobe, two Gaussian ones
+    wide_share: R_s of the wide lobe, as a share of R_s; two-lobe only
+    wide_ratio: σ of the wide lobe over σ; two-lobe only
+    refractive_index: n and k of the metal, by which Fresnel's factor grows towards grazing angles; None for no such
+        factor
+    """
+
+    name: ModelName = "torrance-sparrow"
+    wide_share: float = 0.0
+    wide_ratio: float = 1.0
+    refractive_index: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,14 +77,40 @@ class Reflectance:
 
     R_d: Diffuse reflection coefficient [grey level]
     R_s: Specular reflection coefficient [grey level]
-    sigma: Concentration of the specular lobe, the standard deviation of δ [rad]
+    sigma: Concentration of the specular lobe, the standard deviation of δ [rad]. Of two lobes, of the narrow one; of
+        GGX, α/2, with which both models have the same curvature where they are brightest
     full_scale: Level that the coefficients call full scale [grey level]
+    model: The lobe's form
     """
 
     R_d: float
     R_s: float
     sigma: float
     full_scale: float = 255.0
+    model: SpecularModel = SpecularModel()
+
+    @property
+    def lobe(self) -> Lobe:
+        """The specular lobe."""
+        inverse, model = 0.5 / self.sigma**2, self.model
+        two = model.name == "two-lobe" and model.wide_share > 0.0
+        ratio = model.wide_ratio if two else 1.0
+        n, k = model.refractive_index or (0.0, 0.0)
+        return Lobe(
+            inverse=inverse,
+            farthest=EVERYWHERE if model.name == "ggx" else MAX_LOBE_EXPONENT * max(1.0, ratio**2),
+            plain=model.name != "ggx" and not two and n == 0.0,
+            ggx=model.name == "ggx",
+            wide_share=model.wide_share if two else 0.0,
+            wide_inverse=inverse / ratio**2,
+            n=float(n),
+            k=float(k),
+            normal_reflectance=conductor_reflectance(1.0, n, k) if n > 0.0 else 1.0,
+        )
+
+    def with_sigma(self, sigma: float) -> Reflectance:
+        """The same with a lobe of another width, as high as before."""
+        return replace(self, sigma=sigma)
 
     def changed(self, *, R_d_factor: float = 1.0, sigma_factor: float = 1.0) -> Reflectance:
         """Coefficients of a place where R_d is multiplied, and the lobe widened without reflecting more or less light.
@@ -35,26 +123,15 @@ class Reflectance:
         return replace(self, R_d=self.R_d * R_d_factor, R_s=self.R_s / sigma_factor**2, sigma=self.sigma * sigma_factor)
 
 
-MIN_COS_VIEW = 0.01
-"""cosθ_o is clamped to this from below in equation (3), whose 1/cosθ_o diverges at the silhouette (θ_o > 89.4°)."""
-
-MAX_LOBE_EXPONENT = 60.0
-"""Lobes are zero where δ²/(2σ²) exceeds this: e⁻⁶⁰ = 9e-27 of R_s is nothing beside a grey level."""
-
-
 @kernel
 def lambert(n_dot_l: float) -> float:
     """Diffuse component per unit of R_d (paper, equation 2)."""
     return max(0.0, n_dot_l)
 
 
-NARROW_CHORD_SQUARED = 0.25
-"""Lobes where |N − H|² is less than this, δ < 0.505 rad, are computed without branches."""
-
-
 @kernel
-def narrow_specular_lobe(chord_squared: float, inverse_two_sigma_squared: float) -> float:
-    """:func:`specular_lobe` below :data:`NARROW_CHORD_SQUARED`, without branches; there they are the same.
+def narrow_gaussian(chord_squared: float, inverse_two_sigma_squared: float) -> float:
+    """:func:`gaussian` below :data:`NARROW_CHORD_SQUARED`, without branches; there they are the same.
 
     The arc cosine of N·H loses half its digits near zero; δ = 2·arcsin(c/2) of the chord c = |N − H| does not. Its
     square is summed as Σ 2·c²ⁿ / (n²·binomial(2n, n)), to 1e-10 of itself.
@@ -71,8 +148,8 @@ def narrow_specular_lobe(chord_squared: float, inverse_two_sigma_squared: float)
 
 
 @kernel
-def specular_lobe(chord_squared: float, inverse_two_sigma_squared: float) -> float:
-    """Specular component per unit of R_s times cosθ_o: e^(−δ²/(2σ²)) (paper, equation 3), for N·L > 0 and N·V > 0.
+def gaussian(chord_squared: float, inverse_two_sigma_squared: float) -> float:
+    """Torrance and Sparrow's lobe, e^(−δ²/(2σ²)) (paper, equation 3).
 
     chord_squared: |N − H|² of the unit normal and the unit vector halfway between light and view
     inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
@@ -81,12 +158,129 @@ def specular_lobe(chord_squared: float, inverse_two_sigma_squared: float) -> flo
     if chord_squared * inverse_two_sigma_squared > MAX_LOBE_EXPONENT:
         return 0.0
     if chord_squared < NARROW_CHORD_SQUARED:
-        return narrow_specular_lobe(chord_squared, inverse_two_sigma_squared)
+        return narrow_gaussian(chord_squared, inverse_two_sigma_squared)
     delta = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(chord_squared)))
     return exponential(-(delta * delta * inverse_two_sigma_squared))
 
 
 @kernel
-def specular_cosine(n_dot_v: float) -> float:
-    """Divisor cosθ_o of the specular component (paper, equation 3), clamped from below by :data:`MIN_COS_VIEW`."""
-    return max(n_dot_v, MIN_COS_VIEW)
+def specular_lobe(chord_squared: float, lobe: Lobe) -> float:
+    """The lobe as a function of δ, 1 at δ = 0; for N·L > 0 and N·V > 0.
+
+    GGX: cos⁴δ·(1 + tan²δ/α²)² in the denominator (Walter et al., equation 33), with the square of its sine by the
+    chord.
+
+    chord_squared: |N − H|² of the unit normal and the unit vector halfway between light and view
+    """
+    if lobe.ggx:
+        sine_squared = chord_squared * (1.0 - 0.25 * chord_squared)
+        root = 1.0 + sine_squared * (0.5 * lobe.inverse - 1.0)
+        return 1.0 / (root * root)
+    value = gaussian(chord_squared, lobe.inverse)
+    if lobe.wide_share > 0.0:
+        value += lobe.wide_share * gaussian(chord_squared, lobe.wide_inverse)
+    return value
+
+
+@kernel
+def _masked(cosine: float, lobe: Lobe) -> float:
+    # c + √(α² + (1 − α²)·c²), by which Smith's masking is 2c divided (Walter et al., equation 34)
+    alpha_squared = 2.0 / lobe.inverse
+    return cosine + math.sqrt(alpha_squared + (1.0 - alpha_squared) * cosine * cosine)
+
+
+@kernel
+def specular_divisor(n_dot_v: float, lobe: Lobe) -> float:
+    """What the specular component is divided by for its view.
+
+    cosθ_o (paper, equation 3), clamped from below by :data:`MIN_COS_VIEW`; for GGX over its masking, which is finite.
+    """
+    return 0.5 * _masked(n_dot_v, lobe) if lobe.ggx else max(n_dot_v, MIN_COS_VIEW)
+
+
+@kernel
+def light_factor(n_dot_l: float, half_size: float, lobe: Lobe) -> float:
+    """Factor of the specular component for where its light comes from: masking of GGX, and Fresnel's of metals.
+
+    n_dot_l: Above 0
+    half_size: Length of L + V, twice the cosine of the angle between L and H
+    """
+    if lobe.plain:
+        return 1.0
+    factor = 2.0 * n_dot_l / _masked(n_dot_l, lobe) if lobe.ggx else 1.0
+    if lobe.n > 0.0:
+        factor *= conductor_reflectance(min(1.0, 0.5 * half_size), lobe.n, lobe.k) / lobe.normal_reflectance
+    return factor
+
+
+@kernel
+def conductor_reflectance(cosine: float, n: float, k: float) -> float:
+    """Fresnel reflectance of a metal for unpolarised light (M. Born, E. Wolf: Principles of optics, section 14.2).
+
+    cosine: Of the angle of incidence
+    n, k: Complex refractive index n + ik against air
+    """
+    c2 = cosine * cosine
+    s2 = 1.0 - c2
+    first = n * n - k * k - s2
+    size = math.sqrt(first * first + 4.0 * n * n * k * k)
+    a = math.sqrt(max(0.0, 0.5 * (size + first)))
+    perpendicular = (size + c2 - 2.0 * a * cosine) / (size + c2 + 2.0 * a * cosine)
+    mixed, product = c2 * size + s2 * s2, 2.0 * a * cosine * s2
+    return 0.5 * perpendicular * (1.0 + (mixed - product) / (mixed + product))
+
+
+@kernel
+def farthest_exponent(most: float, lobe: Lobe) -> float:
+    """δ²/(2σ²) from which a lobe is less than e^−most of its height, or more.
+
+    The square of δ's sine, on which GGX depends, is more than 4/π² of that of δ.
+    """
+    if lobe.ggx:
+        return (0.5 * math.pi) ** 2 * 2.0 * (math.exp(0.5 * min(most, MAX_LOBE_EXPONENT)) - 1.0)
+    if lobe.wide_share > 0.0:
+        # each of the two less than half of it
+        wide = most + 0.7 + math.log(lobe.wide_share)
+        return max(most + 0.7, wide * lobe.inverse / lobe.wide_inverse)
+    return most
+
+
+@kernel
+def narrow_lobe(lobe: Lobe) -> Lobe:
+    """The first of two lobes alone, or the only one."""
+    return Lobe(
+        lobe.inverse,
+        lobe.farthest if lobe.ggx else MAX_LOBE_EXPONENT,
+        lobe.n == 0.0 and not lobe.ggx,
+        lobe.ggx,
+        0.0,
+        lobe.inverse,
+        lobe.n,
+        lobe.k,
+        lobe.normal_reflectance,
+    )
+
+
+@kernel
+def wide_lobe(lobe: Lobe) -> Lobe:
+    """The second of two lobes alone, as high as the first."""
+    return narrow_lobe(lobe_of_width(lobe, lobe.wide_inverse))
+
+
+@kernel
+def lobe_of_width(lobe: Lobe, inverse: float) -> Lobe:
+    """A lobe of the same form of another width; of two lobes, both are as much wider.
+
+    inverse: 1/(2σ²) [rad⁻²]
+    """
+    return Lobe(
+        inverse,
+        lobe.farthest,
+        lobe.plain,
+        lobe.ggx,
+        lobe.wide_share,
+        lobe.wide_inverse * (inverse / lobe.inverse),
+        lobe.n,
+        lobe.k,
+        lobe.normal_reflectance,
+    )

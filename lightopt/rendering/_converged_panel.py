@@ -103,7 +103,7 @@ def shade_light(
         diffuse, specular = shade_surface_lights(surface, (light,), reflectance=reflectance, caster=caster)
         return diffuse[0], specular[0]
     assert light.points != "auto"
-    return shade_points(surface, light, points=light.points, sigma=reflectance.sigma, caster=caster)
+    return shade_points(surface, light, points=light.points, lobe=reflectance.lobe, caster=caster)
 
 
 def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> ConvergedPanel:
@@ -249,7 +249,7 @@ def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> Con
         panel_numbers(converged.light),
         total * reflectance.R_d,
         total * reflectance.R_s,
-        0.5 / reflectance.sigma**2,
+        reflectance.lobe,
         converged.nodes,
     )
 

@@ -14,7 +14,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, dot, minus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_grid, panel_numbers, panel_point
-from lightopt.optics import specular_cosine
+from lightopt.optics import Lobe, farthest_exponent, lobe_of_width, specular_divisor
 from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes
 from lightopt.rendering._panel_quadrature import (
     NODES,
@@ -83,7 +83,7 @@ def _levels(
     variants: VariantNumbers,
     levels: Float64,
 ) -> None:
-    lean, R_d, R_s, inverse, most = variants
+    lean, R_d, R_s, inverse, most, form = variants
     for i in range(len(points)):
         if number[i] == 0:
             continue
@@ -107,13 +107,14 @@ def _levels(
             s = 0.0
             n_dot_v = dot(turned, v)
             if n_dot_v > 0.0:
-                furthest = most[t] - math.log(specular_cosine(n_dot_v))
+                lobe = lobe_of_width(form, inverse[t])
+                furthest = farthest_exponent(most[t] - math.log(specular_divisor(n_dot_v, lobe)), lobe)
                 reach = spread + math.sqrt(max(0.0, furthest) / inverse[t])
                 if reach >= math.pi or dot(turned, half) > math.cos(reach):
                     if whole:
-                        s = rectangle_specular(p, turned, v, n_dot_v, panel, WHOLE_PANEL, inverse[t], panel_nodes)
+                        s = rectangle_specular(p, turned, v, n_dot_v, panel, WHOLE_PANEL, lobe, panel_nodes)
                     else:
-                        s = _cells_specular(p, turned, v, n_dot_v, panel, inverse[t], panel_nodes, cells[i])
+                        s = _cells_specular(p, turned, v, n_dot_v, panel, lobe, panel_nodes, cells[i])
             levels[i, t] = R_d[t] * d + R_s[t] * s
 
 
@@ -159,7 +160,7 @@ def _cells_diffuse(p: Vector, n: Vector, panel: PanelNumbers, count: int, cells:
 
 @kernel
 def _cells_specular(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, inverse: float, panel_nodes: int, cells: Bool
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, lobe: Lobe, panel_nodes: int, cells: Bool
 ) -> float:
     total = 0.0
     for row in range(CELLS):
@@ -172,6 +173,6 @@ def _cells_specular(
                 while end < CELLS and cells[row * CELLS + end]:
                     end += 1
                 area = Rectangle(column / CELLS - 0.5, end / CELLS - 0.5, t0, t0 + 1.0 / CELLS)
-                total += rectangle_specular(p, n, v, n_dot_v, panel, area, inverse, panel_nodes)
+                total += rectangle_specular(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
             column = end
     return total

@@ -18,8 +18,10 @@ from lightopt.core.threads import in_threads
 from lightopt.core.vectors import Vector, divided, dot, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, panel_grid, panel_numbers, panel_point
+from lightopt.optics import Lobe, Reflectance
 from lightopt.rendering._converged_panel import channel_groups, converged_panel
 from lightopt.rendering._panel_quadrature import (
+    NO_LOBE,
     WHOLE_PANEL,
     mirror_point,
     out_of_reach,
@@ -58,25 +60,26 @@ class LightLayer:
             self, surface=self.surface.take(index), diffuse=self.diffuse[index], deflection=self.deflection[index]
         )
 
-    def specular(self, sigma: float, *, threads: int | None = None) -> Float64:
-        """Specular light per unit of R_s for a lobe of width σ [rad], shape (n,) (paper, equations 3 and 4)."""
+    def specular(self, reflectance: Reflectance, *, threads: int | None = None) -> Float64:
+        """Specular light per unit of R_s, whatever R_s is, shape (n,) (paper, equations 3 and 4)."""
         if isinstance(self.light, SurfaceLight):
-            return light_of_channels(self.surface, [self.light], sigma, diffuse=False, threads=threads)[1][0]
-        inverse = 0.5 / sigma**2
-        panel = panel_numbers(self.light)
+            return light_of_channels(self.surface, [self.light], reflectance, diffuse=False, threads=threads)[1][0]
+        panel, lobe = panel_numbers(self.light), reflectance.lobe
         s = self.surface
         result = np.zeros(len(s))
 
         def chunk(start: int) -> None:
             end = min(start + _CHUNK, len(s))
-            _specular(s.points, s.normals, s.views, self.grid, panel, inverse, self.nodes, start, end, result)
+            _specular(s.points, s.normals, s.views, self.grid, panel, lobe, self.nodes, start, end, result)
 
         in_threads(chunk, range(0, len(s), _CHUNK), threads)
         result *= self.light.total_weight
         return result
 
 
-def specular_of_layers(layers: Sequence[LightLayer], sigma: float, *, threads: int | None = None) -> list[Float64]:
+def specular_of_layers(
+    layers: Sequence[LightLayer], reflectance: Reflectance, *, threads: int | None = None
+) -> list[Float64]:
     """As :meth:`LightLayer.specular` of each; channels of one light at the same points are worked out together."""
     found: dict[int, Float64] = {}
     for group in channel_groups([layer.light for layer in layers]):
@@ -86,10 +89,10 @@ def specular_of_layers(layers: Sequence[LightLayer], sigma: float, *, threads: i
             same = [i for i in left if np.array_equal(layers[i].surface.points, first.surface.points)]
             lights = [light for i in same if isinstance(light := layers[i].light, SurfaceLight)]
             if lights:
-                levels = light_of_channels(first.surface, lights, sigma, diffuse=False, threads=threads)[1]
+                levels = light_of_channels(first.surface, lights, reflectance, diffuse=False, threads=threads)[1]
                 found |= dict(zip(same, levels, strict=True))
             else:
-                found[left[0]] = first.specular(sigma, threads=threads)
+                found[left[0]] = first.specular(reflectance, threads=threads)
             left = [i for i in left if i not in found]
     return [found[i] for i in range(len(layers))]
 
@@ -140,7 +143,7 @@ def _specular(
     views: Float64,
     grid: Float64,
     panel: PanelNumbers,
-    inverse_two_sigma_squared: float,
+    lobe: Lobe,
     panel_nodes: int,
     start: int,
     end: int,
@@ -148,15 +151,15 @@ def _specular(
 ) -> None:
     for i in range(start, end):
         p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
-        if out_of_reach(p, n, v, panel, inverse_two_sigma_squared):
+        if out_of_reach(p, n, v, panel, lobe):
             continue
         n_dot_v = dot(n, v)
         if len(grid) == 0:
-            result[i] = rectangle_specular(p, n, v, n_dot_v, panel, WHOLE_PANEL, inverse_two_sigma_squared, panel_nodes)
+            result[i] = rectangle_specular(p, n, v, n_dot_v, panel, WHOLE_PANEL, lobe, panel_nodes)
             continue
         total = 0.0
         for k in range(len(grid)):
-            _, s = point_terms(p, n, v, n_dot_v, vector_at(grid, k), panel, inverse_two_sigma_squared)
+            _, s = point_terms(p, n, v, n_dot_v, vector_at(grid, k), panel, lobe)
             total += s
         result[i] = total / len(grid)
 
@@ -183,7 +186,7 @@ def _diffuse_and_deflection(
         total = 0.0
         for k in range(len(grid)):
             # no specular term: any view will do
-            d, _ = point_terms(p, n, n, 0.0, vector_at(grid, k), panel, 0.0)
+            d, _ = point_terms(p, n, n, 0.0, vector_at(grid, k), panel, NO_LOBE)
             total += d
         diffuse[i] = total / len(grid)
 

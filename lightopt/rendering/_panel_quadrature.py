@@ -5,6 +5,9 @@ there give a window outside which the lobe is negligible; a tensor Gauss–Legen
 much the exponent varies integrates the exact expression inside the window. A narrow lobe has a small window, a wide one
 varies little: neither needs many nodes.
 
+The lobe of GGX has tails instead of a window. Along each side the nodes are those of a Gauss–Legendre rule in u, where
+the side is width · sinh u from where the lobe is greatest: its peak is as smooth in u as its tails are.
+
 Surface points p [mm], unit normals n and unit view directions v are vectors in the part's frame.
 """
 
@@ -17,13 +20,26 @@ from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled
 from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
-from lightopt.optics import NARROW_CHORD_SQUARED, narrow_specular_lobe, specular_cosine
+from lightopt.optics import (
+    EVERYWHERE,
+    MAX_LOBE_EXPONENT,
+    NARROW_CHORD_SQUARED,
+    Lobe,
+    Reflectance,
+    light_factor,
+    narrow_gaussian,
+    narrow_lobe,
+    specular_divisor,
+    wide_lobe,
+)
 from lightopt.rendering._point_lights import point_terms
 
 # most Gauss–Legendre nodes along a side; only a view or a light that grazes the surface asks for as many
 MAX_NODES = 48
 
 NEGLIGIBLE_EXPONENT = 45.0  # a rectangle where the lobe is nowhere above e⁻⁴⁵ = 3e-20 of R_s gets no specular light
+
+_NEGLIGIBLE_SHARE = NEGLIGIBLE_EXPONENT / MAX_LOBE_EXPONENT
 
 # the window ends where the lobe has fallen to e⁻¹⁴ = 8e-7 of its greatest value on the rectangle
 WINDOW_EXPONENT = 14.0
@@ -46,6 +62,11 @@ def _gauss_legendre() -> tuple[Float64, Float64]:
         table.flags.writeable = False
     return nodes, weights
 
+
+NO_LOBE = Reflectance(R_d=1.0, R_s=0.0, sigma=1.0).lobe
+
+_TAIL_ERROR = 3e-5  # share of the lobe's light by which a rule may be off
+_EVEN = 1e3  # width, in sides, from which a lobe is the same all along one
 
 # of the Gauss–Legendre rules on [0, 1]; row n has the rule of n nodes, shape (MAX_NODES + 1, MAX_NODES)
 NODES, WEIGHTS = _gauss_legendre()
@@ -76,7 +97,7 @@ class _Horizon(NamedTuple):
 def rectangle_diffuse(p: Vector, n: Vector, panel: PanelNumbers, area: Rectangle, count: int) -> float:
     """Diffuse light, per unit of R_d, of a rectangle of a panel of total weight 1, by `count` nodes along each side."""
     # no specular term: any view will do
-    return _integrals(p, n, n, 0.0, panel, area, 0.0, count, count)[0]
+    return _integrals(p, n, n, 0.0, panel, area, NO_LOBE, count, count)[0]
 
 
 @kernel
@@ -87,7 +108,7 @@ def _integrals(
     n_dot_v: float,
     panel: PanelNumbers,
     area: Rectangle,
-    inverse_two_sigma_squared: float,
+    lobe: Lobe,
     count_s: int,
     count_t: int,
 ) -> tuple[float, float]:
@@ -107,7 +128,7 @@ def _integrals(
             row_d = row_s = 0.0
             for j in range(count_s):
                 q = panel_point(panel, r0 + (r1 - r0) * NODES[count_s, j], t)
-                d, s = point_terms(p, n, v, n_dot_v, q, panel, inverse_two_sigma_squared)
+                d, s = point_terms(p, n, v, n_dot_v, q, panel, lobe)
                 row_d += WEIGHTS[count_s, j] * d
                 row_s += WEIGHTS[count_s, j] * s
             part_d += WEIGHTS[count_t, i] * (r1 - r0) * row_d
@@ -152,23 +173,44 @@ def _row_above_horizon(horizon: _Horizon, t: float, area: Rectangle) -> tuple[fl
 
 @kernel
 def rectangle_specular(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    n_dot_v: float,
-    panel: PanelNumbers,
-    area: Rectangle,
-    inverse_two_sigma_squared: float,
-    panel_nodes: int,
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int
 ) -> float:
     """Specular light, per unit of R_s, of a rectangle of a panel of total weight 1.
 
     n_dot_v: cosθ_o
-    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
     panel_nodes: Nodes a side that the whole panel needs for its fall-off and emission
     """
     if n_dot_v <= 0.0:
         return 0.0
+    if lobe.plain:
+        return _gaussian_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
+    if lobe.ggx:
+        return _tailed_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
+    total = _gaussian_light(p, n, v, n_dot_v, panel, area, narrow_lobe(lobe), panel_nodes)
+    if lobe.wide_share > 0.0:
+        wide = _gaussian_light(p, n, v, n_dot_v, panel, area, wide_lobe(lobe), panel_nodes)
+        total += lobe.wide_share * wide
+    return total
+
+
+class _Nearest(NamedTuple):
+    # where on a rectangle the lobe is greatest; half the Hessian [[a, b], [b, c]] and half the gradient (gs, gt) of the
+    # exponent δ²/(2σ²) there, and its value
+    s: float
+    t: float
+    a: float
+    b: float
+    c: float
+    gs: float
+    gt: float
+    least: float
+
+
+@kernel
+def _nearest(
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, inverse: float, far: float
+) -> _Nearest:
+    # far: exponent beyond which nothing is sought
     s, t = mirror_point(p, n, v, n_dot_v, panel)
     s, t = min(max(s, area.s0), area.s1), min(max(t, area.t0), area.t1)
     hx = hy = jxs = jxt = jys = jyt = 0.0
@@ -177,22 +219,30 @@ def rectangle_specular(
     for round_ in range(_LINEARISATIONS):
         hx, hy, jxs, jxt, jys, jyt = _half_vector_map(p, n, v, panel, s, t)
         # exponent ≈ k·|h + J·Δx|²: its matrix and gradient, per axis of the panel
-        k = inverse_two_sigma_squared
+        k = inverse
         a = k * (jxs * jxs + jys * jys)
         b = k * (jxs * jxt + jys * jyt)
         c = k * (jxt * jxt + jyt * jyt)
         gs, gt = k * (jxs * hx + jys * hy), k * (jxt * hx + jyt * hy)
         least = k * (hx * hx + hy * hy)
-        if round_ == _LINEARISATIONS - 1 or least > 50.0 * NEGLIGIBLE_EXPONENT:
+        if round_ == _LINEARISATIONS - 1 or least > far:
             break
         ns, nt = least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, area)
         if abs(ns - s) < 1e-6 and abs(nt - t) < 1e-6:
             break
         s, t = ns, nt
+    gs = inverse * (jxs * hx + jys * hy)
+    gt = inverse * (jxt * hx + jyt * hy)
+    return _Nearest(s, t, a, b, c, gs, gt, least)
+
+
+@kernel
+def _gaussian_light(
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int
+) -> float:
+    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, n_dot_v, panel, area, lobe.inverse, 50.0 * NEGLIGIBLE_EXPONENT)
     if least > NEGLIGIBLE_EXPONENT:
         return 0.0
-    gs = inverse_two_sigma_squared * (jxs * hx + jys * hy)
-    gt = inverse_two_sigma_squared * (jxt * hx + jyt * hy)
     window = lobe_window(a, b, c, gs, gt, s, t, least, area)
     if window.s0 >= window.s1 or window.t0 >= window.t1:
         return 0.0
@@ -201,8 +251,72 @@ def rectangle_specular(
     count_s = max(node_count(a, gs, window.s0 - s, window.s1 - s), least_s)
     count_t = max(node_count(c, gt, window.t0 - t, window.t1 - t), least_t)
     if _horizon(p, n, panel, window).lowest > 0.0:
-        return _lobe_above_horizon(p, n, v, n_dot_v, panel, window, inverse_two_sigma_squared, count_s, count_t)
-    return _integrals(p, n, v, n_dot_v, panel, window, inverse_two_sigma_squared, count_s, count_t)[1]
+        return _lobe_above_horizon(p, n, v, n_dot_v, panel, window, lobe, count_s, count_t)
+    return _integrals(p, n, v, n_dot_v, panel, window, lobe, count_s, count_t)[1]
+
+
+@kernel
+def _tailed_light(
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int
+) -> float:
+    # of a lobe with tails, whose width is α = 2σ in δ: (2 + exponent)/2 is to the power of −2
+    least_s = math.ceil(panel_nodes * (area.s1 - area.s0)) + 1
+    least_t = math.ceil(panel_nodes * (area.t1 - area.t0)) + 1
+    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, n_dot_v, panel, area, lobe.inverse, EVERYWHERE)
+    centre_s, width_s = peak(a, gs, least, s, area.s0, area.s1)
+    centre_t, width_t = peak(c, gt, least, t, area.t0, area.t1)
+    u0, u1 = math.asinh((area.s0 - centre_s) / width_s), math.asinh((area.s1 - centre_s) / width_s)
+    w0, w1 = math.asinh((area.t0 - centre_t) / width_t), math.asinh((area.t1 - centre_t) / width_t)
+    # the lobe is singular in u at ±iπ/2, and nearer where it leans across the sides
+    leaning = 0.5 * math.pi / (1.0 + 2.0 * abs(b) / math.sqrt(max(a * c, 1e-30)))
+    count_s, count_t = max(tail_nodes(u0, u1, leaning), least_s), max(tail_nodes(w0, w1, leaning), least_t)
+    horizon = _horizon(p, n, panel, area)
+    if horizon.lowest <= 0.0:
+        # masking ends the light there, within about α
+        count_s, count_t = 2 * count_s, 2 * count_t
+    total = 0.0
+    for i in range(count_t):
+        w = w0 + (w1 - w0) * NODES[count_t, i]
+        at_t = centre_t + width_t * math.sinh(w)
+        r0, r1 = _row_above_horizon(horizon, at_t, area)
+        if r0 >= r1:
+            continue
+        if horizon.lowest <= 0.0:
+            u0, u1 = math.asinh((r0 - centre_s) / width_s), math.asinh((r1 - centre_s) / width_s)
+        row = 0.0
+        for j in range(count_s):
+            u = u0 + (u1 - u0) * NODES[count_s, j]
+            q = panel_point(panel, centre_s + width_s * math.sinh(u), at_t)
+            _, value = point_terms(p, n, v, n_dot_v, q, panel, lobe)
+            row += WEIGHTS[count_s, j] * math.cosh(u) * value
+        total += WEIGHTS[count_t, i] * math.cosh(w) * row * (u1 - u0)
+    return total * width_s * width_t * (w1 - w0)
+
+
+@kernel
+def peak(curvature: float, gradient: float, least: float, at: float, low: float, high: float) -> tuple[float, float]:
+    """Where along a side a lobe with tails is greatest, and how wide it is about it.
+
+    curvature, gradient, least: Of its exponent curvature·x² + 2·gradient·x + least, x from `at`
+    low, high: The side's ends
+    """
+    if curvature * (_EVEN * (high - low)) ** 2 <= 2.0 + least:
+        return at, _EVEN * (high - low)
+    away = gradient / curvature
+    return at - away, math.sqrt(max((2.0 + least) / curvature - away * away, 2.0 / curvature))
+
+
+@kernel
+def tail_nodes(low: float, high: float, singular: float) -> int:
+    """Nodes of a Gauss–Legendre rule from low to high for a function that is singular at ±i·singular.
+
+    Its error falls with the sum of the half axes of the ellipse through these places whose foci are the ends.
+    """
+    half = max(0.5 * (high - low), 1e-9)
+    x, y = 0.5 * (low + high) / half, singular / half
+    axis = 0.5 * (math.sqrt((x - 1.0) ** 2 + y * y) + math.sqrt((x + 1.0) ** 2 + y * y))
+    rate = math.log(axis + math.sqrt(axis * axis - 1.0))
+    return min(math.ceil(0.5 * math.log(1.0 / _TAIL_ERROR) / rate) + 1, MAX_NODES // 2)
 
 
 @kernel
@@ -238,13 +352,13 @@ def _lobe_above_horizon(
     n_dot_v: float,
     panel: PanelNumbers,
     area: Rectangle,
-    inverse_two_sigma_squared: float,
+    lobe: Lobe,
     count_s: int,
     count_t: int,
 ) -> float:
     # the specular term of `_integrals` where no horizon crosses the rectangle: the processor works on several nodes at
     # once in loops without branches over numbers that lie side by side
-    chord, lobe = np.empty(count_s * count_t), np.empty(count_s * count_t)
+    chord, values = np.empty(count_s * count_t), np.empty(count_s * count_t)
     width, height = area.s1 - area.s0, area.t1 - area.t0
     for i in range(count_t):
         t, first = area.t0 + height * NODES[count_t, i], i * count_s
@@ -253,29 +367,32 @@ def _lobe_above_horizon(
             r2 = dot(light, light)
             light = scaled(light, 1.0 / math.sqrt(r2))
             half = plus(light, v)
-            away = minus(n, scaled(half, 1.0 / math.sqrt(dot(half, half))))
+            size = math.sqrt(dot(half, half))
+            away = minus(n, scaled(half, 1.0 / size))
             chord[first + j] = dot(away, away)
             weight = WEIGHTS[count_t, i] * WEIGHTS[count_s, j]
-            lobe[first + j] = attenuated(weight, panel, r2, dot(panel.outward, light))
-    for k in range(len(lobe)):
-        lobe[k] *= narrow_specular_lobe(min(chord[k], NARROW_CHORD_SQUARED), inverse_two_sigma_squared)
+            values[first + j] = attenuated(weight, panel, r2, dot(panel.outward, light))
+            if not lobe.plain:
+                values[first + j] *= light_factor(dot(n, light), size, lobe)
+    for k in range(len(values)):
+        values[k] *= narrow_gaussian(min(chord[k], NARROW_CHORD_SQUARED), lobe.inverse)
     total = widest = 0.0
-    for k in range(len(lobe)):
-        total += lobe[k]
+    for k in range(len(values)):
+        total += values[k]
         widest = max(widest, chord[k])
     if widest >= NARROW_CHORD_SQUARED:
         # δ of 29° or more, where only a rough surface shows a lobe
-        return _integrals(p, n, v, n_dot_v, panel, area, inverse_two_sigma_squared, count_s, count_t)[1]
-    return total * width * height / specular_cosine(n_dot_v)
+        return _integrals(p, n, v, n_dot_v, panel, area, lobe, count_s, count_t)[1]
+    return total * width * height / specular_divisor(n_dot_v, lobe)
 
 
 @kernel
-def out_of_reach(p: Vector, n: Vector, v: Vector, panel: PanelNumbers, inverse_two_sigma_squared: float) -> bool:
+def out_of_reach(p: Vector, n: Vector, v: Vector, panel: PanelNumbers, lobe: Lobe) -> bool:
     """Whether the lobe is surely negligible all over the panel: a quick test that looks at its centre alone."""
     half, spread = half_vector_cone(p, v, panel.centre, half_diagonal(panel))
     # the chord is never more than the angle
     nearest = max(0.0, length(minus(n, half)) - spread)
-    return (spread < math.pi) & (nearest * nearest * inverse_two_sigma_squared > NEGLIGIBLE_EXPONENT)
+    return (spread < math.pi) & (nearest * nearest * lobe.inverse > _NEGLIGIBLE_SHARE * lobe.farthest)
 
 
 @kernel

@@ -22,6 +22,7 @@ from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import dot, vector_at
 from lightopt.lights import PanelNumbers
+from lightopt.optics import Lobe
 from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
 
 # what a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle
@@ -42,14 +43,14 @@ class ConvergedLight(NamedTuple):
     """A panel in the part's frame, and how bright its light is on a surface.
 
     diffuse_level, specular_level: Grey levels per unit of the two terms: R_d and R_s times the panel's total weight
-    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
+    lobe: Of the specular term
     nodes: Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission; a cell needs fewer
     """
 
     panel: PanelNumbers
     diffuse_level: float
     specular_level: float
-    inverse_two_sigma_squared: float
+    lobe: Lobe
     nodes: int
 
 
@@ -134,7 +135,7 @@ def add_visible_cells(
 ) -> Float64:
     """Add the light of the visible cells to `terms`; return the levels of the whole of each crossed one, (q, n, n)."""
     point, s, t, cell = squares
-    panel, inverse = light.panel, light.inverse_two_sigma_squared
+    panel, lobe = light.panel, light.lobe
     q, n = len(point), state.shape[1] - 1
     stake = np.zeros((q, n, n))
     few = math.ceil(2.0 * light.nodes * cell)
@@ -142,7 +143,7 @@ def add_visible_cells(
         k = point[i]
         p, normal, v = vector_at(points, k), vector_at(normals, k), vector_at(views, k)
         n_dot_v = dot(normal, v)
-        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, inverse)
+        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, lobe)
         for row in range(n):
             t0 = t[i] + row * cell - 0.5
             column = 0
@@ -160,7 +161,7 @@ def add_visible_cells(
                 d = rectangle_diffuse(p, normal, panel, area, order)
                 g = 0.0
                 if glossy:
-                    g = rectangle_specular(p, normal, v, n_dot_v, panel, area, inverse, light.nodes)
+                    g = rectangle_specular(p, normal, v, n_dot_v, panel, area, lobe, light.nodes)
                 if kind == VISIBLE:
                     terms[k, 0] += d
                     terms[k, 1] += g
@@ -186,7 +187,7 @@ def add_crossed_cells(
 ) -> None:
     """Add the light of the visible part of the crossed cells, except those `left_out`, to `terms`."""
     point, s, t, cell = squares
-    panel, inverse = light.panel, light.inverse_two_sigma_squared
+    panel, lobe = light.panel, light.lobe
     q, n = len(point), state.shape[1] - 1
     runs = np.empty((4 * MOST_STRIPS, 4))
     few = math.ceil(2.0 * light.nodes * cell)
@@ -194,7 +195,7 @@ def add_crossed_cells(
         k = point[i]
         p, normal, v = vector_at(points, k), vector_at(normals, k), vector_at(views, k)
         n_dot_v = dot(normal, v)
-        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, inverse)
+        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, lobe)
         for row in range(n):
             for column in range(n):
                 kind = _cell_kind(state, i, row, column)
@@ -209,7 +210,7 @@ def add_crossed_cells(
                     area = Rectangle(s0, s1, t0, t1)
                     terms[k, 0] += rectangle_diffuse(p, normal, panel, area, few)
                     if glossy:
-                        terms[k, 1] += rectangle_specular(p, normal, v, n_dot_v, panel, area, inverse, light.nodes)
+                        terms[k, 1] += rectangle_specular(p, normal, v, n_dot_v, panel, area, lobe, light.nodes)
 
 
 @kernel

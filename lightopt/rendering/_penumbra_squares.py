@@ -173,7 +173,7 @@ def _smoothly_lit(p: Vector, n: Vector, facet: Vector, v: Vector, specular: floa
     if light.specular_level * specular <= GLOSSY_LEVEL:
         return True
     _, spread = half_vector_cone(p, v, panel.centre, half_diagonal(panel))
-    return 0.5 / light.inverse_two_sigma_squared >= (LEAST_LOBE * spread) ** 2
+    return 0.5 / light.lobe.inverse >= (LEAST_LOBE * spread) ** 2
 
 
 @kernel

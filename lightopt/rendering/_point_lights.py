@@ -11,11 +11,12 @@ from lightopt.core.vectors import Vector, column_at, dot, minus, plus, scaled, v
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, attenuated, panel_grid, panel_numbers
 from lightopt.optics import (
-    MAX_LOBE_EXPONENT,
     NARROW_CHORD_SQUARED,
+    Lobe,
     lambert,
-    narrow_specular_lobe,
-    specular_cosine,
+    light_factor,
+    narrow_gaussian,
+    specular_divisor,
     specular_lobe,
 )
 from lightopt.rendering._surface import SurfacePoints
@@ -30,14 +31,13 @@ _LEAST_SHARE = 0.25
 
 @kernel
 def point_terms(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, q: Vector, panel: PanelNumbers, inverse_two_sigma_squared: float
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, q: Vector, panel: PanelNumbers, lobe: Lobe
 ) -> tuple[float, float]:
     """Diffuse and specular terms, per unit of R_d and R_s, of one point light of weight 1 (paper, equations 2 and 3).
 
     p, n, v: Surface point [mm], its unit normal and unit view direction
     n_dot_v: cosθ_o; 0 leaves the specular term out
     q: The point light [mm], a point of the panel
-    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
     """
     light = minus(q, p)
     r2 = dot(light, light)
@@ -51,35 +51,35 @@ def point_terms(
         return diffuse, 0.0
     half = plus(light, v)
     length_squared = dot(half, half)
-    if not _near_lobe(dot(n, half), length_squared, inverse_two_sigma_squared):
+    if not _near_lobe(dot(n, half), length_squared, lobe):
         return diffuse, 0.0
-    chord = minus(n, scaled(half, 1.0 / math.sqrt(length_squared)))
-    lobe = specular_lobe(dot(chord, chord), inverse_two_sigma_squared)
-    return diffuse, weight * (lobe / specular_cosine(n_dot_v))
+    size = math.sqrt(length_squared)
+    chord = minus(n, scaled(half, 1.0 / size))
+    value = specular_lobe(dot(chord, chord), lobe) * light_factor(n_dot_l, size, lobe)
+    return diffuse, weight * (value / specular_divisor(n_dot_v, lobe))
 
 
 @kernel
-def _near_lobe(n_dot_h: float, length_squared: float, inverse_two_sigma_squared: float) -> bool:
+def _near_lobe(n_dot_h: float, length_squared: float, lobe: Lobe) -> bool:
     # whether there is a specular term at all, from N·H' and |H'|² of the half vector H' = L + V: far from the lobe,
     # where most pixels of a glossy part are, not even its square root is needed
-    least_cosine = 1.0 - 0.5 * MAX_LOBE_EXPONENT / inverse_two_sigma_squared
+    least_cosine = 1.0 - 0.5 * lobe.farthest / lobe.inverse
     within = (n_dot_h > 0.0) & (n_dot_h * n_dot_h >= least_cosine * least_cosine * length_squared)
     return within | (least_cosine <= 0.0)
 
 
 def shade_points(
-    surface: SurfacePoints, light: PanelLight, *, points: int, sigma: float, caster: RayCaster | None
+    surface: SurfacePoints, light: PanelLight, *, points: int, lobe: Lobe, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of a panel of m points, per unit of R_d and R_s; two arrays of shape (k,).
 
     light: Part frame
     points: m = k²
-    sigma: Of the specular lobe [rad]
     """
     # points are independent of each other: chunks bound the memory whatever m is
     step = max(1, PAIRS_AT_ONCE // points)
     chunks = [
-        _shade_chunk(surface.take(slice(start, start + step)), light, points, sigma, caster)
+        _shade_chunk(surface.take(slice(start, start + step)), light, points, lobe, caster)
         for start in range(0, len(surface), step)
     ]
     if len(chunks) == 1:
@@ -89,7 +89,7 @@ def shade_points(
 
 
 def _shade_chunk(
-    surface: SurfacePoints, light: PanelLight, points: int, sigma: float, caster: RayCaster | None
+    surface: SurfacePoints, light: PanelLight, points: int, lobe: Lobe, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     end_if_stopped()
     grid = panel_grid(light, points)
@@ -102,7 +102,7 @@ def _shade_chunk(
         clear,
         panel_numbers(light),
         light.total_weight / points,
-        0.5 / sigma**2,
+        lobe,
     )
 
 
@@ -157,7 +157,7 @@ def add_points(
     clear: Bool,
     panel: PanelNumbers,
     weight: float,
-    inverse_two_sigma_squared: float,
+    lobe: Lobe,
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of point lights, per unit of R_d and R_s; two arrays of shape (k,).
 
@@ -165,14 +165,13 @@ def add_points(
     targets: The point lights [mm], shape (m, 3)
     clear: Whether nothing is on the way from a light to a point, shape (m, k)
     weight: Of each light
-    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
     """
     diffuse, specular = np.zeros(len(points)), np.zeros(len(points))
     # the processor works on several points at once in loops without branches over numbers that lie side by side
     p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
     n_dot_v, chord_squared = np.empty(_AT_ONCE), np.empty(_AT_ONCE)
     terms, r2, cosine = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE)
-    near, lobes = np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE)
+    near, lobes, factors = np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE), np.ones(_AT_ONCE)
     for first in range(0, len(points), _AT_ONCE):
         count = min(_AT_ONCE, len(points) - first)
         for j in range(count):
@@ -200,19 +199,20 @@ def add_points(
                 length_squared = dot(half, half)
                 chord = minus(normal, scaled(half, 1.0 / math.sqrt(length_squared)))
                 chord_squared[j] = dot(chord, chord)
-                lobe = _near_lobe(dot(normal, half), length_squared, inverse_two_sigma_squared)
-                near[j] = lit & (n_dot_v[j] > 0.0) & lobe
+                near[j] = lit & (n_dot_v[j] > 0.0) & _near_lobe(dot(normal, half), length_squared, lobe)
+                if not lobe.plain:
+                    factors[j] = light_factor(max(n_dot_l, 0.0), math.sqrt(length_squared), lobe)
             for j in range(count):
                 own_diffuse[j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * terms[j])
-            all_at_once = np.count_nonzero(near[:count]) > _LEAST_SHARE * count
+            all_at_once = lobe.plain and np.count_nonzero(near[:count]) > _LEAST_SHARE * count
             if all_at_once:
                 for j in range(count):
                     chord = min(chord_squared[j], NARROW_CHORD_SQUARED)
-                    lobes[j] = narrow_specular_lobe(chord, inverse_two_sigma_squared)
+                    lobes[j] = narrow_gaussian(chord, lobe.inverse)
             for j in range(count):
                 if near[j]:
                     narrow = all_at_once and chord_squared[j] < NARROW_CHORD_SQUARED
-                    lobe = lobes[j] if narrow else specular_lobe(chord_squared[j], inverse_two_sigma_squared)
-                    lobe = lobe / specular_cosine(n_dot_v[j])
-                    own_specular[j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * lobe)
+                    value = lobes[j] if narrow else specular_lobe(chord_squared[j], lobe) * factors[j]
+                    value = value / specular_divisor(n_dot_v[j], lobe)
+                    own_specular[j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * value)
     return diffuse, specular

@@ -30,7 +30,19 @@ from lightopt.lights import (
     place_on_element,
     plane_places,
 )
-from lightopt.optics import NARROW_CHORD_SQUARED, Reflectance, narrow_specular_lobe, specular_cosine, specular_lobe
+from lightopt.optics import (
+    EVERYWHERE,
+    NARROW_CHORD_SQUARED,
+    Lobe,
+    Reflectance,
+    farthest_exponent,
+    light_factor,
+    narrow_gaussian,
+    narrow_lobe,
+    specular_divisor,
+    specular_lobe,
+    wide_lobe,
+)
 from lightopt.rendering._panel_quadrature import (
     NODES,
     WEIGHTS,
@@ -40,6 +52,7 @@ from lightopt.rendering._panel_quadrature import (
     least_in_box,
     lobe_window,
     node_count,
+    peak,
 )
 from lightopt.rendering._pattern_weights import pattern_weights, picture_weights
 from lightopt.rendering._point_lights import facing_targets
@@ -57,6 +70,8 @@ NEGLIGIBLE_LEVEL = 0.02  # elements whose highlight is less are not divided [gre
 STEPS = 6  # Newton steps to where the lobe is brightest
 FAR_OFF = 1.5  # of the negligible exponent: where the quadratic form's least is more, so is the exponent
 NEAR = 0.02  # of an element's sides: steps that are less end the search
+MOST_ENDS, _RINGS, TAIL_GROWTH = 24, 11, 3.2  # of the pieces that a side is taken in for a lobe with tails
+_TAIL_DIGITS = 5.0  # ½·ln of what a rule's error is divided by
 _CROSSING_STEPS, _CROSSING_NEAR = 20, 1e-9  # of the search for the horizon, and how near it is, as a share of a side
 
 _SIDE_BY_SIDE = 512  # points whose numbers are in the processor's nearest cache together
@@ -112,7 +127,7 @@ def diffuse_of_element(p: Vector, n: Vector, places: Float64, light: Float64, we
 
 @kernel
 def _values_of_nodes(
-    p: Vector, n: Vector, v: Vector, e: Element, area: Rectangle, counts: tuple[int, int], inverse: float
+    p: Vector, n: Vector, v: Vector, e: Element, area: Rectangle, counts: tuple[int, int], lobe: Lobe
 ) -> Float64:
     # lobe times radiance · cosα / r² · dA per ds dt of the nodes of a part of an element, shape (count_s, count_t); 0
     # below the horizon. As in `whole_panel`, the processor works on several nodes at once
@@ -129,19 +144,23 @@ def _values_of_nodes(
         for j in range(count_t):
             q, along_s, along_t = place_on_element(e, s, at_t[j], of_s, (cosine[j], sine[j]))
             towards = minus(q, p)
-            half = plus(scaled(towards, 1.0 / length(towards)), v)
-            away = minus(n, scaled(half, 1.0 / length(half)))
+            distance = length(towards)
+            half = plus(scaled(towards, 1.0 / distance), v)
+            size, height = length(half), dot(n, towards)
+            away = minus(n, scaled(half, 1.0 / size))
             chord[j] = dot(away, away)
-            row[j] = element_weight(e, towards, along_s, along_t) if dot(n, towards) > 0.0 else 0.0
+            row[j] = element_weight(e, towards, along_s, along_t) if height > 0.0 else 0.0
+            if not lobe.plain:
+                row[j] *= light_factor(max(height, 0.0) / distance, size, lobe)
         widest = 0.0
         for j in range(count_t):
             widest = max(widest, chord[j])
-        if widest < NARROW_CHORD_SQUARED:
+        if widest < NARROW_CHORD_SQUARED and lobe.plain:
             for j in range(count_t):
-                row[j] *= narrow_specular_lobe(chord[j], inverse)
+                row[j] *= narrow_gaussian(chord[j], lobe.inverse)
         else:
             for j in range(count_t):
-                row[j] *= specular_lobe(chord[j], inverse)
+                row[j] *= specular_lobe(chord[j], lobe)
     return values
 
 
@@ -200,18 +219,20 @@ def _add_above_horizon(
     area: Rectangle,
     counts: tuple[int, int],
     terms: Float64,
-    inverse: float,
+    lobe: Lobe,
+    share: float,
     found: Float64,
 ) -> None:
-    # the specular light of a part of an element that the horizon crosses, added for each term: rows of nodes along v
-    # end at the horizon, and are taken apart along u where it meets the sides
+    # a share of the specular light of a part of an element that the horizon crosses, added for each term: rows of nodes
+    # along v end at the horizon, and are taken apart along u where it meets the sides
     count_s, count_t = counts
+    whole = share / specular_divisor(dot(n, v), lobe)
     ends = np.array([area.s0, area.s0, area.s0, area.s1])
     for side in range(2):
         t = area.t1 if side else area.t0
-        share = _crossing(p, n, e, (area.s0, t), (area.s1, t))
-        if share > 0.0:
-            ends[1 + side] = area.s0 + share * (area.s1 - area.s0)
+        along = _crossing(p, n, e, (area.s0, t), (area.s1, t))
+        if along > 0.0:
+            ends[1 + side] = area.s0 + along * (area.s1 - area.s0)
     ends.sort()
     weights_s, weights_t = np.empty((len(terms), count_s)), np.empty(count_t)
     for piece in range(3):
@@ -222,31 +243,31 @@ def _add_above_horizon(
             pattern_weights(terms[b], 0, start, width, count_s, False, weights_s[b])
         for i in range(count_s):
             s, low, high = start + width * NODES[count_s, i], area.t0, area.t1
-            share = _crossing(p, n, e, (s, low), (s, high))
-            if share >= 0.0:
-                border = low + share * (high - low)
+            along = _crossing(p, n, e, (s, low), (s, high))
+            if along >= 0.0:
+                border = low + along * (high - low)
                 if _height(p, n, e, s, low) > 0.0:
                     high = border
                 else:
                     low = border
             elif _height(p, n, e, s, 0.5 * (low + high)) <= 0.0:
                 continue
-            values = _values_of_nodes(p, n, v, e, Rectangle(s, s, low, high), (1, count_t), inverse)[0]
-            factor = width * (high - low) / specular_cosine(dot(n, v))
+            values = _values_of_nodes(p, n, v, e, Rectangle(s, s, low, high), (1, count_t), lobe)[0]
+            factor = width * (high - low) * whole
             for b in range(len(terms)):
                 pattern_weights(terms[b], 1, low, high - low, count_t, False, weights_t)
                 found[b] += factor * weights_s[b, i] * np.dot(weights_t, values)
 
 
 @kernel
-def lobe_reaches(p: Vector, n: Vector, v: Vector, e: Element, inverse: float, most: float) -> bool:
+def lobe_reaches(p: Vector, n: Vector, v: Vector, e: Element, lobe: Lobe, most: float) -> bool:
     """Whether the lobe of a point may not be negligible on an element: a quick test.
 
-    most: Exponent from which the lobe is negligible
+    most: The lobe is negligible where it is less than e^−most of its height
     """
     half, spread = half_vector_cone(p, v, e.centre, e.reach)
     nearest = max(0.0, length(minus(n, half)) - spread)
-    return (spread >= math.pi) | (nearest * nearest * inverse <= most)
+    return (spread >= math.pi) | (nearest * nearest * lobe.inverse <= farthest_exponent(most, lobe))
 
 
 @kernel
@@ -257,20 +278,35 @@ def specular_of_element(
     e: Element,
     area: Rectangle,
     pattern: Pattern,
-    inverse: float,
+    lobe: Lobe,
     most: float,
     found: Float64,
 ) -> None:
     """Add the specular light of a piece of an element per unit of R_s (paper, equation 3), for each pattern term.
 
     area: The piece, by u and v
-    inverse: 1/(2σ²) [rad⁻²]
-    most: Exponent from which the lobe is negligible
+    most: The lobe is negligible where it is less than e^−most of its height
     found: Shape (b,)
     """
-    n_dot_v, terms = dot(n, v), pattern.terms
-    if n_dot_v <= 0.0:
+    if dot(n, v) <= 0.0:
         return
+    if lobe.plain:
+        _add_gaussian(p, n, v, e, area, pattern, lobe, most, 1.0, found)
+    elif lobe.ggx:
+        _add_tailed(p, n, v, e, area, pattern, lobe, most, found)
+    else:
+        _add_gaussian(p, n, v, e, area, pattern, narrow_lobe(lobe), most, 1.0, found)
+        if lobe.wide_share > 0.0:
+            least = most + math.log(lobe.wide_share)
+            _add_gaussian(p, n, v, e, area, pattern, wide_lobe(lobe), least, lobe.wide_share, found)
+
+
+@kernel
+def _nearest(
+    p: Vector, n: Vector, v: Vector, e: Element, area: Rectangle, inverse: float, far: float
+) -> tuple[float, float, float, float, float, float, float, float]:
+    # where on a piece of an element the lobe is greatest, (s, t); half the Hessian [[a, b], [b, c]] and half the
+    # gradient (gs, gt) of the exponent δ²/(2σ²) there, and its value, which is infinite where it is surely beyond `far`
     s, t = 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)
     wide, high = area.s1 - area.s0, area.t1 - area.t0
     a = b = c = gs = gt = least = 0.0
@@ -286,12 +322,30 @@ def specular_of_element(
         least = inverse * (hx * hx + hy * hy)
         ns, nt = least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, area)
         ds, dt = ns - s, nt - t
-        if least + 2.0 * (gs * ds + gt * dt) + a * ds * ds + 2.0 * b * ds * dt + c * dt * dt > FAR_OFF * most + 1.0:
-            return
+        if least + 2.0 * (gs * ds + gt * dt) + a * ds * ds + 2.0 * b * ds * dt + c * dt * dt > far:
+            return s, t, a, b, c, gs, gt, np.inf
         moved = max(abs(ds) / wide, abs(dt) / high)
         if moved < NEAR:
             break
         s, t = ns, nt
+    return s, t, a, b, c, gs, gt, least
+
+
+@kernel
+def _add_gaussian(
+    p: Vector,
+    n: Vector,
+    v: Vector,
+    e: Element,
+    area: Rectangle,
+    pattern: Pattern,
+    lobe: Lobe,
+    most: float,
+    share: float,
+    found: Float64,
+) -> None:
+    # adds a share of the light of one Gaussian lobe
+    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, e, area, lobe.inverse, FAR_OFF * most + 1.0)
     if least > most:
         return
     window = lobe_window(a, b, c, gs, gt, s, t, least, area)
@@ -305,7 +359,81 @@ def specular_of_element(
     if least > FLANK:
         count_s, count_t = count_s - 2, count_t - 2
     count_s, count_t = max(min(count_s, few), LEAST_NODES), max(min(count_t, few), LEAST_NODES)
-    pictures = 0
+    _add_window(p, n, v, e, window, (count_s, count_t), pattern, lobe, share, found)
+
+
+@kernel
+def _add_tailed(
+    p: Vector,
+    n: Vector,
+    v: Vector,
+    e: Element,
+    area: Rectangle,
+    pattern: Pattern,
+    lobe: Lobe,
+    most: float,
+    found: Float64,
+) -> None:
+    # adds the light of a lobe with tails. Pieces whose sides grow with the distance from where it is greatest take as
+    # many nodes each
+    s, t, a, _, c, gs, gt, least = _nearest(p, n, v, e, area, lobe.inverse, EVERYWHERE)
+    if least > farthest_exponent(most, lobe):
+        return
+    ends_s, ends_t = np.empty(MOST_ENDS), np.empty(MOST_ENDS)
+    centre_s, width_s = peak(a, gs, least, s, area.s0, area.s1)
+    centre_t, width_t = peak(c, gt, least, t, area.t0, area.t1)
+    count_s = _set_ends(centre_s, width_s, area.s0, area.s1, ends_s)
+    count_t = _set_ends(centre_t, width_t, area.t0, area.t1, ends_t)
+    for i in range(count_s):
+        nodes_s = _tail_count(ends_s[i], ends_s[i + 1], centre_s, width_s)
+        for j in range(count_t):
+            nodes_t = _tail_count(ends_t[j], ends_t[j + 1], centre_t, width_t)
+            window = Rectangle(ends_s[i], ends_s[i + 1], ends_t[j], ends_t[j + 1])
+            _add_window(p, n, v, e, window, (nodes_s, nodes_t), pattern, lobe, 1.0, found)
+
+
+@kernel
+def _set_ends(centre: float, width: float, low: float, high: float, ends: Float64) -> int:
+    # where the pieces of a side end, in order; returns how many pieces there are
+    ends[0], count = low, 0
+    for number in range(-_RINGS, _RINGS + 1):
+        if number == 0:
+            continue
+        away = width * TAIL_GROWTH ** (abs(number) - 1)
+        end = centre - away if number < 0 else centre + away
+        if ends[count] < end < high:
+            count += 1
+            ends[count] = end
+    ends[count + 1] = high
+    return count + 1
+
+
+@kernel
+def _tail_count(low: float, high: float, centre: float, width: float) -> int:
+    # nodes of a piece of a side
+    half = 0.5 * (high - low) / width
+    x, y = (0.5 * (low + high) - centre) / width / half, 1.0 / half
+    axis = 0.5 * (math.sqrt((x - 1.0) ** 2 + y * y) + math.sqrt((x + 1.0) ** 2 + y * y))
+    rate = math.log(axis + math.sqrt(axis * axis - 1.0))
+    return min(max(math.ceil(_TAIL_DIGITS / rate), LEAST_NODES), MOST_NODES)
+
+
+@kernel
+def _add_window(
+    p: Vector,
+    n: Vector,
+    v: Vector,
+    e: Element,
+    window: Rectangle,
+    counts: tuple[int, int],
+    pattern: Pattern,
+    lobe: Lobe,
+    share: float,
+    found: Float64,
+) -> None:
+    # adds a share of the light of a part of an element by so many nodes, and more where the pattern needs them
+    count_s, count_t = counts
+    terms, width, height, pictures = pattern.terms, window.s1 - window.s0, window.t1 - window.t0, 0
     for b in range(len(terms)):
         wave, of_v, edged = terms[b, 2], int(terms[b, 1]) == 1, terms[b, 4] > 0.0
         if wave == 0.0:
@@ -324,10 +452,10 @@ def specular_of_element(
     if pictures > 0:
         count_s, count_t = min(MOST_PATTERN_NODES, 2 * count_s), min(MOST_PATTERN_NODES, 2 * count_t)
     elif _horizon_crosses(p, n, e, window):
-        _add_above_horizon(p, n, v, e, window, (count_s, count_t), terms, inverse, found)
+        _add_above_horizon(p, n, v, e, window, (count_s, count_t), terms, lobe, share, found)
         return
-    factor = width * height / specular_cosine(n_dot_v)
-    values = _values_of_nodes(p, n, v, e, window, (count_s, count_t), inverse)
+    factor = share * (width * height / specular_divisor(dot(n, v), lobe))
+    values = _values_of_nodes(p, n, v, e, window, (count_s, count_t), lobe)
     if len(terms) == 1 and terms[0, 2] == 0.0:
         for i in range(count_s):
             total = 0.0
@@ -379,13 +507,14 @@ def _piece(e: Element, number: int) -> Rectangle:
 
 
 @kernel
-def _most_exponents(normals: Float64, views: Float64, most: float) -> Float64:
-    # exponents from which lobes are negligible, given that where cosθ_o is 1; −1 where there is no specular light
+def _most_exponents(normals: Float64, views: Float64, most: float, lobe: Lobe) -> Float64:
+    # where less than e to the power of minus this of a lobe is negligible, given that where cosθ_o is 1; −1 where there
+    # is no specular light
     limits = np.full(len(normals), -1.0)
     for i in range(len(normals)):
         cosine = dot(vector_at(normals, i), vector_at(views, i))
         if cosine > 0.0 and most >= 0.0:
-            limits[i] = max(0.0, most - math.log(specular_cosine(cosine)))
+            limits[i] = max(0.0, most - math.log(specular_divisor(cosine, lobe)))
     return limits
 
 
@@ -412,7 +541,7 @@ def _add_elements(
     pattern: Pattern,
     group: Index,
     clear: Bool,
-    inverse: float,
+    lobe: Lobe,
     most: float,
     diffuse: Float64,
     specular: Float64,
@@ -421,7 +550,7 @@ def _add_elements(
     # light of each element and term per unit of R_s, whatever hides it, shape (e, b, k). The processor works on several
     # points at once in loops without branches over numbers that lie side by side
     terms = len(pattern.terms)
-    found, limits = np.empty(terms), _most_exponents(normals, views, most)
+    found, limits = np.empty(terms), _most_exponents(normals, views, most, lobe)
     places, light, weights = all_diffuse_nodes(elements, pattern)
     p, n, v = np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE))
     value, near, limit = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE, np.bool_), np.empty(_SIDE_BY_SIDE)
@@ -449,13 +578,13 @@ def _add_elements(
             for j in range(count):
                 point, normal = column_at(p, j), column_at(n, j)
                 above = dot(normal, minus(e.centre, point)) > -e.reach
-                near[j] = above & lobe_reaches(point, normal, column_at(v, j), e, inverse, limit[j])
+                near[j] = above & lobe_reaches(point, normal, column_at(v, j), e, lobe, limit[j])
             for j in range(count):
                 if near[j]:
                     i = first + j
                     found[:] = 0.0
                     geometry = column_at(p, j), column_at(n, j), column_at(v, j)
-                    specular_of_element(*geometry, e, whole_element(e), pattern, inverse, limit[j], found)
+                    specular_of_element(*geometry, e, whole_element(e), pattern, lobe, limit[j], found)
                     for b in range(terms):
                         specular[m, b, i] = found[b]
 
@@ -496,19 +625,19 @@ def _replace_pieces(
     element: Index,
     point: Index,
     free: Bool,
-    inverse: float,
+    lobe: Lobe,
     most: float,
     specular: Float64,
 ) -> None:
     found = np.empty(len(pattern.terms))
-    limits = _most_exponents(normals, views, most)
+    limits = _most_exponents(normals, views, most, lobe)
     for k in range(len(point)):
         i, m = point[k], element[k]
         p, n, v, e = vector_at(points, i), vector_at(normals, i), vector_at(views, i), element_at(elements, m)
         found[:] = 0.0
         for number in range(PIECES * PIECES):
             if free[k, number]:
-                specular_of_element(p, n, v, e, _piece(e, number), pattern, inverse, limits[i], found)
+                specular_of_element(p, n, v, e, _piece(e, number), pattern, lobe, limits[i], found)
         specular[m, :, i] = found
 
 
@@ -594,7 +723,7 @@ def _shade_chunk(
     # diffuse and specular light, shape (2, channels, k)
     end_if_stopped()
     elements, pattern, shares = channels.elements, channels.pattern, channels.shares
-    inverse = 0.5 / reflectance.sigma**2
+    lobe = reflectance.lobe
     # where the lobe's exponent is more, an element adds nothing to a level
     greatest = weight * reflectance.R_s / LEAST_LEVEL
     most = math.log(max(greatest, 1.0)) if greatest > 0.0 else -1.0
@@ -604,7 +733,7 @@ def _shade_chunk(
     specular = np.zeros((len(elements), len(pattern.terms), size))
     geometry = surface.points, surface.normals, surface.views
     diffusing = clear if reflectance.R_d > 0.0 else np.zeros_like(clear)
-    _add_elements(*geometry, elements, pattern, channels.group, diffusing, inverse, most, diffuse, specular)
+    _add_elements(*geometry, elements, pattern, channels.group, diffusing, lobe, most, diffuse, specular)
     specular[..., ~surface.front] = 0.0
     if caster is not None and hidden.any():
         # in the channel where they are brightest
@@ -613,7 +742,7 @@ def _shade_chunk(
         element, point = np.nonzero((level > NEGLIGIBLE_LEVEL) & hidden.any(axis=0))
         specular *= clear[:, None]
         free = _free_pieces(surface, elements, caster, element, point)
-        _replace_pieces(*geometry, elements, pattern, element, point, free, inverse, most, specular)
+        _replace_pieces(*geometry, elements, pattern, element, point, free, lobe, most, specular)
     levels = np.zeros((2, len(shares), size))
     _add_channels(diffuse, channels.group_shares, levels[0])
     _add_channels(specular, shares, levels[1])
@@ -647,7 +776,7 @@ def _free_pieces(surface: SurfacePoints, elements: Float64, caster: RayCaster, e
 def light_of_channels(
     surface: SurfacePoints,
     lights: Sequence[SurfaceLight],
-    sigma: float | None,
+    reflectance: Reflectance | None,
     *,
     diffuse: bool = True,
     threads: int | None = None,
@@ -655,12 +784,13 @@ def light_of_channels(
     """Diffuse and specular light at points that see all of a light, per unit of R_d and R_s; shapes (channels, k).
 
     lights: The channels, of the same gain
-    sigma: Width of the lobe [rad]; None for diffuse light alone
+    reflectance: With the lobe; None for diffuse light alone
     diffuse: Whether diffuse light is wanted; it is 0 otherwise
     """
-    reflectance = Reflectance(R_d=float(diffuse), R_s=0.0, sigma=1e-3)
-    if sigma is not None:
-        reflectance = replace(reflectance, R_s=MOST_R_S_SIGMA_2 / sigma**2, sigma=sigma)
+    if reflectance is None:
+        reflectance = Reflectance(R_d=float(diffuse), R_s=0.0, sigma=1e-3)
+    else:
+        reflectance = replace(reflectance, R_d=float(diffuse), R_s=MOST_R_S_SIGMA_2 / reflectance.sigma**2)
     # light is per unit of R_s: only where it is negligible depends on R_s
     threads = threads or available_processors()
     return shade_surface_lights(surface, lights, reflectance=reflectance, caster=None, threads=threads)

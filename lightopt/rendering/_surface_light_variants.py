@@ -16,7 +16,16 @@ from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import Element, Pattern, SurfaceLight, element_at, element_place, element_weight
-from lightopt.optics import NARROW_CHORD_SQUARED, narrow_specular_lobe, specular_cosine, specular_lobe
+from lightopt.optics import (
+    NARROW_CHORD_SQUARED,
+    Lobe,
+    farthest_exponent,
+    light_factor,
+    lobe_of_width,
+    narrow_gaussian,
+    specular_divisor,
+    specular_lobe,
+)
 from lightopt.rendering._panel_quadrature import NODES, half_vector_cone, half_vector_map
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._surface_light import (
@@ -82,31 +91,31 @@ def _specular_of_nodes(
     nodes: Float64,
     light: Float64,
     count: int,
-    inverse: float,
+    lobe: Lobe,
     narrow: bool,
-    lobe: Float64,
+    values: Float64,
     found: Float64,
 ) -> None:
-    # adds to `found`; `narrow`: whether all half vectors are so near; `lobe` is for its own use. The processor works on
-    # several nodes at once in loops without branches
-    if narrow:
+    # adds to `found`; `narrow`: whether all half vectors are so near; `values` is for its own use. The processor works
+    # on several nodes at once in loops without branches
+    if narrow and lobe.plain:
         for k in range(count):
             x, y, z = n.x - nodes[0, k], n.y - nodes[1, k], n.z - nodes[2, k]
             chord = x * x + y * y + z * z
             # N·L = 2 (N·H)(H·V) − N·V, and N·H = 1 − chord²/2
             lit = (1.0 - 0.5 * chord) * nodes[3, k] > n_dot_v
-            lobe[k] = narrow_specular_lobe(chord, inverse) if lit else 0.0
+            values[k] = narrow_gaussian(chord, lobe.inverse) if lit else 0.0
     else:
         for k in range(count):
             x, y, z = n.x - nodes[0, k], n.y - nodes[1, k], n.z - nodes[2, k]
             chord = x * x + y * y + z * z
-            lit = (1.0 - 0.5 * chord) * nodes[3, k] > n_dot_v
-            lobe[k] = specular_lobe(chord, inverse) if lit else 0.0
-    factor = 1.0 / specular_cosine(n_dot_v)
+            n_dot_l = (1.0 - 0.5 * chord) * nodes[3, k] - n_dot_v
+            values[k] = specular_lobe(chord, lobe) * light_factor(n_dot_l, nodes[3, k], lobe) if n_dot_l > 0.0 else 0.0
+    factor = 1.0 / specular_divisor(n_dot_v, lobe)
     for b in range(len(light)):
         total = 0.0
         for k in range(count):
-            total += light[b, k] * lobe[k]
+            total += light[b, k] * values[k]
         found[b] += factor * total
 
 
@@ -152,11 +161,14 @@ def _variant_sums(
 ) -> None:
     # levels of the variants of each point under each channel, shape (channels, t, k). The light of the elements of a
     # group is summed, of which a channel has `shares`, shape (channels, groups, b)
-    lean, R_d, R_s, inverse, most = variants
-    sharpest, reach = inverse.max(), math.sqrt((most / inverse).max())
+    lean, R_d, R_s, inverse, most, form = variants
+    sharpest, reach = inverse.max(), 0.0
+    for t in range(len(inverse)):
+        own = lobe_of_width(form, inverse[t])
+        reach = max(reach, math.sqrt(farthest_exponent(most[t], own) / inverse[t]))
     terms, groups, count = len(pattern.terms), shares.shape[1], len(lean)
     found, whole = np.empty(terms), np.empty((terms, 3))
-    nodes, shared, lobe = np.empty((4, MOST_SHARED**2)), np.empty((terms, MOST_SHARED**2)), np.empty(MOST_SHARED**2)
+    nodes, shared, values = np.empty((4, MOST_SHARED**2)), np.empty((terms, MOST_SHARED**2)), np.empty(MOST_SHARED**2)
     towards, sums = np.empty((groups, terms, 3)), np.empty((groups, count, terms))
     turned_normals, n_dot_v = np.empty((count, 3)), np.empty(count)
     places, light, weights = all_diffuse_nodes(elements, pattern)
@@ -197,9 +209,10 @@ def _variant_sums(
                             sums[g, t, b] += R_d[t] * found[b]
                 if far or n_dot_v[t] <= 0.0:
                     continue
+                lobe = lobe_of_width(form, inverse[t])
                 away = length(minus(turned, half))
                 nearest = max(0.0, away - spread)
-                if spread < math.pi and nearest * nearest * inverse[t] > most[t]:
+                if spread < math.pi and nearest * nearest * inverse[t] > farthest_exponent(most[t], lobe):
                     continue
                 if counts[0] == 0:
                     counts = _shared_counts(p, n, v, e, sharpest)
@@ -209,9 +222,9 @@ def _variant_sums(
                 if max(counts) <= MOST_SHARED:
                     number = counts[0] * counts[1]
                     narrow = (away + spread) ** 2 < NARROW_CHORD_SQUARED
-                    _specular_of_nodes(turned, n_dot_v[t], nodes, shared, number, inverse[t], narrow, lobe, found)
+                    _specular_of_nodes(turned, n_dot_v[t], nodes, shared, number, lobe, narrow, values, found)
                 else:
-                    specular_of_element(p, turned, v, e, whole_element(e), pattern, inverse[t], most[t], found)
+                    specular_of_element(p, turned, v, e, whole_element(e), pattern, lobe, most[t], found)
                 for b in range(terms):
                     sums[g, t, b] += R_s[t] * found[b]
         for t in range(count):

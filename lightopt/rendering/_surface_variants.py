@@ -23,10 +23,14 @@ from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, attenuated, 
 from lightopt.optics import (
     MIN_COS_VIEW,
     NARROW_CHORD_SQUARED,
+    Lobe,
     Reflectance,
+    farthest_exponent,
     lambert,
-    narrow_specular_lobe,
-    specular_cosine,
+    light_factor,
+    lobe_of_width,
+    narrow_gaussian,
+    specular_divisor,
     specular_lobe,
 )
 from lightopt.rendering._converged_panel import ConvergedPanel, channel_groups, panel_probes, probe_targets
@@ -192,7 +196,7 @@ def _point_variants(
         clear = clear_targets(replace(surface, normals=surface.facets), grid, caster, geometric=False)
     numbers, weight = panel_numbers(light), light.total_weight / light.points
     diffuse, specular = add_points(
-        surface.points, surface.normals, surface.views, grid, clear, numbers, weight, 0.5 / reflectance.sigma**2
+        surface.points, surface.normals, surface.views, grid, clear, numbers, weight, reflectance.lobe
     )
     # large arrays that NumPy makes have large pages
     varied = np.empty((len(variants.lean), len(surface)), dtype)
@@ -211,6 +215,7 @@ def _point_variants(
             variants.R_s,
             0.5 / variants.sigma**2,
             _most_exponents(variants.R_s, light.total_weight, MIN_COS_VIEW),
+            reflectance.lobe,
         ),
         varied,
     )
@@ -231,6 +236,7 @@ def _with_plain(variants: SurfaceVariants, reflectance: Reflectance, weight: flo
         R_s=R_s,
         inverse=0.5 / np.concatenate([[reflectance.sigma], variants.sigma]) ** 2,
         most=_most_exponents(R_s, 1.0, 1.0),
+        lobe=reflectance.lobe,
     )
 
 
@@ -269,7 +275,7 @@ def _point_kernel(
 ) -> None:
     # levels of the variants, shape (t, k)
     count, lights = len(points), len(grid)
-    lean, R_d, R_s, inverse, most = variants  # taken from a tuple, an array's references are counted
+    lean, R_d, R_s, inverse, most, form = variants  # taken from a tuple, an array's references are counted
     frames, sums, towards = np.zeros(18 * _AT_ONCE), np.zeros(4 * _AT_ONCE), np.zeros(3 * _AT_ONCE)
     rays, boxes, lit = np.zeros((lights, 8 * _AT_ONCE)), np.zeros((lights + 1, 2, 3)), np.zeros(lights, np.bool_)
     for first in range(0, count, _AT_ONCE):
@@ -285,7 +291,8 @@ def _point_kernel(
                 if lit[k]:
                     _fill_rays(frames, vector_at(grid, k), panel, weight, clear, k, first, number, rays, boxes, towards)
             for t in range(len(varied)):
-                normal, least_chord = vector_at(lean, t), most[t] / inverse[t]
+                normal, lobe = vector_at(lean, t), lobe_of_width(form, inverse[t])
+                least_chord = farthest_exponent(most[t], lobe) / inverse[t]
                 # of a row's slice the compiler knows that no index counts from the end: it takes several at once
                 own = varied[t, first : first + number]
                 # light is linear in the normal where all that arrives is above the horizon
@@ -295,7 +302,7 @@ def _point_kernel(
                 if above and not shiny:
                     _fill_products(normal, R_d[t], towards, own)
                 else:
-                    variant = normal, R_d[t], R_s[t], inverse[t], least_chord
+                    variant = normal, R_d[t], R_s[t], lobe, least_chord
                     _fill_variant(rays, boxes, lit, frames, variant, sums, own)
         else:
             varied[:, first : first + number] = 0.0
@@ -396,14 +403,14 @@ def _fill_variant(
     boxes: Float64,
     lit: Bool,
     frames: Float64,
-    variant: tuple[Vector, float, float, float, float],
+    variant: tuple[Vector, float, float, Lobe, float],
     sums: Float64,
     varied: Levels,
 ) -> None:
-    # levels of a variant, by its normal, R_d, R_s, 1/(2σ²) and the least |N − H|² without a lobe. Rows of
+    # levels of a variant, by its normal, R_d, R_s, lobe and the least |N − H|² without a lobe. Rows of
     # `sums`: diffuse and specular light, N·V, and |N − H|², infinite where there is no lobe
     number = len(varied)
-    normal, R_d, R_s, inverse, least_chord = variant
+    normal, R_d, R_s, lobe, least_chord = variant
     for j in range(number):
         sums[j] = sums[_AT_ONCE + j] = 0.0
         sums[2 * _AT_ONCE + j] = dot(normal, _vector(frames, 15, j))
@@ -422,17 +429,23 @@ def _fill_variant(
             near = (arriving > 0.0) & (n_dot_l > 0.0) & (sums[2 * _AT_ONCE + j] > 0.0) & (chord < least_chord)
             sums[3 * _AT_ONCE + j] = chord if near else np.inf
             some += near
-        all_at_once = some > _LEAST_SHARE * number
+        all_at_once = lobe.plain and some > _LEAST_SHARE * number
         if all_at_once:
             for j in range(number):
                 chord = sums[3 * _AT_ONCE + j]
-                lobe = narrow_specular_lobe(min(chord, NARROW_CHORD_SQUARED), inverse)
-                sums[_AT_ONCE + j] += rays[k, 6 * _AT_ONCE + j] * lobe if chord < NARROW_CHORD_SQUARED else 0.0
+                value = narrow_gaussian(min(chord, NARROW_CHORD_SQUARED), lobe.inverse)
+                sums[_AT_ONCE + j] += rays[k, 6 * _AT_ONCE + j] * value if chord < NARROW_CHORD_SQUARED else 0.0
         if some > 0 and (not all_at_once or least_chord > NARROW_CHORD_SQUARED):
             for j in range(number):
                 chord = sums[3 * _AT_ONCE + j]
                 if chord < np.inf and not (all_at_once and chord < NARROW_CHORD_SQUARED):
-                    sums[_AT_ONCE + j] += rays[k, 6 * _AT_ONCE + j] * specular_lobe(chord, inverse)
+                    value = specular_lobe(chord, lobe)
+                    if not lobe.plain:
+                        # N·L + N·V = (N·H)·|L + V|
+                        n_dot_l = dot(normal, _ray_vector(rays, k, 0, j))
+                        size = (n_dot_l + sums[2 * _AT_ONCE + j]) / (1.0 - 0.5 * chord)
+                        value *= light_factor(n_dot_l, size, lobe)
+                    sums[_AT_ONCE + j] += rays[k, 6 * _AT_ONCE + j] * value
     for j in range(number):
-        specular = R_s * sums[_AT_ONCE + j] / specular_cosine(sums[2 * _AT_ONCE + j])
+        specular = R_s * sums[_AT_ONCE + j] / specular_divisor(sums[2 * _AT_ONCE + j], lobe)
         varied[j] = R_d * sums[j] + specular

@@ -5,6 +5,7 @@ from typing import NamedTuple
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector
+from lightopt.optics import Lobe
 
 
 class VariantNumbers(NamedTuple):
@@ -13,7 +14,9 @@ class VariantNumbers(NamedTuple):
     lean: Normals in the points' frames, shape (t, 3)
     R_d, R_s: Of each, shape (t,)
     inverse: 1/(2σ²) [rad⁻²], shape (t,)
-    most: Exponent from which the lobe is negligible for the view that it is brightest in, shape (t,)
+    most: The lobe is negligible where it is less than e^−most of its height, for the view that it is brightest in,
+        shape (t,)
+    lobe: Form of all lobes, of any width
     """
 
     lean: Float64
@@ -21,6 +24,7 @@ class VariantNumbers(NamedTuple):
     R_s: Float64
     inverse: Float64
     most: Float64
+    lobe: Lobe
 
 
 @kernel

@@ -4,22 +4,26 @@ import math
 
 import numpy as np
 
-from lightopt.core.arrays import Float64, Int32
+from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import column_at, dot, minus, scaled
-from lightopt.lights import attenuated, panel_point
-from lightopt.optics import lambert
+from lightopt.core.vectors import Vector, column_at, dot, minus, plus, scaled
+from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
+from lightopt.optics import Lobe, lambert, light_factor, narrow_lobe, specular_divisor, specular_lobe
 from lightopt.rendering._panel_quadrature import (
     NODES,
     WEIGHTS,
     WHOLE_PANEL,
+    half_vector_cone,
+    node_count,
     out_of_reach,
     rectangle_diffuse,
     rectangle_specular,
+    tail_nodes,
 )
 from lightopt.rendering._penumbra_cells import ConvergedLight
 
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
+_MOST_EVEN = 6  # nodes a side up to which a lobe is smooth all over the panel
 
 
 @kernel
@@ -32,10 +36,11 @@ def whole_panel(
     index: Of the points, shape (j,)
     terms: Shape (k, 2)
     """
-    panel, inverse, nodes = light.panel, light.inverse_two_sigma_squared, light.nodes
+    panel, lobe, nodes = light.panel, light.lobe, light.nodes
     # the processor works on several points at once in loops without branches over numbers that lie side by side
     p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
     diffuse, above, near = np.empty(_AT_ONCE), np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE, np.bool_)
+    specular, work = np.empty(_AT_ONCE), np.empty((10, _AT_ONCE))
     for first in range(0, len(index), _AT_ONCE):
         count = min(_AT_ONCE, len(index) - first)
         for j in range(count):
@@ -46,7 +51,8 @@ def whole_panel(
             normal = column_at(n, j)
             reach = 0.5 * (abs(dot(normal, panel.across)) + abs(dot(normal, panel.along)))
             above[j] = dot(normal, minus(panel.centre, column_at(p, j))) > reach
-            near[j] = not out_of_reach(column_at(p, j), normal, column_at(v, j), panel, inverse)
+            near[j] = not out_of_reach(column_at(p, j), normal, column_at(v, j), panel, lobe)
+            specular[j] = 0.0
             diffuse[j] = 0.0
         for a in range(nodes):
             for b in range(nodes):
@@ -58,13 +64,81 @@ def whole_panel(
                     towards = scaled(towards, 1.0 / math.sqrt(r2))
                     term = weight * lambert(dot(column_at(n, j), towards))
                     diffuse[j] += attenuated(term, panel, r2, dot(panel.outward, towards))
+        if lobe.ggx or lobe.wide_share > 0.0:
+            _add_smooth(p, n, v, above[:count], near, panel, lobe, nodes, work, specular)
         for j in range(count):
             i = index[first + j]
             point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
             if not above[j]:
                 diffuse[j] = rectangle_diffuse(point, normal, panel, WHOLE_PANEL, nodes)
-            terms[i, 0], terms[i, 1] = diffuse[j], 0.0
+            terms[i, 0], terms[i, 1] = diffuse[j], specular[j]
             if near[j]:
                 terms[i, 1] = rectangle_specular(
-                    point, normal, view, dot(normal, view), panel, WHOLE_PANEL, inverse, nodes
+                    point, normal, view, dot(normal, view), panel, WHOLE_PANEL, lobe, nodes
                 )
+
+
+@kernel
+def _add_smooth(
+    p: Float64,
+    n: Float64,
+    v: Float64,
+    above: Bool,
+    near: Bool,
+    panel: PanelNumbers,
+    lobe: Lobe,
+    panel_nodes: int,
+    work: Float64,
+    specular: Float64,
+) -> None:
+    # where the tails of a lobe, or the wider of two, are smooth all over the panel: sets the light of these points,
+    # which are no longer `near`. The points that take as many nodes are worked out together
+    wanted, place = np.zeros(len(above), np.int64), np.empty(len(above), np.int64)
+    for j in range(len(above)):
+        point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
+        half, spread = half_vector_cone(point, view, panel.centre, half_diagonal(panel))
+        away = math.sqrt(_squared(minus(normal, half)))
+        if lobe.ggx:
+            # singular where δ = ±iα
+            few = tail_nodes(away - spread, away + spread, math.sqrt(2.0 / lobe.inverse))
+        elif out_of_reach(point, normal, view, panel, narrow_lobe(lobe)):
+            few = node_count(lobe.wide_inverse, lobe.wide_inverse * away, -min(spread, away), spread)
+        else:
+            few = _MOST_EVEN + 1
+        lit = near[j] & above[j] & (dot(normal, view) > 0.0) & (spread < 1.0)
+        wanted[j] = max(few, panel_nodes) if lit else 0
+    for few in range(2, _MOST_EVEN + 1):
+        number = 0
+        for j in range(len(above)):
+            if wanted[j] == few:
+                place[number] = j
+                for axis in range(3):
+                    work[axis, number], work[3 + axis, number] = p[axis, j], n[axis, j]
+                    work[6 + axis, number] = v[axis, j]
+                work[9, number] = 0.0
+                number += 1
+        if number == 0:
+            continue
+        for a in range(few):
+            for b in range(few):
+                q = panel_point(panel, NODES[few, b] - 0.5, NODES[few, a] - 0.5)
+                weight = WEIGHTS[few, a] * WEIGHTS[few, b]
+                for k in range(number):
+                    normal, view = column_at(work[3:6], k), column_at(work[6:9], k)
+                    towards = minus(q, column_at(work[:3], k))
+                    r2 = dot(towards, towards)
+                    towards = scaled(towards, 1.0 / math.sqrt(r2))
+                    half = plus(towards, view)
+                    size = math.sqrt(dot(half, half))
+                    chord = _squared(minus(normal, scaled(half, 1.0 / size)))
+                    value = specular_lobe(chord, lobe) * light_factor(dot(normal, towards), size, lobe)
+                    work[9, k] += value * attenuated(weight, panel, r2, dot(panel.outward, towards))
+        for k in range(number):
+            j = place[k]
+            specular[j] = work[9, k] / specular_divisor(dot(column_at(n, j), column_at(v, j)), lobe)
+            near[j] = False
+
+
+@kernel
+def _squared(vector: Vector) -> float:
+    return dot(vector, vector)

@@ -8,13 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lightopt.config import CameraConfig, PartConfig, RigConfig, load_part, load_rig
+from lightopt.config import CameraConfig, PartConfig, ReflectanceConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
-from lightopt.optics import Reflectance, Sensor
+from lightopt.optics import Reflectance, Sensor, SpecularModel
 from lightopt.scene._camera import (
     Distortion,
     PinholeCamera,
@@ -37,6 +37,16 @@ CHORD_TOLERANCE_FOOTPRINTS = 0.2
 
 # largest angle between neighbouring triangles along an edge, and where a coarser chord asks for more, up to [rad]
 ANGULAR_TOLERANCE, MOST_ANGULAR_TOLERANCE = 0.1, 0.5
+
+
+def _build_reflectance(config: ReflectanceConfig) -> Reflectance:
+    """The reflection of a part's surface."""
+    share = config.R_s_wide / config.R_s if config.R_s_wide is not None and config.R_s > 0.0 else 0.0
+    ratio = 1.0 if config.sigma_wide_rad is None else config.sigma_wide_rad / config.sigma
+    model = SpecularModel(
+        name=config.model, wide_share=share, wide_ratio=ratio, refractive_index=config.refractive_index
+    )
+    return Reflectance(R_d=config.R_d, R_s=config.R_s, sigma=config.sigma, full_scale=config.full_scale, model=model)
 
 
 def build_scene(
@@ -66,14 +76,11 @@ def build_scene(
     # lights that are off stand there, too
     camera = replace(camera, obstructions=obstructions(camera, build_lights(rig) if lights else placed))
     mesh, placement, warnings = _mesh(part, pixel_footprint(camera, rig.camera.distance_mm))
-    reflectance = part.reflectance
     scene = Scene(
         camera=camera,
         lights=placed,
         mesh=mesh,
-        reflectance=Reflectance(
-            R_d=reflectance.R_d, R_s=reflectance.R_s, sigma=reflectance.sigma_rad, full_scale=reflectance.full_scale
-        ),
+        reflectance=_build_reflectance(part.reflectance),
         sensor=build_sensor(rig.camera),
         stage=build_stage(rig),
         postures=chosen,

@@ -187,7 +187,7 @@ def _in_part_frame(seen: PosturePixels, scene: Scene, display: SurfaceLight) -> 
 
 
 def _levels(surface: SurfacePoints, light: SurfaceLight, scene: Scene) -> Float64:
-    (diffuse,), (specular,) = light_of_channels(surface, [light], scene.reflectance.sigma)
+    (diffuse,), (specular,) = light_of_channels(surface, [light], scene.reflectance)
     return scene.reflectance.R_d * diffuse + scene.reflectance.R_s * specular
 
 
@@ -217,7 +217,7 @@ def _responses(surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, in
         if len(near):
             one[i, j] = 1.0
             own = [picture_light(light, one)]
-            _, (specular,) = light_of_channels(surface.take(near), own, scene.reflectance.sigma)
+            _, (specular,) = light_of_channels(surface.take(near), own, scene.reflectance)
             one[i, j] = 0.0
             columns.append(np.full(len(near), i * shape[1] + j))
             points.append(near)

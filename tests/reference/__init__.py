@@ -9,6 +9,7 @@ from __future__ import annotations
 from ._casting import Hits, blocked, closest, trace
 from ._emitters import Emitter, emitter
 from ._frames import Camera, Light, posed, posed_normals
+from ._lobes import fresnel, specular
 from ._matched_filter import matched_filter, summed_blocks
 from ._panel import equally_spaced, panel_radiance, product_rule, subtract_convex
 from ._shading import LayerImage, in_shadow, point_terms, render
@@ -23,6 +24,7 @@ __all__ = [
     "closest",
     "emitter",
     "equally_spaced",
+    "fresnel",
     "in_shadow",
     "matched_filter",
     "panel_radiance",
@@ -31,6 +33,7 @@ __all__ = [
     "posed_normals",
     "product_rule",
     "render",
+    "specular",
     "subtract_convex",
     "summed_blocks",
     "trace",

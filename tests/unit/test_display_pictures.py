@@ -13,6 +13,7 @@ from lightopt.config import LightConfig
 from lightopt.config._light import expanded
 from lightopt.images import write_png
 from lightopt.lights import SurfaceLight, picture_light, place_light, plane_elements, surface_light
+from lightopt.optics import Reflectance
 from lightopt.rendering import SurfacePoints, light_of_channels
 from lightopt.rig.devices import PictureSettings
 from lightopt.rig.devices._light_display import screen_levels
@@ -104,7 +105,10 @@ def test_the_picture_shines_as_the_renderer_has_the_channel(channel):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     views = np.tile([0.0, 0.0, 1.0], (20, 1))
     surface = SurfacePoints(points=points, normals=normals, facets=normals, views=views, front=np.ones(20, np.bool_))
-    for one, other in zip(*(light_of_channels(surface, [which], 0.05) for which in (own, shown)), strict=True):
+    for one, other in zip(
+        *(light_of_channels(surface, [which], Reflectance(R_d=45.0, R_s=1e3, sigma=0.05)) for which in (own, shown)),
+        strict=True,
+    ):
         np.testing.assert_allclose(other, one, rtol=0.01, atol=1e-3 * one.max())
 
 

@@ -9,7 +9,7 @@ import pytest
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.optics._exponential import exponential
-from lightopt.optics._reflection_model import NARROW_CHORD_SQUARED, narrow_specular_lobe, specular_lobe
+from lightopt.optics._reflection_model import NARROW_CHORD_SQUARED, gaussian, narrow_gaussian
 
 
 @kernel
@@ -24,8 +24,8 @@ def _exponentials(x: Float64) -> Float64:
 def _lobes(chord_squared: Float64, inverse: float) -> tuple[Float64, Float64]:
     wide, narrow = np.empty_like(chord_squared), np.empty_like(chord_squared)
     for i in range(len(chord_squared)):
-        wide[i] = specular_lobe(chord_squared[i], inverse)
-        narrow[i] = narrow_specular_lobe(chord_squared[i], inverse)
+        wide[i] = gaussian(chord_squared[i], inverse)
+        narrow[i] = narrow_gaussian(chord_squared[i], inverse)
     return wide, narrow
 
 

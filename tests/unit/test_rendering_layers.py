@@ -10,10 +10,15 @@ import pytest
 
 from lightopt import build_scene, render
 from lightopt.config import load_rig
+from lightopt.optics import Reflectance
 from lightopt.rendering import UNLIT, WHOLE, cast_rays_at, light_layer, mask_pixels, specular_of_layers, trace_pixels
 from lightopt.rendering._pixels import LEFT_OUT, panel_visibility
 from lightopt.rendering._surface import GRAZING_COSINE
 from lightopt.scene import build_lights, pixel_directions
+
+
+def of_width(sigma):
+    return Reflectance(R_d=0.0, R_s=1.0, sigma=sigma)
 
 
 @pytest.mark.parametrize("points", [1, 9, "auto"])
@@ -32,7 +37,7 @@ def test_layers_are_the_renderers(shared_bench, points, sigma):
             assert len(whole) > 3000
             diffuse = scene.reflectance.R_d * layer.diffuse
             np.testing.assert_allclose(diffuse, image.diffuse[place], atol=0.02)
-            specular = scene.reflectance.R_s * layer.specular(sigma)
+            specular = scene.reflectance.R_s * layer.specular(of_width(sigma))
             np.testing.assert_allclose(specular, image.specular[place], rtol=1e-5, atol=1e-2)
             dark = visibility == UNLIT
             assert not image.level[pixels.row[dark], pixels.column[dark]].any()
@@ -68,7 +73,7 @@ def test_threads_do_not_matter(shared_bench):
         panel = pixels.view.lights[1]
         whole = np.flatnonzero(panel_visibility(pixels, panel, caster, threads=threads) == WHOLE)
         layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
-        layers.append((layer.diffuse, layer.specular(0.05, threads=threads)))
+        layers.append((layer.diffuse, layer.specular(of_width(0.05), threads=threads)))
     assert all(np.array_equal(a, b) for a, b in zip(*layers, strict=True))
 
 
@@ -82,7 +87,7 @@ def test_the_deflection_is_never_more_than_that_of_a_point_of_the_panel(shared_b
     layer = light_layer(pixels.surface.take(whole), panel, caster)
     sigma = 0.05
     bound = np.exp(-0.5 * (layer.deflection / sigma) ** 2) / 0.1
-    assert np.all(layer.specular(sigma) <= 1.05 * bound + 1e-12)
+    assert np.all(layer.specular(of_width(sigma)) <= 1.05 * bound + 1e-12)
 
 
 def test_pixels_near_flagged_ones_are_those_within_two_rows_and_columns():
@@ -145,7 +150,7 @@ def test_layers_of_channels_are_those_of_each(shared_bench):
         light_layer(pixels.surface.take(some[: 500 + (k == 2)]), light, caster)
         for k, light in enumerate(pixels.view.lights)
     ]
-    together = specular_of_layers(layers, 0.0475)
+    together = specular_of_layers(layers, of_width(0.0475))
     for layer, found in zip(layers, together, strict=True):
-        alone = layer.specular(0.0475)
+        alone = layer.specular(of_width(0.0475))
         np.testing.assert_allclose(found, alone, atol=1e-4 * max(alone.max(), 1e-12))

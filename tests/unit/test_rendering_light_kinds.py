@@ -19,7 +19,7 @@ from lightopt.config import RigConfig
 from lightopt.geometry import RayCaster
 from lightopt.lights import SurfaceLight, picture_patterns
 from lightopt.lights._light_surface import _bound
-from lightopt.optics import Reflectance
+from lightopt.optics import Reflectance, SpecularModel
 from lightopt.rendering import SurfacePoints
 from lightopt.rendering._surface_light import channels_of, shade_surface_lights
 from lightopt.scene import build_lights
@@ -36,6 +36,7 @@ CAMERA = {
 EYE = np.array([0.0, 0.0, 550.0])
 SIGMAS = [0.003, 0.0475, 0.15]
 R_D, TOP = 45.0, 255.0
+GAUSSIAN = SpecularModel()
 
 
 def built(**light: Any) -> list[SurfaceLight]:
@@ -151,9 +152,17 @@ def seen(points: np.ndarray, normals: np.ndarray) -> SurfacePoints:
     return SurfacePoints(points, normals, normals, views, np.ones(len(points), np.bool_), True)
 
 
-def layers(surface: SurfacePoints, lights: list[SurfaceLight], sigma: float, *, R_s: float = 1e8, caster: Any = None):
+def layers(
+    surface: SurfacePoints,
+    lights: list[SurfaceLight],
+    sigma: float,
+    *,
+    R_s: float = 1e8,
+    caster: Any = None,
+    model: SpecularModel = GAUSSIAN,
+):
     """Diffuse and specular light per unit of R_d and R_s, shape (2, lights, k)."""
-    reflectance = Reflectance(R_d=R_D, R_s=R_s, sigma=sigma)
+    reflectance = Reflectance(R_d=R_D, R_s=R_s, sigma=sigma, model=model)
     return np.stack(shade_surface_lights(surface, lights, reflectance=reflectance, caster=caster))
 
 
@@ -203,6 +212,46 @@ def test_twice_as_many_nodes_change_nothing(name: str, sigma: float) -> None:
     fine = replace(light, elements=quartered(light.elements))
     found, more = (layers(surface, [one], sigma)[:, 0] for one in (light, fine))
     assert np.mean(wrong(found, more, more[1].max())) <= 0.001
+
+
+OTHER_LOBES = {
+    "ggx": SpecularModel(name="ggx"),
+    "two-lobe": SpecularModel(name="two-lobe", wide_share=0.02, wide_ratio=6.0, refractive_index=(1.98, 3.74)),
+}
+
+
+@pytest.mark.parametrize("sigma", SIGMAS)
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("model", OTHER_LOBES)
+def test_twice_as_many_nodes_change_nothing_for_other_lobes(model: str, name: str, sigma: float) -> None:
+    light = built(**KINDS[name][0])[0]
+    surface = sphere(300)
+    fine = replace(light, elements=quartered(light.elements))
+    found, more = (layers(surface, [one], sigma, model=OTHER_LOBES[model])[:, 0] for one in (light, fine))
+    assert np.mean(wrong(found, more, more[1].max())) <= 0.004
+
+
+@pytest.mark.parametrize("sigma", SIGMAS)
+@pytest.mark.parametrize("model", OTHER_LOBES)
+def test_other_lobes_are_those_of_the_formulas(model: str, sigma: float) -> None:
+    """A bar light in 1,000 × 100 cells, each lit as its middle is."""
+    file, words = KINDS["bar"]
+    light, reflectance = built(**file)[0], Reflectance(R_d=0.0, R_s=1.0, sigma=sigma, model=OTHER_LOBES[model])
+    surface, _ = half_in_highlight(light, max(sigma, 0.01), 60)
+    outward = np.array([-np.cos(np.pi / 6), 0.0, 0.5])
+    across, along = np.array([0.0, -1.0, 0.0]), np.array([0.5, 0.0, np.cos(np.pi / 6)])
+    u, v = (side * ((np.arange(count) + 0.5) / count - 0.5) for side, count in ((200.0, 1000), (20.0, 100)))
+    places = 250.0 * outward + (u[:, None, None] * across + v[None, :, None] * along).reshape(-1, 3)
+    radiance, expected = ref.emitter(**words).radiance, []
+    for p, n, towards in zip(surface.points, surface.normals, surface.views, strict=True):
+        ray = places - p
+        r2 = np.sum(ray**2, axis=1)
+        ray /= np.sqrt(r2)[:, None]
+        value = ref.specular(n, towards, ray, reflectance)
+        expected.append(radiance * np.sum(value * np.maximum(0.0, ray @ outward) / r2) * 4000.0 / len(places))
+    found = layers(surface, [light], sigma, model=OTHER_LOBES[model])[1, 0]
+    assert np.max(np.abs(found - expected)) <= 1e-3 * np.max(expected)
+    assert np.allclose(found, expected, rtol=2e-3, atol=1e-5 * np.max(expected))
 
 
 def quartered(elements: np.ndarray) -> np.ndarray:

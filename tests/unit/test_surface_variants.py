@@ -4,12 +4,18 @@ import math
 
 import numpy as np
 import pytest
+from reference import specular
 
 from lightopt.lights import PanelLight
-from lightopt.optics import Reflectance
+from lightopt.optics import Reflectance, SpecularModel
 from lightopt.rendering import SurfacePoints, shade_variants, surface_variants
 from lightopt.rendering._surface_variants import NEGLIGIBLE_LEVEL
 
+MODELS = {
+    "torrance-sparrow": SpecularModel(),
+    "ggx": SpecularModel(name="ggx", refractive_index=(1.98, 3.74)),
+    "two-lobe": SpecularModel(name="two-lobe", wide_share=0.03, wide_ratio=5.0),
+}
 POINTS = 700  # more than are computed together, and no multiple of them
 SLOPES = np.radians([0.0, 2.0, 2.0, 12.0, 30.0, 0.0])
 DIRECTIONS = np.radians([0.0, 30.0, 210.0, 90.0, 300.0, 0.0])
@@ -69,21 +75,18 @@ def plain_levels(surface, references, panel, slope, direction, reflectance):
                 weight = weight * panel.distance**2 / r2
             weight = weight * np.maximum(0.0, light @ panel.outward) ** panel.emission_exponent
             n_dot_l = (normals * light).sum(axis=1)
-            n_dot_v = (normals * surface.views).sum(axis=1)
-            delta = 2.0 * np.arcsin(0.5 * np.linalg.norm(normals - unit(light + surface.views), axis=1))
-            lobe = np.exp(-(delta**2) / (2.0 * reflectance.sigma**2)) / np.maximum(n_dot_v, 0.01)
-            lit = n_dot_l > 0.0
             total += weight * reflectance.R_d * np.maximum(0.0, n_dot_l)
-            total += weight * reflectance.R_s * np.where(lit & (n_dot_v > 0.0), lobe, 0.0)
+            total += weight * reflectance.R_s * specular(normals, surface.views, light, reflectance)
     return total
 
 
 @pytest.mark.parametrize("sigma", [0.02, 0.05, 0.3])
 @pytest.mark.parametrize("further", [{}, {"inverse_square": True, "emission_exponent": 2.0, "gain": 1.7}])
-def test_levels_are_those_of_the_equations(sigma, further):
+@pytest.mark.parametrize("model", MODELS)
+def test_levels_are_those_of_the_equations(model, sigma, further):
     """Narrow lobes that few points are near, and wide ones that the series of narrow ones does not reach."""
     surface, references = surface_of(np.random.default_rng(5))
-    reflectance = Reflectance(R_d=45.0, R_s=4000.0, sigma=sigma)
+    reflectance = Reflectance(R_d=45.0, R_s=4000.0, sigma=sigma, model=MODELS[model])
     variants = surface_variants(
         slope=SLOPES, direction=DIRECTIONS, R_d_factor=R_D_FACTOR, sigma_factor=SIGMA_FACTOR, reflectance=reflectance
     )

@@ -16,7 +16,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
-from lightopt.optics import Sensor
+from lightopt.optics import Reflectance, Sensor, SpecularModel
 from lightopt.rendering import (
     UNLIT,
     WHOLE,
@@ -93,6 +93,7 @@ class Samples:
     facts: ImageFacts
     lights: tuple[str, ...]  # names of the scene's lights
     sensor: Sensor
+    model: SpecularModel  # of the specular lobe
     threads: int | None = None  # number of threads that work on them; no result depends on it
 
     def select(self, where: Bool | Index) -> Samples:
@@ -115,7 +116,8 @@ class Samples:
     def specular(self, sigma: float) -> Float64:
         """Light per unit of R_s for a lobe of width σ [rad], shape (n,)."""
         layers = [group.layer for group in self.groups if group.layer is not None]
-        lit = iter(specular_of_layers(layers, sigma, threads=self.threads))
+        reflectance = Reflectance(R_d=0.0, R_s=1.0, sigma=sigma, model=self.model)
+        lit = iter(specular_of_layers(layers, reflectance, threads=self.threads))
         parts = [np.zeros(len(group)) if group.layer is None else group.passed * next(lit) for group in self.groups]
         return np.concatenate(parts)
 
@@ -295,6 +297,7 @@ def _assemble(
         facts=facts,
         lights=lights,
         sensor=scene.sensor,
+        model=scene.reflectance.model,
         threads=threads,
     )
 

@@ -14,6 +14,7 @@ from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import Placement
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
+from lightopt.optics import Reflectance
 from lightopt.rendering import (
     UNLIT,
     WHOLE,
@@ -88,19 +89,19 @@ def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> Part
 
 
 def _layers(
-    surface: SurfacePoints, group: Sequence[PanelLight], caster: RayCaster, sigmas: Sequence[float], threads: int
+    surface: SurfacePoints, group: Sequence[PanelLight], caster: RayCaster, lobes: Sequence[Reflectance], threads: int
 ) -> Iterator[Float64]:
-    # diffuse light, and specular light for each σ, of channels of a light or of one panel, shape (lights, n) each
+    # diffuse light, and specular light for each lobe, of channels of a light or of one panel, shape (lights, n) each
     channels = [light for light in group if isinstance(light, SurfaceLight)]
     if channels:
         yield light_of_channels(surface, channels, None, threads=threads)[0]
-        for sigma in sigmas:
-            yield light_of_channels(surface, channels, sigma, diffuse=False, threads=threads)[1]
+        for lobe in lobes:
+            yield light_of_channels(surface, channels, lobe, diffuse=False, threads=threads)[1]
         return
     layer = light_layer(surface, group[0], caster, threads=1)
     yield layer.diffuse[None]
-    for sigma in sigmas:
-        yield layer.specular(sigma, threads=1)[None]
+    for lobe in lobes:
+        yield layer.specular(lobe, threads=1)[None]
 
 
 def light_at(
@@ -128,6 +129,7 @@ def light_at(
         clean=surface.front,
         shape=(scene.camera.height, scene.camera.width),
     )
+    lobes = [scene.reflectance.with_sigma(sigma) for sigma in sigmas]
     light = np.zeros((1 + len(sigmas), len(pixels.images), len(columns)))
     names = list(dict.fromkeys(image.light for image in pixels.images))
     panels = {panel.name: panel for panel in view.lights}
@@ -142,7 +144,7 @@ def light_at(
         whole = verdicts == WHOLE
         found = np.stack([np.where(whole | (verdicts == UNLIT), 0.0, np.nan)] * (1 + len(sigmas)))
         seen = np.flatnonzero(whole.any(axis=0))
-        for place, level in enumerate(_layers(surface.take(seen), group, caster, sigmas, threads_of_group)):
+        for place, level in enumerate(_layers(surface.take(seen), group, caster, lobes, threads_of_group)):
             found[place][:, seen] = np.where(whole[:, seen], level, found[place][:, seen])
         for i, image in enumerate(pixels.images):
             for panel, own in zip(group, found.swapaxes(0, 1), strict=True):
