@@ -30,6 +30,7 @@ WriteNoise = Annotated[bool, common.output_option("--write-noise", help=_NOISE_H
 _UNCONVERGED_HELP = "Exit with status 0 even if the fit did not converge."
 AllowUnconverged = Annotated[bool, common.output_option("--allow-unconverged", help=_UNCONVERGED_HELP)]
 FREE = ("gain", "dark")
+MODELS = ("torrance-sparrow", "ggx", "two-lobe")
 
 
 def fit_diffuse(
@@ -88,6 +89,12 @@ def fit_specular(
         show_default="as the rig file says",
     ),
     pixels: Pixels = 1_500_000,
+    model: str | None = common.model_option(
+        None,
+        metavar="|".join((*MODELS, "auto")),
+        help="Form of the specular lobe. auto: fit each form and select the one that predicts left-out lights best.",
+        show_default="as the part file says",
+    ),
     validate: bool = common.model_option(
         True, "--validate/--no-validate", help="Cross-validate: predict each light from the other lights."
     ),
@@ -116,7 +123,7 @@ def fit_specular(
     start = {"sigma_start": start_sigma, "R_s_start": start_rs}
     paper = PaperOptions(lambda_s1=lambda_s1, lambda_s2=lambda_s2, sigma_step=sigma_step, **start)
     options = FitOptions(method=method, register=register, pixels=pixels, write_noise=write_noise, paper=paper)
-    options = replace(options, joint=joint, validate=validate)
+    options = replace(options, joint=joint, validate=validate, model=_model(model))
     options = _complete("specular", options, free, points)
     converged = _run("specular", rig, part, images, out, options, force, threads, quiet=quiet, verbose=verbose)
     _require(converged or allow_unconverged)
@@ -158,6 +165,12 @@ def _run(
         _show(result, verbose)
         echo_paths((*written, *([chart] if chart else [])))
     return result.converged
+
+
+def _model(name: str | None) -> Any:
+    if name is not None and name not in (*MODELS, "auto"):
+        raise InputError(f'--model: expected {", ".join(MODELS)} or auto, found "{name}"')
+    return name
 
 
 def _require(converged: bool) -> None:
@@ -245,6 +258,8 @@ def _show(result: FitResult, verbose: bool) -> None:
             f"{result.observations:,} levels of {result.pixels:,} pixels; residual {q.rms:.3g} sensor levels rms ("
             f"noise {q.floor:.2g}), {100.0 * q.epsilon:.2f} % of the pixels are outliers"
         )
+    if result.models:
+        _show_models(result)
     if result.rows:
         _show_points(result)
     if result.left_out:
@@ -269,6 +284,14 @@ def _show_points(result: FitResult) -> None:
         likelihood = "-" if row.likelihood is None else f"{row.likelihood:.5f}"
         rows.append([*found, likelihood, "selected" if row.points == result.points else ""])
     show_table(head, rows, numbers_from=0)
+
+
+def _show_models(result: FitResult) -> None:
+    rows = [
+        [row.model, f"{row.rms:.3g}", f"{row.likelihood:.5f}", "selected" if row.model == result.model.name else ""]
+        for row in result.models
+    ]
+    show_table(["model", "left-out lights [sensor level rms]", "likelihood", ""], rows)
 
 
 def _summarise_left_out(result: FitResult) -> None:

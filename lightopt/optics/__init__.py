@@ -10,6 +10,7 @@ from lightopt.optics._reflection_model import (
     MIN_COS_VIEW as MIN_COS_VIEW,
     NARROW_CHORD_SQUARED as NARROW_CHORD_SQUARED,
     Lobe as Lobe,
+    ModelName as ModelName,
     Reflectance as Reflectance,
     SpecularModel as SpecularModel,
     farthest_exponent as farthest_exponent,

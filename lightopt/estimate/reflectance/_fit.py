@@ -31,20 +31,26 @@ from lightopt.estimate.reflectance._result import (
     FittedValue,
     fitted_dark,
     fitted_gains,
+    fitted_names,
     fitted_values,
     negative_black_level_warnings,
     separate_region_warnings,
+    width_name,
 )
 from lightopt.estimate.reflectance._samples import Samples, evenly_lit, subsample
 from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, prepare_fit
 from lightopt.estimate.reflectance._validation import (
+    ModelRow,
     PointsRow,
     SavePrediction,
     compare_regions,
     leave_lights_out,
+    model_row,
     validation_warnings,
 )
+from lightopt.estimate.reflectance._wide_lobe import fit_wide_lobe
 from lightopt.images import ImageSet
+from lightopt.optics import ModelName
 from lightopt.scene import coarse_points
 
 HIGHLIGHT_LEVEL = 0.1  # pixels that a highlight lights by less than this are diffuse only [grey level at exposure 1]
@@ -52,6 +58,9 @@ HIGHLIGHT_LEVEL = 0.1  # pixels that a highlight lights by less than this are di
 # for that, the lobe is taken this much wider than it was found, as far as any pixels are left: real lobes have heavier
 # tails than a Gaussian, and what is left of them goes into R_d
 WIDENINGS = (2.0, 1.5, 1.2, 1.0)
+
+MODELS: tuple[ModelName, ...] = ("torrance-sparrow", "ggx", "two-lobe")  # the simplest first
+MODEL_MARGIN = 1.02  # a simpler form is kept where it predicts lights that are left out this much worse, or less
 
 LEAST_PIXELS = 200  # so many pixels must be left
 LEAST_R_S = 1e-3
@@ -91,10 +100,13 @@ def fit_diffuse(
     whole = fit_reflectance(samples, freed=freed, run=run)
     first_quality = assess_quality(samples, whole)
     placed = refuse_unexplained_images(setup, samples, whole, first_quality)
-    plain, widening = _diffuse_only(samples, whole.x)
-    held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
-    found = fit_reflectance(plain, freed=replace(freed, specular=False), held=held, run=run)
-    quality = assess_quality(plain, found)
+    plain, widening, found, quality = samples, max(WIDENINGS), whole, first_quality
+    # the tails of GGX leave no pixel to diffuse light alone
+    if samples.model.name != "ggx":
+        plain, widening = _diffuse_only(samples, whole.x)
+        held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
+        found = fit_reflectance(plain, freed=replace(freed, specular=False), held=held, run=run)
+        quality = assess_quality(plain, found)
     first = [f"first fit, which locates the highlights: {text}" for text in convergence_warnings(whole)]
     warnings = [*setup.warnings, *first, *convergence_warnings(found)]
     warnings += poor_fit_warnings(found, quality, placed=placed)
@@ -103,13 +115,18 @@ def fit_diffuse(
             f"few pixels are away from the highlights: R_d was fitted to those beyond {widening:g} times the width of "
             "the fitted lobe. If the true lobe has heavier tails than a Gaussian, R_d is too high"
         )
-    own = setup.scene.reflectance
-    values = fitted_values(found, full_scale=own.full_scale)[:1]
-    unfitted = FittedValue(name="R_s", value=own.R_s), FittedValue(name="sigma_rad", value=own.sigma)
-    result = _result("diffuse", setup, plain, found, quality, (*values, *unfitted), warnings)
+    values = fitted_values(found, full_scale=setup.scene.reflectance.full_scale, model=samples.model)[:1]
+    result = _result("diffuse", setup, plain, found, quality, (*values, *_unfitted(setup)), warnings)
     run.warn(*result.warnings)
     pixels, estimate = len(np.unique(found.criterion.samples.sample)), replace(found, scan=whole.scan)
     return replace(result, highlight_fit=whole, pixels=pixels, estimate=estimate)
+
+
+def _unfitted(setup: FitSetup) -> tuple[FittedValue, FittedValue]:
+    # of the part file
+    own = setup.scene.reflectance
+    width = 2.0 * own.sigma if own.model.name == "ggx" else own.sigma
+    return FittedValue(name="R_s", value=own.R_s), FittedValue(name=width_name(own.model), value=width)
 
 
 def fit_specular(
@@ -123,16 +140,20 @@ def fit_specular(
 ) -> FitResult:
     """Fit R_s and σ, and R_d where ``options.joint``.
 
-    options: Each number of points is fitted, and the one under which the images are likeliest is kept.
+    options: Each number of points is fitted, and the one under which the images are likeliest is kept. With model
+        auto so is each form of the lobe; kept is the one that predicts the images of left-out lights best.
     save_prediction: Called with each image that validation predicted without having seen it, and its prediction.
     Raises InputError: images that are not the rig's or not the part's, or that do not determine R_s and σ.
     """
     options, run = options or FitOptions(), run or RunContext()
+    if options.model == "auto":
+        options, models = _choose_model(rig, part, image_set, options, run)
+        chosen = fit_specular(rig, part, image_set, options=options, run=run, save_prediction=save_prediction)
+        return replace(chosen, models=models)
     tried: list[tuple[FitResult, FitSetup, Samples, PointsRow | None]] = []
     choices: tuple[Points | None, ...] = options.points or (None,)
     for points in choices:
-        setup = prepare_fit(rig, part, image_set, points, options, run)
-        result, samples = _fit_one(setup)
+        result, setup, samples = _fit_one(prepare_fit(rig, part, image_set, points, options, run, model=options.model))
         row = None
         if len(choices) > 1:
             likelihood = None if result.estimate is None else result.estimate.mean_log_likelihood
@@ -150,25 +171,49 @@ def fit_specular(
     return result
 
 
-def _fit_one(setup: FitSetup) -> tuple[FitResult, Samples]:
+def _choose_model(
+    rig: RigConfig, part: PartConfig, image_set: ImageSet, options: FitOptions, run: RunContext
+) -> tuple[FitOptions, tuple[ModelRow, ...]]:
+    # the form of the lobe that predicts lights that are left out best; the simplest of those about as good
+    rows: list[ModelRow] = []
+    for model in MODELS:
+        setup = prepare_fit(rig, part, image_set, (*options.points, None)[0], options, run, model=model)
+        if len({o.light for o in setup.observations}) < 2:
+            raise InputError(
+                "model auto: expected images under at least two lights, found one; the choice is made by predicting "
+                "each light from the others. Give the model"
+            )
+        result, setup, samples = _fit_one(setup)
+        assert result.estimate is not None
+        rows.append(model_row(model, leave_lights_out(setup, samples, result.estimate), result.estimate))
+    least = min(row.rms for row in rows)
+    chosen = next(row.model for row in rows if row.rms <= MODEL_MARGIN * least)
+    return replace(options, model=chosen), tuple(rows)
+
+
+def _fit_one(setup: FitSetup) -> tuple[FitResult, FitSetup, Samples]:
     options, reflectance = setup.options, setup.scene.reflectance
     if options.method == "paper":
         samples = setup.collect(uniform=True)
         record = paper_specular(samples, options.paper, R_d=reflectance.R_d, progress=setup.run.stage("sweeping σ"))
-        return _paper_result(setup, samples, record), samples
+        return _paper_result(setup, samples, record), setup, samples
     samples = setup.collect()
+    wide = None
+    if samples.model.name == "two-lobe":
+        wide = fit_wide_lobe(samples, freed=options.freed, held=setup.held, run=setup.run)
+        setup, samples = setup.with_model(wide.model), replace(samples, model=wide.model)
     found = fit_reflectance(samples, freed=options.freed, held=setup.held, run=setup.run)
     quality = assess_quality(samples, found)
     placed = refuse_unexplained_images(setup, samples, found, quality)
     refuse_out_of_range(found, float(found.R_s * samples.specular(found.sigma).max()))
-    values = fitted_values(found, full_scale=reflectance.full_scale)
+    values = fitted_values(found, full_scale=reflectance.full_scale, model=samples.model, wide=wide)
     interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in setup.observations}
     warnings = [*setup.warnings, *convergence_warnings(found)]
     warnings += separate_region_warnings(values)
     warnings += fit_warnings(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
     result = _result("specular", setup, samples, found, quality, values, warnings)
-    return replace(result, correlation=found.correlation(LOG_R_S, LOG_SIGMA)), samples
+    return replace(result, correlation=found.correlation(LOG_R_S, LOG_SIGMA)), setup, samples
 
 
 def _result(
@@ -181,7 +226,7 @@ def _result(
     warnings: Sequence[str],
 ) -> FitResult:
     options = setup.options
-    specular = ("R_d", "R_s", "sigma_rad") if options.joint else ("R_s", "sigma_rad")
+    specular = (*(("R_d",) if options.joint else ()), *fitted_names(samples.model))
     noise = measure_noise(samples, mean_levels(samples, found), describes=quality.describes)
     dark = fitted_dark(setup.scene, found) if options.dark else None
     panels = setup.scene.lights if kind == "specular" else ()
@@ -194,6 +239,7 @@ def _result(
     return FitResult(
         kind=kind,
         method="likelihood",
+        model=samples.model,
         points=setup.scene.lights[0].points,
         values=values,
         fitted=("R_d",) if kind == "diffuse" else specular,
@@ -272,12 +318,15 @@ def _paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | Paper
             "the paper's method has no free gains, dark level, placement or joint fit: it fits what sections 4.2 and "
             "4.3 fit"
         )
+    if own.model.name != "torrance-sparrow":
+        raise InputError(f"the paper's method knows one Gaussian lobe: it cannot fit the model {own.model.name}")
     more = paper.warnings() if isinstance(paper, PaperSpecular) else ()
     fitted = {"R_d": paper.R_d} if isinstance(paper, PaperDiffuse) else {"R_s": paper.R_s, "sigma_rad": paper.sigma}
     values = {"R_d": own.R_d, "R_s": own.R_s, "sigma_rad": own.sigma, **fitted}
     return FitResult(
         kind="diffuse" if isinstance(paper, PaperDiffuse) else "specular",
         method="paper",
+        model=own.model,
         points=setup.scene.lights[0].points,
         values=tuple(FittedValue(name=name, value=value) for name, value in values.items()),
         fitted=tuple(fitted),

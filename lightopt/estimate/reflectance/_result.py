@@ -6,18 +6,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from lightopt.config import PartConfig, PlacementConfig, RigConfig, Source, copied_text, input_hashes
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
-from lightopt.estimate.reflectance._estimate import Estimate, Interval
+from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Interval
 from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
 from lightopt.estimate.reflectance._noise import MeasuredNoise
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
 from lightopt.estimate.reflectance._quality import Quality, convergence_warnings
 from lightopt.estimate.reflectance._uncertainty import profile_regions
-from lightopt.estimate.reflectance._validation import LeftOut, PointsRow
+from lightopt.estimate.reflectance._validation import LeftOut, ModelRow, PointsRow
+from lightopt.estimate.reflectance._wide_lobe import WideLobe
 from lightopt.estimate.registration import Placement, Registration
 from lightopt.images import ImageSet, ResultFolder
+from lightopt.optics import SpecularModel
 from lightopt.scene import Scene
 
 PART_NAME = "part.fitted.yaml"
@@ -59,6 +63,7 @@ class FitResult:
 
     kind: Literal["diffuse", "specular"]
     method: Literal["likelihood", "paper"]
+    model: SpecularModel  # the specular lobe
     points: int | Literal["auto"]  # point lights per panel, or ``"auto"``
     values: tuple[FittedValue, ...]
     fitted: tuple[str, ...]  # names of the values that were fitted and belong in the part file
@@ -81,6 +86,7 @@ class FitResult:
     estimate: Estimate | None = None
     left_out: tuple[LeftOut, ...] = ()  # validation, one entry per light
     rows: tuple[PointsRow, ...] = ()  # one per number of points that was tried
+    models: tuple[ModelRow, ...] = ()  # what decided between forms of the lobe
     paper: PaperDiffuse | PaperSpecular | None = None
 
     def value(self, name: str) -> float:
@@ -123,6 +129,7 @@ class FitResult:
         return {
             "kind": self.kind,
             "method": self.method,
+            "model": self.model.name,
             "points": self.points,
             "fitted": list(self.fitted),
             "values": {v.name: v.as_dict() for v in self.values},
@@ -147,6 +154,7 @@ class FitResult:
             "left_out": [left.as_dict() for left in self.left_out],
             "not_left_out": list(self.not_left_out) if self.left_out else [],
             "by_points": [row.as_dict() for row in self.rows],
+            "by_model": [row.as_dict() for row in self.models],
             "paper": facts(self.paper),
         }
 
@@ -186,13 +194,40 @@ def _fitted(
     return FittedValue(name, value, error, interval, regions=regions if len(regions) > 1 else ())
 
 
-def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:
-    """R_d, R_s, σ and the saturated half-angle under a point light, with standard errors and intervals."""
-    values = [
-        _fitted("R_d", found.R_d, found, R_D, float),
-        _fitted("R_s", found.R_s, found, LOG_R_S, math.exp, slope=found.R_s),
-        _fitted("sigma_rad", found.sigma, found, LOG_SIGMA, math.exp, slope=found.sigma),
-    ]
+def fitted_values(
+    found: Estimate, *, full_scale: float, model: SpecularModel, wide: WideLobe | None = None
+) -> tuple[FittedValue, ...]:
+    """R_d, R_s and the lobe's width, with standard errors and intervals.
+
+    Of a Gaussian lobe also the saturated half-angle under a point light.
+
+    wide: The wider of two lobes, where it was fitted
+    """
+    factor = 2.0 if model.name == "ggx" else 1.0  # α = 2σ
+    r_s = _fitted("R_s", found.R_s, found, LOG_R_S, math.exp, slope=found.R_s)
+    width = _fitted(
+        width_name(model),
+        factor * found.sigma,
+        found,
+        LOG_SIGMA,
+        lambda end: factor * math.exp(end),
+        slope=factor * found.sigma,
+    )
+    diffuse = _fitted("R_d", found.R_d, found, R_D, float)
+    if model.name == "two-lobe":
+        height, spread = found.R_s * model.wide_share, found.sigma * model.wide_ratio
+        if wide is None:
+            return diffuse, r_s, width, FittedValue("R_s_wide", height), FittedValue("sigma_wide_rad", spread)
+        lobes = (
+            ("R_s", found.R_s, 0, 0),
+            ("sigma_rad", found.sigma, 1, 0),
+            ("R_s_wide", height, 0, 1),
+            ("sigma_wide_rad", spread, 1, 1),
+        )
+        return diffuse, *(_of_two_lobes(found, wide, *one) for one in lobes)
+    values = [diffuse, r_s, width]
+    if model.name != "torrance-sparrow":
+        return tuple(values)
     over = math.log(max(found.R_s / full_scale, 1e-300))
     if over > 0.0:
         angle = found.sigma * math.sqrt(2.0 * over)
@@ -203,6 +238,24 @@ def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, .
             error = angle * math.sqrt(max(a * a + b * b + 2.0 * a * b * found.correlation(LOG_R_S, LOG_SIGMA), 0.0))
         values.append(FittedValue(name="half_angle_rad", value=angle, standard_error=error))
     return tuple(values)
+
+
+def width_name(model: SpecularModel) -> str:
+    """Key of a part file for the width of a lobe."""
+    return "alpha" if model.name == "ggx" else "sigma_rad"
+
+
+def fitted_names(model: SpecularModel) -> tuple[str, ...]:
+    """Keys of a part file that a fit of a specular lobe finds."""
+    return ("R_s", width_name(model), *(("R_s_wide", "sigma_wide_rad") if model.name == "two-lobe" else ()))
+
+
+def _of_two_lobes(found: Estimate, wide: WideLobe, name: str, value: float, which: int, of_wide: int) -> FittedValue:
+    # height (0) or width (1) of the narrow or the wide lobe: its logarithm is normal
+    unit = np.eye(2)[which]
+    error = wide.standard_error(found, unit, of_wide * unit)
+    reach = math.sqrt(CHI2_95) * error
+    return FittedValue(name, value, value * error, (value * math.exp(-reach), value * math.exp(reach)))
 
 
 def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
@@ -264,9 +317,13 @@ class FitFolder(ResultFolder):
 
 
 def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
-    values: dict[tuple[str | int, ...], str] = {
+    values: dict[tuple[str | int, ...], str | None] = {
         ("reflectance", name): f"{result.value(name):.6g}" for name in result.fitted
     }
+    if result.model.name != part.reflectance.model:
+        values["reflectance", "model"] = result.model.name
+        keys = [name for name in fitted_names(SpecularModel(name=part.reflectance.model)) if name not in result.fitted]
+        values |= {("reflectance", name): None for name in keys}
     if result.file_placement is not None:
         values |= _placement_values(part, result.file_placement)
     _check_text(part.source)

@@ -1,5 +1,7 @@
 """The set-up of a fit: its options, and rig, part and images made ready."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -24,7 +26,7 @@ from lightopt.estimate.registration import (
 )
 from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet
-from lightopt.optics import Reflectance
+from lightopt.optics import ModelName, Reflectance, SpecularModel
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene
 
@@ -43,6 +45,8 @@ class FitOptions:
     register: Whether the part's placement on the stage is found first.
     points: Numbers of point lights per panel to try; the rig's own where empty.
     pixels: Approximate number of pixels to use, over all images.
+    model: Form of the specular lobe, instead of the part file's; auto for that by which left-out lights are predicted
+        best.
     write_noise: Whether to write the noise of the images into the rig file.
     """
 
@@ -55,6 +59,7 @@ class FitOptions:
     pixels: int = 1_500_000
     validate: bool = True
     write_noise: bool = False
+    model: ModelName | Literal["auto"] | None = None
     paper: PaperOptions = field(default_factory=PaperOptions)
 
     @property
@@ -88,6 +93,10 @@ class FitSetup:
         reflectance = self.scene.reflectance
         return np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
 
+    def with_model(self, model: SpecularModel) -> FitSetup:
+        """The same with another specular lobe."""
+        return replace(self, scene=replace(self.scene, reflectance=replace(self.scene.reflectance, model=model)))
+
     def collect(self, *, uniform: bool = False) -> Samples:
         """Samples of the images, as many as the options want; `uniform` for the paper's procedure."""
         pairs = len({(o.light, o.posture) for o in self.observations})
@@ -104,20 +113,37 @@ class FitSetup:
 
 
 def prepare_fit(
-    rig: RigConfig, part: PartConfig, image_set: ImageSet, points: Points | None, options: FitOptions, run: RunContext
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    points: Points | None,
+    options: FitOptions,
+    run: RunContext,
+    *,
+    model: ModelName | None = None,
 ) -> FitSetup:
-    """Read the images, build the scene that they show, and register the part where its shift is freed."""
+    """Read the images, build the scene that they show, and register the part where its shift is freed.
+
+    model: Form of the specular lobe; the part file's where it is None
+    """
     observations = read_observations(image_set, rig, part, threads=run.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False)
     setup = FitSetup(scene, cast_rays_at(scene), observations, options=options, run=run)
+    own = scene.reflectance.model
+    if model not in (None, own.name):
+        setup = setup.with_model(SpecularModel(name=model, refractive_index=own.refractive_index))
     if not options.register:
         return setup
     found = register_with_fit(
-        scene, observations, caster=setup.caster, freed=FreeParameters(gain=options.gain, dark=options.dark), run=run
+        setup.scene,
+        observations,
+        caster=setup.caster,
+        freed=FreeParameters(gain=options.gain, dark=options.dark),
+        run=run,
     )
-    moved = place_part(scene, found.placement)
+    moved = place_part(setup.scene, found.placement)
     file_placement = part_file_placement(scene, found.placement, part.placement)
     return replace(setup, scene=moved, caster=cast_rays_at(moved), registration=found, file_placement=file_placement)
 

@@ -29,7 +29,7 @@ from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
-from lightopt.optics import Sensor, saturated_region
+from lightopt.optics import ModelName, Sensor, saturated_region
 from lightopt.rendering import render_posture
 from lightopt.scene import Scene
 
@@ -182,6 +182,32 @@ def predict_images(
             factor = np.float32(scale * o.exposure * gain)
             offset = np.float32(scene.sensor.black_level + x[DARK])
             yield o, by_name[o.light] * factor + offset, images.geometry.hit
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelRow:
+    """A form of the specular lobe that was tried, and how well it predicts the images of lights that were left out.
+
+    rms: Of all left-out images together [sensor level]
+    likelihood: Mean log-likelihood of a level of the fit to all images [nat]
+    """
+
+    model: ModelName
+    rms: float
+    likelihood: float
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "model": self.model,
+            "left_out_rms_sensor_levels": significant(self.rms, 5),
+            "mean_log_likelihood": significant(self.likelihood, 6),
+        }
+
+
+def model_row(model: ModelName, left_out: Sequence[LeftOut], found: Estimate) -> ModelRow:
+    """What a fit shows of a form of the lobe."""
+    squares = [image.rms_sensor**2 for left in left_out for image in left.images]
+    return ModelRow(model=model, rms=math.sqrt(float(np.mean(squares))), likelihood=found.mean_log_likelihood)
 
 
 @dataclass(frozen=True, kw_only=True)
