@@ -10,7 +10,8 @@ import shutil
 
 import numpy as np
 import pytest
-from captured import PART, PARTS, RIG, observe
+from captured import PART, PARTS, RIG
+from drawn import draw_images
 
 from lightopt import build_scene
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
@@ -18,43 +19,21 @@ from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warn
 from lightopt.estimate.reflectance._samples import collect_samples
 from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.reflectance._validation import leave_lights_out
-from lightopt.lights import panel_grid
-from lightopt.optics import expose, image_rng
-from lightopt.rendering import UNLIT, cast_rays_at, trace_pixels
-from lightopt.rendering._pixels import panel_visibility
+from lightopt.rendering import cast_rays_at
 
 
-def heavy_tails(delta, width):
+def heavy_tails(width):
     """A lobe that falls off like δ⁻⁴, as that of GGX does near its peak."""
-    return 1.0 / (1.0 + 0.5 * (delta / width) ** 2) ** 2
 
+    def lobe(normal, view, light):
+        half = light + view
+        half /= np.linalg.norm(half, axis=1)[:, None]
+        delta = 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(normal - half, axis=1), 0.0, 1.0))
+        n_dot_l, n_dot_v = np.einsum("ij,ij->i", normal, light), np.einsum("ij,ij->i", normal, view)
+        value = 1.0 / (1.0 + 0.5 * (delta / width) ** 2) ** 2 / np.maximum(n_dot_v, 0.01)
+        return np.where((n_dot_l > 0.0) & (n_dot_v > 0.0), value, 0.0)
 
-def drawn(scene, caster, *, R_d, R_s, width, exposures):
-    images = []
-    for number, posture in enumerate(scene.postures):
-        pixels = trace_pixels(scene, posture, caster)
-        s = pixels.surface
-        n_dot_v = np.einsum("ij,ij->i", s.normals, s.views)
-        for k, panel in enumerate(pixels.view.lights):
-            total = np.zeros(len(s))
-            points = panel_grid(panel, 100)
-            for point in points:
-                towards = point - s.points
-                towards /= np.linalg.norm(towards, axis=1)[:, None]
-                half = towards + s.views
-                half /= np.linalg.norm(half, axis=1)[:, None]
-                n_dot_l = np.einsum("ij,ij->i", s.normals, towards)
-                delta = 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(s.normals - half, axis=1), 0.0, 1.0))
-                value = R_d * n_dot_l + R_s * heavy_tails(delta, width) / np.maximum(n_dot_v, 0.01)
-                total += np.where((n_dot_l > 0.0) & (n_dot_v > 0.0), value, 0.0)
-            lit = panel_visibility(pixels, panel, caster) != UNLIT
-            level = np.zeros(pixels.shape, np.float32)
-            level[pixels.row, pixels.column] = np.where(lit, panel.gain * total / len(points), 0.0)
-            for e, exposure in enumerate(exposures):
-                rng = image_rng(1, light=k, posture=number, exposure=e)
-                levels = expose(level, sensor=scene.sensor, exposure=exposure, full_scale=255.0, rng=rng)
-                images.append(observe(panel.name, posture, exposure, levels, scene))
-    return tuple(images)
+    return lobe
 
 
 @pytest.mark.nightly
@@ -66,7 +45,7 @@ def test_a_lobe_with_heavy_tails(tmp_path, R_s, width):
     shutil.copy(PARTS / "cover-knob.step", tmp_path / "knob.step")
     scene = build_scene(tmp_path / "rig.yaml", tmp_path / "part.yaml", points="auto")
     caster = cast_rays_at(scene)
-    images = drawn(scene, caster, R_d=45.0, R_s=R_s, width=width, exposures=(1.0, 1 / 16))
+    images = draw_images(scene, caster, heavy_tails(width), R_d=45.0, R_s=R_s, exposures=(1.0, 1 / 16))
     samples = collect_samples(scene, images, caster=caster, budget=4000)
     found = fit_reflectance(samples)
     quality = assess_quality(samples, found)

@@ -176,6 +176,7 @@ def _choose_model(
 ) -> tuple[FitOptions, tuple[ModelRow, ...]]:
     # the form of the lobe that predicts lights that are left out best; the simplest of those about as good
     rows: list[ModelRow] = []
+    refused: InputError | None = None
     for model in MODELS:
         setup = prepare_fit(rig, part, image_set, (*options.points, None)[0], options, run, model=model)
         if len({o.light for o in setup.observations}) < 2:
@@ -183,9 +184,16 @@ def _choose_model(
                 "model auto: expected images under at least two lights, found one; the choice is made by predicting "
                 "each light from the others. Give the model"
             )
-        result, setup, samples = _fit_one(setup)
+        try:
+            result, setup, samples = _fit_one(setup)
+        except InputError as error:
+            # a form that these images do not determine, such as two lobes of a surface that has one
+            refused = error
+            continue
         assert result.estimate is not None
         rows.append(model_row(model, leave_lights_out(setup, samples, result.estimate), result.estimate))
+    if not rows:
+        raise refused or InputError("model auto: no form of the lobe fits these images")
     least = min(row.rms for row in rows)
     chosen = next(row.model for row in rows if row.rms <= MODEL_MARGIN * least)
     return replace(options, model=chosen), tuple(rows)

@@ -1,0 +1,54 @@
+"""Images of a surface with a lobe of any form: the geometry is the package's, the light is summed here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import product
+
+import numpy as np
+from captured import observe
+
+from lightopt.estimate.registration import Observation
+from lightopt.geometry import RayCaster
+from lightopt.optics import expose, image_rng
+from lightopt.rendering import UNLIT, trace_pixels
+from lightopt.rendering._pixels import panel_visibility
+from lightopt.scene import Scene
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)  # along each side of a panel, from −1 to 1
+
+
+def draw_images(
+    scene: Scene,
+    caster: RayCaster,
+    lobe: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    *,
+    R_d: float,
+    R_s: float,
+    exposures: Sequence[float],
+) -> tuple[Observation, ...]:
+    """Noisy images of all postures under all lights.
+
+    lobe: Specular light per unit of R_s, of unit normals, views and directions of light, shape (k, 3) each
+    """
+    images = []
+    for number, posture in enumerate(scene.postures):
+        pixels = trace_pixels(scene, posture, caster)
+        surface = pixels.surface
+        for k, panel in enumerate(pixels.view.lights):
+            total = np.zeros(len(surface))
+            for (s, of_s), (t, of_t) in product(zip(NODES, WEIGHTS, strict=True), repeat=2):
+                place = panel.centre + 0.5 * (s * panel.size[0] * panel.across + t * panel.size[1] * panel.along)
+                towards = place - surface.points
+                towards /= np.linalg.norm(towards, axis=1)[:, None]
+                n_dot_l = np.einsum("ij,ij->i", surface.normals, towards)
+                value = R_d * np.maximum(0.0, n_dot_l) + R_s * lobe(surface.normals, surface.views, towards)
+                total += 0.25 * of_s * of_t * value
+            lit = panel_visibility(pixels, panel, caster) != UNLIT
+            level = np.zeros(pixels.shape, np.float32)
+            level[pixels.row, pixels.column] = np.where(lit, panel.gain * total, 0.0)
+            for e, exposure in enumerate(exposures):
+                rng = image_rng(1, light=k, posture=number, exposure=e)
+                levels = expose(level, sensor=scene.sensor, exposure=exposure, full_scale=255.0, rng=rng)
+                images.append(observe(panel.name, posture, exposure, levels, scene))
+    return tuple(images)

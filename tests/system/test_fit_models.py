@@ -1,0 +1,81 @@
+"""Fits of GGX and of two lobes to images whose light is summed from the published formulas, with noise and saturation.
+
+Expected: every coefficient within 2 %, and within four standard errors; the form of the lobe that the images have is
+the one that predicts lights best that a fit has not seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import pytest
+from drawn import draw_images
+from reference import specular
+
+from lightopt import build_scene
+from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance import FitOptions
+from lightopt.estimate.reflectance._fit import _fit_one
+from lightopt.estimate.reflectance._setup import FitSetup
+from lightopt.estimate.reflectance._validation import leave_lights_out, model_row
+from lightopt.optics import Reflectance, SpecularModel
+from lightopt.rendering import cast_rays_at
+
+TRUTHS = {
+    "torrance-sparrow": Reflectance(R_d=45.0, R_s=12500.0, sigma=0.0475),
+    "ggx": Reflectance(R_d=45.0, R_s=9000.0, sigma=0.04, model=SpecularModel(name="ggx")),
+    "two-lobe": Reflectance(
+        R_d=30.0, R_s=15000.0, sigma=0.02, model=SpecularModel(name="two-lobe", wide_share=0.04, wide_ratio=5.0)
+    ),
+}
+
+
+def coefficients(r):
+    if r.model.name == "ggx":
+        return {"R_d": r.R_d, "R_s": r.R_s, "alpha": 2.0 * r.sigma}
+    values = {"R_d": r.R_d, "R_s": r.R_s, "sigma_rad": r.sigma}
+    if r.model.name == "two-lobe":
+        values |= {"R_s_wide": r.R_s * r.model.wide_share, "sigma_wide_rad": r.sigma * r.model.wide_ratio}
+    return values
+
+
+@pytest.fixture(scope="module")
+def scene_and_caster(shared_bench):
+    scene = build_scene(shared_bench.rig, shared_bench.part, points="auto")
+    scene = replace(scene, postures=scene.postures[:1])
+    return scene, cast_rays_at(scene)
+
+
+def setup_of(scene, caster, images, model):
+    reflectance = replace(scene.reflectance, model=SpecularModel(name=model))
+    options = FitOptions(joint=True, pixels=20_000)
+    return FitSetup(replace(scene, reflectance=reflectance), caster, images, options=options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("truth", TRUTHS)
+def test_coefficients_and_form_of_the_lobe_are_found(scene_and_caster, truth):
+    scene, caster = scene_and_caster
+    own = TRUTHS[truth]
+    lobe = partial(specular, reflectance=own)
+    images = draw_images(scene, caster, lobe, R_d=own.R_d, R_s=own.R_s, exposures=(1.0, 1 / 16))
+    rows = {}
+    for model in TRUTHS:
+        try:
+            result, setup, samples = _fit_one(setup_of(scene, caster, images, model))
+        except InputError:
+            assert (truth, model) == ("torrance-sparrow", "two-lobe")
+            continue
+        rows[model] = model_row(model, leave_lights_out(setup, samples, result.estimate), result.estimate)
+        if model == truth:
+            for name, value in coefficients(own).items():
+                found = next(v for v in result.values if v.name == name)
+                assert found.value == pytest.approx(value, rel=0.02), name
+                assert abs(found.value - value) <= 4.0 * found.standard_error + 1e-3 * value, name
+    best = min(row.rms for row in rows.values())
+    print({name: round(row.rms, 3) for name, row in rows.items()})
+    assert rows[truth].rms <= 1.02 * best
+    # one Gaussian lobe is a special case of two
+    pair = {truth, "two-lobe"} if truth == "torrance-sparrow" else {truth}
+    assert all(row.rms > 1.1 * rows[truth].rms for name, row in rows.items() if name not in pair)
