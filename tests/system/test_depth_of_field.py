@@ -13,8 +13,9 @@ import pytest
 import reference as ref
 from worlds import box, cap, corners, levels, merged, plane, scene_from_mesh
 
+from lightopt.defects import CatalogueEntry, DefectShape, PlacedDefect, defect_hypotheses, plane_to_image
 from lightopt.rendering import cast_rays_at, render_lights
-from lightopt.scene import Lens, pixel_directions, project, through_lens
+from lightopt.scene import Lens, pixel_directions, project, through_lens, typical_blur
 
 FOCAL, F_NUMBER, IMAGE_DISTANCE = 50.0, 2.0, 55.0
 FOCUS = 1 / (1 / FOCAL - 1 / IMAGE_DISTANCE)  # 550 mm
@@ -131,6 +132,31 @@ def test_diffraction_spreads_the_light_and_keeps_it():
     radius = 40.0
     ring = spread[32, 48 + 35 : 48 + 46].mean()
     assert ring == pytest.approx(plain.sum() / (np.pi**3 * cutoff * radius**3), rel=0.15)
+
+
+def test_what_pixels_are_expected_to_see_of_a_blurred_stain_is_what_the_image_shows():
+    camera = ref.Camera(width=64, height=48, pixel_um=10.0, image_distance=IMAGE_DISTANCE)
+    level = {"R_d": 100.0, "R_s": 0.0, "sigma": 0.1}
+    scene = with_lens(scene_from_mesh(camera, [ref.Light(elevation=90, k=1)], plane(20, z=25.0), reflectance=level))
+    shape = DefectShape(kind="stain", length=1.0, width=1.0, R_d_factor=0.5)
+    footprint = 0.01 / IMAGE_DISTANCE * (camera.distance - 25)
+    middle = np.array([0.5 * footprint, -0.5 * footprint, 25.0])  # in the middle of pixel (32, 24)
+    stain = PlacedDefect(
+        name="stain", shape=shape, position=middle, normal=np.array([0, 0, 1.0]), along=np.array([1.0, 0, 0])
+    )
+    good = levels(scene, supersample=11)
+    change = (levels(replace(scene, defects=(stain,)), supersample=11) - good) / (-0.5 * good)
+    blur = typical_blur(scene.camera, np.array([[0.0, 0.0, 25.0]]))
+    assert blur > 10
+    hypotheses = defect_hypotheses(CatalogueEntry(name="stain", shape=shape))
+    seen = hypotheses.seen_by_pixels(1, 0, plane_to_image(0, footprint), blur_px=blur)
+    expected = np.zeros_like(good)
+    expected[24 + seen.row, 32 + seen.column] = seen.weight
+    # the faintest pixels are left out of hypotheses
+    np.testing.assert_allclose(change, expected, atol=0.07)
+    assert (change**2).sum() == pytest.approx((expected**2).sum(), rel=0.03)
+    sharp = hypotheses.seen_by_pixels(1, 0, plane_to_image(0, footprint))
+    assert (expected**2).sum() < 0.6 * (sharp.weight**2).sum()  # a blurred defect is harder to find
 
 
 def test_threads_and_repeats_make_no_difference():
