@@ -67,6 +67,8 @@ def _spread(level: Float64, kernel: Float64 | None) -> Float32:
     if kernel is not None and level.any():
         from scipy import signal
 
+        # mirrored at the borders, so that a part that leaves the view is not darker there
+        wide = np.pad(level, len(kernel) // 2, mode="symmetric")
         # rounding of the transform goes both ways
-        level = np.maximum(signal.fftconvolve(level, kernel, mode="same"), 0.0)
+        level = np.maximum(signal.fftconvolve(wide, kernel, mode="valid"), 0.0)
     return level.astype(np.float32)
