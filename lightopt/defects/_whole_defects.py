@@ -68,7 +68,7 @@ WALL_LEVELS = (1.0,)
 ACROSS_WIDTH, LEAST_SAMPLES, MOST_SAMPLES = 10.0, 3, 15
 
 # a disc that the lens blurs over is left out where it is this narrow, and is sampled at so many places at most [px]
-_LEAST_BLUR_PX, _MOST_PLACES = 0.1, 64
+_LEAST_BLUR_PX, _MOST_PLACES = 0.1, 48
 
 _MOST_FINER = 2  # directions are doubled so often at most
 LEAST_SHARE = 0.06  # a variant with less than this share of the greatest one of any pixel is left out
@@ -139,6 +139,9 @@ class DefectHypotheses:
         right, down = (math.floor(side + 0.5 + abs(off)) for side, off in zip(half, off_px, strict=True))
         width = shape.width * math.sqrt(abs(float(np.linalg.det(to_image))))
         samples = min(MOST_SAMPLES, max(LEAST_SAMPLES, math.ceil(ACROSS_WIDTH / width)))
+        disc = _disc(blur_px)
+        if len(disc[0]) > 1:  # whose places sample pixels, too
+            samples = LEAST_SAMPLES
         inner = (np.arange(samples) + 0.5) / samples - 0.5
         columns, rows = 2 * right + 1, 2 * down + 1
         row, y, column, x = np.ix_(np.arange(rows), inner, np.arange(columns), inner)
@@ -146,7 +149,6 @@ class DefectHypotheses:
         y, x = (
             np.broadcast_to(a, (rows, samples, columns, samples)).ravel() for a in (row - down + y, column - right + x)
         )
-        disc = _disc(blur_px)
         places = [np.add.outer(side, a - off).ravel() for side, a, off in zip(disc, (x, y), off_px, strict=True)]
         plane = np.linalg.inv(to_image) @ np.stack(places, dtype=np.float64)
         variant, inside = self._variants(shape, angle, along @ plane, across @ plane)
@@ -178,7 +180,7 @@ class DefectHypotheses:
 
 def _disc(diameter: float) -> tuple[Float64, Float64]:
     # places that are spread evenly over a disc (Vogel 1979); the middle alone for next to none
-    count = 1 if diameter < _LEAST_BLUR_PX else min(_MOST_PLACES, 8 * math.ceil(diameter))
+    count = 1 if diameter < _LEAST_BLUR_PX else min(_MOST_PLACES, 6 * math.ceil(1.0 + diameter))
     number = np.arange(count)
     radius = 0.5 * diameter * np.sqrt((number + 0.5) / count) * (count > 1)
     angle = number * math.pi * (3.0 - math.sqrt(5.0))
@@ -241,12 +243,16 @@ class SearchGrid:
     halves: tuple[tuple[float, float], ...]  # places of the middle within its pixel, to the right and down
 
 
-def search_grid(own: DefectHypotheses, footprint: float) -> SearchGrid:
-    """Where hypotheses are tested; `footprint` is the side of a pixel on a plane that faces the camera [mm]."""
+def search_grid(own: DefectHypotheses, footprint: float, blur_px: float = 0.0) -> SearchGrid:
+    """Where hypotheses are tested.
+
+    footprint: Side of a pixel on a plane that faces the camera [mm]
+    blur_px: Diameter of the disc that the lens makes of a point, which makes defects wider
+    """
     long = own.entry.shape.kind == "scratch"
-    width = own.shapes[1 if long else 0].width / footprint / (_SCRATCH_PX if long else _WIDTH_PX)
-    ratio = max(1, min(round(width), _MOST_RATIO))
-    middle_px = own.shapes[1].width / (ratio * footprint)
+    narrow, middle = (math.hypot(shape.width / footprint, blur_px) for shape in own.shapes[:2])
+    ratio = max(1, min(round(middle / _SCRATCH_PX if long else narrow / _WIDTH_PX), _MOST_RATIO))
+    middle_px = math.hypot(own.shapes[1].width / (ratio * footprint), blur_px / ratio)
     # along a scratch its place matters little
     halves = _HALVES[: (2 if long else 4) if middle_px < _FINE_PX else 1]
     return SearchGrid(ratio=ratio, step=max(1, int(middle_px / _STEPS_PER_WIDTH)), halves=halves)

@@ -31,7 +31,7 @@ from lightopt.rendering._converged_panel import (
 )
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._direct_view import direct_levels
-from lightopt.rendering._lens_means import MOST_VIEWS, lens_means
+from lightopt.rendering._lens_means import TYPICAL_VIEWS, lens_means
 from lightopt.rendering._penumbra_squares import SIDES
 from lightopt.rendering._surface import SurfacePoints, trace_samples
 from lightopt.rendering._surface_light import shade_surface_lights
@@ -115,7 +115,7 @@ def cast_rays_at(scene: Scene, *, rays: float = math.inf) -> RayCaster:
 
 def rays_of_images(scene: Scene, *, supersample: int = 1) -> float:
     """About how many rays the images of all postures take, of a part that fills the view."""
-    if any(light.points == "auto" for light in scene.lights):
+    if scene.camera.lens is not None or any(light.points == "auto" for light in scene.lights):
         return math.inf
     # blocker maps leave about as many shadow rays as there are camera rays
     return 2.0 * len(scene.postures) * scene.camera.width * scene.camera.height * supersample**2
@@ -226,7 +226,7 @@ def _through_lens(
 ) -> tuple[LightImage, ...]:
     # `least`: number of views at least
     names = ("level", "diffuse", "specular") if layers else ("level",)
-    counter = WorkCounter(MOST_VIEWS, progress)
+    counter = WorkCounter(TYPICAL_VIEWS, progress)
 
     def render_view(place: Float64, offset: Float64) -> list[dict[str, Float32]]:
         seen = replace(scene, camera=through_lens(scene.camera, place))

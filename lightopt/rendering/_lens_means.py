@@ -16,10 +16,10 @@ from lightopt.scene import Scene
 _log = logging.getLogger("lightopt.rendering")
 
 # Views are added, doubling their number, until the mean changes by less than the camera's noise
-FIRST_VIEWS, MOST_VIEWS = 4, 256
+FIRST_VIEWS, TYPICAL_VIEWS, MOST_VIEWS = 4, 16, 256
 
 # in all but this share of the lit pixels: at sharp edges the mean of n views has steps of 1/n of the contrast
-MOST_CHANGED = 0.02
+MOST_CHANGED = 0.005
 
 # the image of each light: its level and, with layers, its components [grey level]
 Images = list[dict[str, Float32]]

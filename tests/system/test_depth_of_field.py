@@ -11,11 +11,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import reference as ref
+from captured import PART, PARTS, RIG
 from worlds import box, cap, corners, levels, merged, plane, scene_from_mesh
 
-from lightopt.defects import CatalogueEntry, DefectShape, PlacedDefect, defect_hypotheses, plane_to_image
-from lightopt.rendering import cast_rays_at, render_lights
-from lightopt.scene import Lens, pixel_directions, project, through_lens, typical_blur
+from lightopt.defects import (
+    BUILT_IN_CATALOGUE,
+    CatalogueEntry,
+    DefectShape,
+    PlacedDefect,
+    defect_hypotheses,
+    plane_to_image,
+)
+from lightopt.design import DetectionModel, luminance_matrix, planned_catalogue
+from lightopt.optics import expose
+from lightopt.rendering import build_patches, cast_rays_at, render_lights
+from lightopt.rig.simulated._bench_process import BenchTruth
+from lightopt.rig.simulated._optics import BenchOptics
+from lightopt.scene import Lens, build_scene, pixel_directions, project, through_lens, typical_blur
 
 FOCAL, F_NUMBER, IMAGE_DISTANCE = 50.0, 2.0, 55.0
 FOCUS = 1 / (1 / FOCAL - 1 / IMAGE_DISTANCE)  # 550 mm
@@ -157,6 +169,36 @@ def test_what_pixels_are_expected_to_see_of_a_blurred_stain_is_what_the_image_sh
     assert (change**2).sum() == pytest.approx((expected**2).sum(), rel=0.03)
     sharp = hypotheses.seen_by_pixels(1, 0, plane_to_image(0, footprint))
     assert (expected**2).sum() < 0.6 * (sharp.weight**2).sum()  # a blurred defect is harder to find
+
+
+def test_a_plan_expects_less_evidence_of_defects_out_of_focus(tmp_path):
+    (tmp_path / "knob.stl").write_bytes((PARTS / "cover-knob.stl").read_bytes())
+    (tmp_path / "part.yaml").write_text(PART, encoding="utf-8")
+    (tmp_path / "rig.yaml").write_text(RIG, encoding="utf-8")
+    scene = build_scene(tmp_path / "rig.yaml", tmp_path / "part.yaml")
+    catalogue = planned_catalogue([one for one in BUILT_IN_CATALOGUE if one.name in ("dent", "stain")])
+    detection = DetectionModel(catalogue=catalogue, sensor=scene.sensor, full_scale=255.0)
+    units = []
+    for lens in (None, Lens(aperture=APERTURE, focus=540.0), Lens(aperture=APERTURE, focus=400.0)):
+        own = replace(scene, camera=replace(scene.camera, lens=lens))
+        caster = cast_rays_at(own)
+        table = build_patches(own, caster=caster, budget=600)
+        panels = [[light] for light in own.lights]
+        found = luminance_matrix(own, table, own.postures[0], panels, caster=caster, detection=detection)
+        units.append(sum(int(np.bitwise_count(words).sum()) for words in found.visibility.words))
+    sharp, near, far = units
+    assert sharp > 1000
+    assert 0.6 * sharp < near <= 1.02 * sharp
+    assert far < 0.6 * sharp
+
+
+def test_the_simulated_camera_has_the_lens():
+    camera = ref.Camera(width=48, height=36, pixel_um=50.0, image_distance=IMAGE_DISTANCE)
+    scene = with_lens(scene_from_mesh(camera, [ref.Light()], box([-5, -5, 0], [5, 5, 40])))
+    frame = BenchOptics(scene, BenchTruth()).frame({"light0": 1.0}, scene.postures[0], exposure=1.0)
+    expected = expose(levels(scene), sensor=scene.sensor, exposure=1.0, full_scale=255.0)
+    assert np.array_equal(frame, expected)
+    assert np.count_nonzero((frame > 3) & (frame < 0.9 * frame.max())) > 100
 
 
 def test_threads_and_repeats_make_no_difference():

@@ -130,17 +130,18 @@ class DetectionModel:
         step = round(_FOOTPRINT_STEPS * math.log2(footprint))
         return _make_stencils(self.catalogue, 2.0 ** (step / _FOOTPRINT_STEPS), round(blur / _BLUR_STEP) * _BLUR_STEP)
 
-    def limits(self, pixels: float, footprint: float) -> Float64:
+    def limits(self, pixels: float, footprint: float, blur: float = 0.0) -> Float64:
         """Evidence from which on an image counts for one unit and more, for each entry, shape (e, 3).
 
         pixels: That can be inspected in the images.
+        blur: Diameter of the lens' disc [px].
         """
         entries, found = self.catalogue.entries, np.empty((len(self.catalogue.entries), UNITS_OF_IMAGE))
         # a score is −log₁₀ of the false alarms of noise alone in a pixel
         false_alarms = self.false_alarms if self.threshold is None else pixels * 10.0**-self.threshold
         for e, planned in enumerate(entries):
             own = defects.defect_hypotheses(planned.entry)
-            grid = defects.search_grid(own, footprint)
+            grid = defects.search_grid(own, footprint, blur)
             places = pixels / (grid.ratio * grid.step) ** 2
             z = defects.least_z(
                 places * len(own.turns) * len(grid.halves) * len(defects.SIZES), len(entries), false_alarms
@@ -169,7 +170,7 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float, blur: float) -
     before = 0
     for own in catalogue.entries:
         long = own.entry.shape.kind == "scratch"
-        width = own.shapes[1].width
+        width = math.hypot(own.shapes[1].width, blur * footprint)
         ratio = max(1.0, width / (footprint * (_PIXELS_ACROSS_SCRATCH if long else _PIXELS_ACROSS)))
         off = _OFF_PX if width < _NARROW_PX * ratio * footprint else (0.0, 0.0)
         # a scratch is found by any of its segments: five of them stand for all
@@ -271,8 +272,9 @@ class PatchEvidence:
         self._surface, self._references = surface.take(self._order), references[self._order]
         share = surface_share(camera, self._surface.points)
         self._passed = 1.0 if share is None else share
-        self._stencils = detection.stencils(footprint, typical_blur(camera, surface.points)).in_cells(image.cell)
-        self._limits = detection.limits(float(areas.sum()), footprint)
+        blur = typical_blur(camera, surface.points)
+        self._stencils = detection.stencils(footprint, blur).in_cells(image.cell)
+        self._limits = detection.limits(float(areas.sum()), footprint, blur)
         entries = detection.catalogue.entries
         turns = [len(one.turns) for one in entries]
         self._planned = PlannedTurns(

@@ -222,7 +222,7 @@ class _EntryPixels:
 def _entry_pixels(
     own: DefectHypotheses, view: PostureView, deviation: Float32, surface: _Surface, lights: int
 ) -> _EntryPixels:
-    grid = search_grid(own, surface.footprint)
+    grid = search_grid(own, surface.footprint, surface.blur)
     ratio = grid.ratio
     deviation, attenuation = _with_waviness(own, view, deviation)
     reach = max(shape.length for shape in own.shapes) / surface.footprint + surface.blur
@@ -327,7 +327,7 @@ def _templates(entry: _EntryPixels, surface: _Surface, threads: int | None) -> E
         deviation=entry.deviation,
         attenuation=entry.attenuation,
         ratio=entry.ratio,
-        width_px=own.shapes[1].width / footprint,
+        width_px=math.hypot(own.shapes[1].width / footprint, surface.blur / entry.ratio),
         corner=entry.corner,
         border=border,
         change=entry.change,
