@@ -21,6 +21,7 @@ from lightopt.defects import (
     PlacedDefect,
     defect_hypotheses,
     plane_to_image,
+    search_grid,
 )
 from lightopt.design import DetectionModel, luminance_matrix, planned_catalogue
 from lightopt.optics import expose
@@ -70,7 +71,7 @@ CASES = {
     # an edge 40 mm above what it hides, which is tilted through the focus, and its shadow
     "step": (merged(plane(10, tilt=40), box([-1, -2, 15], [2.5, 2, 35])), {"R_d": 120.0, "R_s": 0.0, "sigma": 0.05}),
     # in focus, but the images of four lights lie 30 mm behind it
-    "mirror": (cap(60.0, half=7.0, cells=12), {"R_d": 5.0, "R_s": 4000.0, "sigma": 0.006}),
+    "mirror": (cap(60.0, half=7.0, cells=8), {"R_d": 5.0, "R_s": 4000.0, "sigma": 0.006}),
 }
 
 
@@ -80,7 +81,7 @@ def test_images_are_those_of_rays_through_a_thin_lens(case):
     camera = ref.Camera(width=48, height=36, pixel_um=25.0, image_distance=IMAGE_DISTANCE)
     light = ref.Light(elevation=82, azimuth=30, size=(40, 40))
     scene = scene_from_mesh(camera, [light], mesh, reflectance=reflectance)
-    views = 250
+    views = 160
     expected, error = monte_carlo(camera, light, mesh, reflectance, views=views)
     found = levels(with_lens(scene), supersample=11)  # 128 views
     sharp = levels(scene, supersample=3)
@@ -167,6 +168,7 @@ def test_what_pixels_are_expected_to_see_of_a_blurred_stain_is_what_the_image_sh
     # the faintest pixels are left out of hypotheses
     np.testing.assert_allclose(change, expected, atol=0.07)
     assert (change**2).sum() == pytest.approx((expected**2).sum(), rel=0.03)
+    assert search_grid(hypotheses, footprint, blur).ratio > search_grid(hypotheses, footprint).ratio
     sharp = hypotheses.seen_by_pixels(1, 0, plane_to_image(0, footprint))
     assert (expected**2).sum() < 0.6 * (sharp.weight**2).sum()  # a blurred defect is harder to find
 
@@ -176,10 +178,10 @@ def test_a_plan_expects_less_evidence_of_defects_out_of_focus(tmp_path):
     (tmp_path / "part.yaml").write_text(PART, encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(RIG, encoding="utf-8")
     scene = build_scene(tmp_path / "rig.yaml", tmp_path / "part.yaml")
-    catalogue = planned_catalogue([one for one in BUILT_IN_CATALOGUE if one.name in ("dent", "stain")])
+    catalogue = planned_catalogue([one for one in BUILT_IN_CATALOGUE if one.name == "dent"])
     detection = DetectionModel(catalogue=catalogue, sensor=scene.sensor, full_scale=255.0)
     units = []
-    for lens in (None, Lens(aperture=APERTURE, focus=540.0), Lens(aperture=APERTURE, focus=400.0)):
+    for lens in (None, Lens(aperture=APERTURE, focus=540.0), Lens(aperture=APERTURE, focus=440.0)):
         own = replace(scene, camera=replace(scene.camera, lens=lens))
         caster = cast_rays_at(own)
         table = build_patches(own, caster=caster, budget=600)
