@@ -54,7 +54,7 @@ def check_depth_of_field(checked: CheckedRig) -> Iterator[Finding]:
     if cutoff is not None:
         text += f"; Airy's disc is {2.44 / cutoff:.3g} px wide"
         values["airy_px"] = 2.44 / cutoff
-    yield Finding("ok", "focus", text, checked.at("camera", "aperture"), values)
+    yield Finding("ok", "depth of field", text, checked.at("camera", "aperture"), values)
 
 
 def check_resolution(checked: CheckedRig) -> Iterator[Finding]:
@@ -101,7 +101,7 @@ def check_sensor(checked: CheckedRig) -> Iterator[Finding]:
             f"{noise * sensor.electrons_per_level:.3g} electrons, dynamic range {decibels:.2g} dB"
         )
         found = {"electrons_at_saturation": electrons, "photons_at_saturation": photons, "dark_noise_levels": noise}
-        yield Finding("ok", "sensor", text, checked.at("camera", "sensor"), found)
+        yield Finding("ok", "photons", text, checked.at("camera", "sensor"), found)
     if electrons < SMALL_WELL:
         text = (
             f"a pixel saturates at {electrons:.3g} electrons ({sensor.electrons_per_level:g} per level): shot noise "
