@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from displaced_picture import displaced_picture
 from frames_drawing import frames_drawing
+from lens_picture import lens_picture
 from lighting_picture import lighting_picture
 from PIL import Image
 from statistic_picture import statistic_picture
@@ -230,6 +231,7 @@ def main() -> None:
         statistic_picture(PICTURES / "statistic.png")
         displaced_picture(PICTURES / "displaced.png")
         lighting_picture(PICTURES / "lighting-systems.png")
+        lens_picture(PICTURES / "lens.png")
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
     replace_block(DOCS / "tutorial" / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")
     if not quick:

@@ -73,7 +73,7 @@ def _same_pixels(rig: RigConfig, other: RigConfig) -> dict[tuple[str | int, ...]
     footprint = pixel_footprint(build_camera(other), other.camera.distance_mm)
     pixel_um = 1000.0 * footprint * camera.image_distance / rig.camera.distance_mm
     width, height = other.camera.resolution_px
-    sensor = other.camera.sensor.model_dump()
+    sensor = other.camera.sensor.model_dump(exclude={"data_sheet"})
     return {
         ("camera", "resolution_px", 0): str(width),
         ("camera", "resolution_px", 1): str(height),

@@ -14,6 +14,9 @@ from pydantic import (
 from lightopt.config import _fields as fields
 from lightopt.config._fields import LIST, Frozen, complaint, expecting
 from lightopt.config._pose import CameraPoseConfig, with_pose
+from lightopt.config._sensor_sheet import Efficiency, SensorSheetConfig
+from lightopt.config._yaml_file import load_file
+from lightopt.core.errors import InputError
 
 _Distortion = Annotated[float, Field(ge=-1e3, le=1e3), expecting("a number")]
 _Pixels = Annotated[int, Field(ge=1, le=65535)]
@@ -60,6 +63,8 @@ class VignettingConfig(Frozen):
     """Coefficient of ρ², ρ the distance from the principal point in half diagonals."""
     v4: _Dimming = 0.0
     """Coefficient of ρ⁴."""
+    cos4: bool = False
+    """Whether the fourth power of the cosine to the optical axis dims the image as well, as with a simple lens."""
 
 
 class SensorConfig(Frozen):
@@ -76,6 +81,44 @@ class SensorConfig(Frozen):
     """Standard deviation of the noise without light [levels of the sensor]."""
     electrons_per_level: fields.Positive | None = None
     """Conversion gain [electrons per level], for shot noise; none unless given."""
+    quantum_efficiency_percent: Efficiency | None = None
+    """Quantum efficiency [%], with which lightopt check states photons; it changes no image."""
+    dark_current_e_per_s: Annotated[float, Field(ge=0, le=1e9), expecting("electrons per second")] = 0.0
+    """Dark current [electrons per second], whose noise in exposure_us is added to the read noise."""
+    dsnu_levels: Annotated[float, Field(ge=0, le=1e5), expecting("a number from 0 up")] = 0.0
+    """Standard deviation over the pixels of the level without light [levels of the sensor]."""
+    prnu_percent: Annotated[float, Field(ge=0, le=50), expecting("per cent, from 0 to 50")] = 0.0
+    """Standard deviation over the pixels of what they make of the same light [%]."""
+    linearity_error_percent: Annotated[float, Field(ge=0, le=10), expecting("per cent, from 0 to 10")] = 0.0
+    """Linearity error by EMVA 1288: mean deviation from the best line, of levels that rise less and less [%]."""
+    data_sheet: fields.Text | None = None
+    """Data sheet by EMVA 1288 (lightopt-sensor/1), for the keys above that are absent; relative to this file."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _with_sheet(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+        file = fields.value_of(value, "data_sheet")
+        sheet, wrong = None, list[fields.Complaint]()
+        if isinstance(file, str) and info.context:
+            try:
+                sheet = load_file(info.context["folder"] / file, SensorSheetConfig, "lightopt-sensor/1")
+            except InputError as error:
+                wrong.append((("data_sheet",), file, complaint("; ".join(error.messages))))
+        own = fields.with_complaints(value, handler, wrong)
+        if sheet is None:
+            return own
+        top = (own.saturation_level or 2**own.bit_depth - 1) - own.black_level
+        given = own.electrons_per_level or 1.0 / (sheet.levels_per_electron or top / sheet.saturation_capacity_e)
+        found = {
+            "electrons_per_level": given,
+            "quantum_efficiency_percent": sheet.quantum_efficiency_percent,
+            "read_noise_levels": sheet.dark_noise_e / given,
+            "dark_current_e_per_s": sheet.dark_current_e_per_s,
+            "dsnu_levels": sheet.dsnu_e / given,
+            "prnu_percent": sheet.prnu_percent,
+            "linearity_error_percent": sheet.linearity_error_percent,
+        }
+        return own.model_copy(update={key: number for key, number in found.items() if key not in own.model_fields_set})
 
     @field_validator("saturation_level")
     @classmethod
@@ -123,7 +166,14 @@ class CameraConfig(Frozen):
     image_distance_mm: fields.Length | None = None
     """Distance from the pinhole to the image plane [mm]. Give this or focal_length_mm."""
     focal_length_mm: fields.Length | None = Field(default=None, validate_default=True)
-    """Focal length of a lens that is focused at distance_mm [mm]: 1/f = 1/a + 1/b. Give this or image_distance_mm."""
+    """Focal length of a lens that is focused at focus_distance_mm [mm]: 1/f = 1/a + 1/b. Give this or
+    image_distance_mm."""
+    aperture: Annotated[float, Field(ge=0.5, le=1000), expecting("an f-number from 0.5 to 1000")] | None = None
+    """F-number, focal length over diameter of the aperture. If absent, the camera is a pinhole: all is in focus."""
+    focus_distance_mm: fields.Length | None = None
+    """Distance along the optical axis from the pinhole to the plane in focus [mm]; distance_mm if absent."""
+    wavelength_nm: Annotated[float, Field(ge=100, le=20000), expecting("nanometres, from 100 to 20000")] | None = None
+    """Wavelength of the light, for diffraction at the aperture [nm]; no diffraction if absent."""
     distortion: DistortionConfig = DistortionConfig()
     """Lens distortion; none unless given."""
     vignetting: VignettingConfig | None = None
@@ -153,6 +203,18 @@ class CameraConfig(Frozen):
         if focal is not None and distance is not None and focal >= distance:
             raise complaint(f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there")
         return focal
+
+    @field_validator("focus_distance_mm", "wavelength_nm")
+    @classmethod
+    def _of_a_lens(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and info.data.get("aperture", 0.0) is None:
+            raise complaint("only a lens with an aperture has this; give aperture (its f-number), too")
+        focal = info.data.get("focal_length_mm")
+        if value is not None and info.field_name == "focus_distance_mm" and focal is not None and value <= focal:
+            raise complaint(
+                f"expected more than focal_length_mm, {focal:g}, found {value:g}: a lens cannot focus there"
+            )
+        return value
 
 
 # of keys that only one driver has: the driver, and the message where it lacks the key

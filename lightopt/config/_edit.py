@@ -175,7 +175,12 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
                 f"{config.source.at(*keys)}: the channels of this light would have different values, and the file has "
                 "one for all; write them as lights of their own"
             )
-    of_rig = (("hardware", "camera", "folder"), ("calibration", "covariance"), ("virtual_bench", "rig"))
+    of_rig = (
+        ("hardware", "camera", "folder"),
+        ("calibration", "covariance"),
+        ("virtual_bench", "rig"),
+        ("camera", "sensor", "data_sheet"),
+    )
     names: dict[Keys, str | None] = {
         keys: reduce(lambda value, key: getattr(value, key, None), keys, config)
         for keys in ((("mesh", "file"),) if isinstance(config, PartConfig) else of_rig)

@@ -3,11 +3,9 @@
 And the lights of a rig whose file is wrong elsewhere: its ``hardware`` section, as far as it can be read.
 """
 
-import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
-from difflib import get_close_matches
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -16,25 +14,15 @@ from pydantic import BaseModel, ValidationError
 from lightopt.config._camera import CameraDeviceConfig
 from lightopt.config._fields import mapping
 from lightopt.config._hardware import ChannelConfig, ControllerConfig, HardwareConfig
-from lightopt.config._messages import describe, model_problems
 from lightopt.config._part import PartConfig
 from lightopt.config._pose import POSE_REPLACES
 from lightopt.config._rig import RigConfig
-from lightopt.config._source_file import Source, dotted
-from lightopt.config._strict_yaml import Document, Problem, YamlError, parse
+from lightopt.config._strict_yaml import YamlError, parse
 from lightopt.config._targets import TargetsConfig
+from lightopt.config._yaml_file import decode, load_file, read_bytes
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 
-MAX_BYTES = 1_000_000
-_KINDS = {
-    "lightopt-rig": "a rig",
-    "lightopt-part": "a part",
-    "lightopt-images": "an image set",
-    "lightopt-targets": "the targets of a calibration",
-}
-
-Config = TypeVar("Config", RigConfig, PartConfig, TargetsConfig)
 Entry = TypeVar("Entry", bound=BaseModel)
 
 
@@ -44,110 +32,19 @@ def load_rig(path: Path | str) -> RigConfig:
     Returns: The file's content, in its own units; ``source`` names file, hash and lines.
     Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
     """
-    return _load(Path(path), RigConfig, "lightopt-rig/1")
+    rig = load_file(Path(path), RigConfig, "lightopt-rig/1")
+    rig._source = replace(rig.source, entries=tuple(light.entry for light in rig.lights))
+    return rig
 
 
 def load_part(path: Path | str) -> PartConfig:
     """Read a part file as :func:`load_rig` does; ``source.resolve(part.mesh.file)`` is its mesh, which must exist."""
-    return _load(Path(path), PartConfig, "lightopt-part/1")
+    return load_file(Path(path), PartConfig, "lightopt-part/1")
 
 
 def load_targets(path: Path | str) -> TargetsConfig:
     """Read the targets of a calibration (``lightopt-targets/1``) as :func:`load_rig` does."""
-    return _load(Path(path), TargetsConfig, "lightopt-targets/1")
-
-
-def _load(path: Path, model: type[Config], expected: str) -> Config:
-    data = _read(path, expected)
-    try:
-        text = _decode(data, path)
-        document = parse(text)
-    except YamlError as error:
-        raise _error(path, [error.problem]) from None
-    if document.data is None and not document.problems:
-        raise InputError(f'{path}: the file is empty; expected {_kind(expected)} that begins "format: {expected}"')
-    if problems := _wrong_kind(document, expected):
-        raise _error(path, problems)
-    try:
-        config = model.model_validate(document.data, context={"folder": path.parent})
-    except ValidationError as error:
-        problems = model_problems(model, error.errors(include_url=False), document)
-        raise _error(path, [*document.problems, *problems]) from None
-    if document.problems:
-        raise _error(path, document.problems)
-    entries = tuple(light.entry for light in config.lights) if isinstance(config, RigConfig) else ()
-    config._source = Source(path, hashlib.sha256(data).hexdigest(), document.lines, text, entries)
-    return config
-
-
-def _error(path: Path, problems: list[Problem]) -> InputError:
-    messages: list[str] = []
-    for p in sorted(problems, key=lambda p: p.line):
-        text = f"{dotted(p.keys)}: {p.message}" if p.keys else p.message
-        # what a terminal would not show, or obey, is written as an escape
-        printable = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
-        messages.append(f"{path}:{p.line}: {printable}")
-    return InputError(*messages)
-
-
-def _kind(format_: str) -> str:
-    return _KINDS.get(format_.partition("/")[0], "a file of another kind")
-
-
-def _wrong_kind(document: Document, expected: str) -> list[Problem]:
-    """Problems that make it pointless to compare the file with the model key by key."""
-    if not isinstance(document.data, dict):
-        message = f'expected {_kind(expected)}, keys and values that begin "format: {expected}"'
-        return document.problems or [Problem(1, (), f"{message}; found {describe(document.data)}")]
-    found = document.data.get("format")
-    if not isinstance(found, str) or found == expected:
-        return []
-    line = document.lines["format",]
-    message = f'expected {expected}, found "{found[:60]}"'
-    name, _, version = found.partition("/")
-    if name in _KINDS and name != expected.partition("/")[0]:
-        message = f"this is {_kind(found)} ({found}); expected {_kind(expected)} ({expected})"
-    elif name in _KINDS and version:
-        message += "; this lightopt reads version 1 only"
-    return [*document.problems, Problem(line, ("format",), message)]
-
-
-def _read(path: Path, expected: str) -> bytes:
-    try:
-        if path.is_dir():
-            raise InputError(f"{path}: this is a folder; expected the YAML file of {_kind(expected)}")
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file{_near(path)}") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    if len(data) > MAX_BYTES:
-        raise InputError(f"{path}: larger than 1 MB; this is not {_kind(expected)} file")
-    return data
-
-
-def _near(path: Path) -> str:
-    try:
-        names = sorted(p.name for p in path.parent.iterdir() if p.is_file())
-    except OSError:
-        return f"; the folder {path.parent} is not there either"
-    near = get_close_matches(path.name, names, n=1, cutoff=0.5)
-    return f'; did you mean "{path.parent / near[0]}"?' if near else ""
-
-
-def _decode(data: bytes, path: Path) -> str:
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise InputError(f"{path}: the text is UTF-16; save the file as UTF-8")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        byte = f"0x{data[error.start]:02x}"
-        raise InputError(f"{path}:{line}: byte {byte} is not UTF-8 text; expected YAML, saved as UTF-8") from None
-    if "\0" in text:
-        raise InputError(f"{path}: this is a binary file; expected YAML text")
-    return text
+    return load_file(Path(path), TargetsConfig, "lightopt-targets/1")
 
 
 def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str, str]]:
@@ -155,6 +52,8 @@ def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str,
     files = {"rig": rig} if part is None else {"rig": rig, "part": part}
     hashes = {kind: {"file": one.source.path.name, "sha256": one.source.sha256} for kind, one in files.items()}
     pictures = [name for light in rig.channels if light.pattern is not None for name in light.pattern.files or ()]
+    if rig.camera.sensor.data_sheet is not None:
+        hashes["data sheet"] = {"sha256": file_sha256(rig.source.resolve(rig.camera.sensor.data_sheet))}
     for name in dict.fromkeys(pictures):
         hashes[f"picture {name}"] = {"sha256": file_sha256(rig.source.resolve(name))}
     if part is not None:
@@ -208,7 +107,7 @@ def load_lights(path: Path | str) -> LightsOnly:
 def _read_what_is_valid(path: Path, wrong: InputError) -> LightsOnly:
     """Lights and controllers of a file that is wrong in other places."""
     try:
-        text = _decode(_read(path, "lightopt-rig/1"), path)
+        text = decode(read_bytes(path, "lightopt-rig/1"), path)
     except InputError:
         raise wrong from None
     rig = _document(text)

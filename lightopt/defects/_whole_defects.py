@@ -67,6 +67,9 @@ WALL_LEVELS = (1.0,)
 # points that a pixel is sampled at along each side: so many across the defect's width, within these limits
 ACROSS_WIDTH, LEAST_SAMPLES, MOST_SAMPLES = 10.0, 3, 15
 
+# a disc that the lens blurs over is left out where it is this narrow, and is sampled at so many places at most [px]
+_LEAST_BLUR_PX, _MOST_PLACES = 0.1, 48
+
 _MOST_FINER = 2  # directions are doubled so often at most
 LEAST_SHARE = 0.06  # a variant with less than this share of the greatest one of any pixel is left out
 
@@ -118,22 +121,27 @@ class DefectHypotheses:
         return tuple(0.25 * math.sqrt(one.length * one.width) / footprint for one in self.shapes)
 
     def seen_by_pixels(
-        self, size: int, turn: int, to_image: Float64, *, off_px: tuple[float, float] = (0.0, 0.0)
+        self, size: int, turn: int, to_image: Float64, *, off_px: tuple[float, float] = (0.0, 0.0), blur_px: float = 0.0
     ) -> PixelMixture:
         """What pixels see of a defect.
 
         size, turn: Indices of the shape and of the turn
         to_image: Pixels to the right and down by mm along the axes of the tangent plane, shape (2, 2)
         off_px: How far to the right and down the defect's middle is from that of its pixel
+        blur_px: Diameter of the disc that the lens makes of a point
         """
         shape, angle = self.shapes[size], float(self.turns[turn])
         along = np.array([math.cos(angle), math.sin(angle)])
         across = np.array([-along[1], along[0]])
         # half the sides of the outline's box in the image
         half = np.abs(to_image @ along) * 0.5 * shape.length + np.abs(to_image @ across) * 0.5 * shape.width
+        half = half + 0.5 * blur_px
         right, down = (math.floor(side + 0.5 + abs(off)) for side, off in zip(half, off_px, strict=True))
         width = shape.width * math.sqrt(abs(float(np.linalg.det(to_image))))
         samples = min(MOST_SAMPLES, max(LEAST_SAMPLES, math.ceil(ACROSS_WIDTH / width)))
+        disc = _disc(blur_px)
+        if len(disc[0]) > 1:  # whose places sample pixels, too
+            samples = LEAST_SAMPLES
         inner = (np.arange(samples) + 0.5) / samples - 0.5
         columns, rows = 2 * right + 1, 2 * down + 1
         row, y, column, x = np.ix_(np.arange(rows), inner, np.arange(columns), inner)
@@ -141,8 +149,10 @@ class DefectHypotheses:
         y, x = (
             np.broadcast_to(a, (rows, samples, columns, samples)).ravel() for a in (row - down + y, column - right + x)
         )
-        plane = np.linalg.inv(to_image) @ np.stack([x - off_px[0], y - off_px[1]])
+        places = [np.add.outer(side, a - off).ravel() for side, a, off in zip(disc, (x, y), off_px, strict=True)]
+        plane = np.linalg.inv(to_image) @ np.stack(places, dtype=np.float64)
         variant, inside = self._variants(shape, angle, along @ plane, across @ plane)
+        pixel = np.tile(pixel, len(disc[0]))
         found, count = np.unique(pixel[inside] * len(self.slope) + variant[inside], return_counts=True)
         keep = count >= LEAST_SHARE * count.max(initial=0)
         pixel, kind = np.divmod(found[keep], len(self.slope))
@@ -150,7 +160,7 @@ class DefectHypotheses:
             row=(pixel // columns - down).astype(np.int32),
             column=(pixel % columns - right).astype(np.int32),
             variant=kind.astype(np.int32),
-            weight=count[keep] / samples**2,
+            weight=count[keep] / (samples**2 * len(disc[0])),
         )
 
     def _variants(self, shape: DefectShape, turn: float, x: Float64, y: Float64) -> tuple[Index, Bool]:
@@ -166,6 +176,15 @@ class DefectHypotheses:
         lean = (np.arctan2(-across, -along) + turn) * directions / (2.0 * math.pi)
         variant = level * directions + np.rint(lean).astype(np.intp) % directions
         return variant, inside & (share >= 0.5 * self.levels[0])
+
+
+def _disc(diameter: float) -> tuple[Float64, Float64]:
+    # places that are spread evenly over a disc (Vogel 1979); the middle alone for next to none
+    count = 1 if diameter < _LEAST_BLUR_PX else min(_MOST_PLACES, 6 * math.ceil(1.0 + diameter))
+    number = np.arange(count)
+    radius = 0.5 * diameter * np.sqrt((number + 0.5) / count) * (count > 1)
+    angle = number * math.pi * (3.0 - math.sqrt(5.0))
+    return radius * np.cos(angle), radius * np.sin(angle)
 
 
 def defect_hypotheses(entry: CatalogueEntry, grid: HypothesisGrid = INSPECTION_GRID) -> DefectHypotheses:
@@ -224,12 +243,16 @@ class SearchGrid:
     halves: tuple[tuple[float, float], ...]  # places of the middle within its pixel, to the right and down
 
 
-def search_grid(own: DefectHypotheses, footprint: float) -> SearchGrid:
-    """Where hypotheses are tested; `footprint` is the side of a pixel on a plane that faces the camera [mm]."""
+def search_grid(own: DefectHypotheses, footprint: float, blur_px: float = 0.0) -> SearchGrid:
+    """Where hypotheses are tested.
+
+    footprint: Side of a pixel on a plane that faces the camera [mm]
+    blur_px: Diameter of the disc that the lens makes of a point, which makes defects wider
+    """
     long = own.entry.shape.kind == "scratch"
-    width = own.shapes[1 if long else 0].width / footprint / (_SCRATCH_PX if long else _WIDTH_PX)
-    ratio = max(1, min(round(width), _MOST_RATIO))
-    middle_px = own.shapes[1].width / (ratio * footprint)
+    narrow, middle = (math.hypot(shape.width / footprint, blur_px) for shape in own.shapes[:2])
+    ratio = max(1, min(round(middle / _SCRATCH_PX if long else narrow / _WIDTH_PX), _MOST_RATIO))
+    middle_px = math.hypot(own.shapes[1].width / (ratio * footprint), blur_px / ratio)
     # along a scratch its place matters little
     halves = _HALVES[: (2 if long else 4) if middle_px < _FINE_PX else 1]
     return SearchGrid(ratio=ratio, step=max(1, int(middle_px / _STEPS_PER_WIDTH)), halves=halves)

@@ -1,9 +1,16 @@
-"""How a surface reflects: Lambert's diffuse component and a specular lobe. Pure functions of numbers.
+"""How a surface reflects, what a lens blurs, what a sensor makes of light. Pure functions of numbers.
 
 A model is a scalar function compiled as a kernel, called per surface point and point light by the kernels of
 :mod:`lightopt.rendering`; it knows neither meshes nor rigs.
 """
 
+from lightopt.optics._lens import (
+    airy_diameter as airy_diameter,
+    airy_kernel as airy_kernel,
+    circle_of_confusion as circle_of_confusion,
+    depth_of_field as depth_of_field,
+    pupil_points as pupil_points,
+)
 from lightopt.optics._reflection_model import (
     EVERYWHERE as EVERYWHERE,
     MAX_LOBE_EXPONENT as MAX_LOBE_EXPONENT,

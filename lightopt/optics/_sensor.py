@@ -15,7 +15,7 @@ Level = TypeVar("Level", bound=np.floating[Any])
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """A linear sensor.
+    """A sensor, by EMVA Standard 1288, release 4.0.
 
     bit_depth: Bits of a delivered level, 1 to 16
     saturation_level: Delivered level from which a pixel counts as saturated; full scale, 2^bit_depth − 1, when not
@@ -23,6 +23,9 @@ class Sensor:
     black_level: Delivered level without light
     read_noise_levels: Standard deviation of the read noise [sensor level]
     electrons_per_level: Photo-electrons that make one sensor level; None for a sensor without shot noise
+    dsnu_levels: Standard deviation over the pixels of the level without light [sensor level]
+    prnu: Standard deviation over the pixels of what they make of the same light, as a share of it
+    linearity_error: Mean deviation from the best line, as a share of the level: it is compressive
 
     Raises InputError: When a value is out of its range
     """
@@ -32,6 +35,9 @@ class Sensor:
     black_level: float = 0.0
     read_noise_levels: float = 0.0
     electrons_per_level: float | None = None
+    dsnu_levels: float = 0.0
+    prnu: float = 0.0
+    linearity_error: float = 0.0
 
     def __post_init__(self) -> None:
         problems: list[str] = []
@@ -43,8 +49,12 @@ class Sensor:
         if not 0 <= self.black_level < self.saturated_from:
             expected = f"from 0 to below the saturation level {self.saturated_from:g}"
             problems.append(f"black_level: expected {expected}, found {self.black_level}")
-        if not (self.read_noise_levels >= 0 and math.isfinite(self.read_noise_levels)):
-            problems.append(f"read_noise_levels: expected 0 or more, found {self.read_noise_levels}")
+        not_negative = {n: getattr(self, n) for n in ("read_noise_levels", "dsnu_levels", "prnu", "linearity_error")}
+        problems += [
+            f"{name}: expected 0 or more, found {value}"
+            for name, value in not_negative.items()
+            if not (value >= 0 and math.isfinite(value))
+        ]
         electrons = self.electrons_per_level
         if electrons is not None and not (electrons > 0 and math.isfinite(electrons)):
             problems.append(f"electrons_per_level: expected above 0, found {electrons}")
@@ -61,6 +71,11 @@ class Sensor:
         """Delivered level from which a pixel counts as saturated."""
         return float(self.max_level) if self.saturation_level is None else float(self.saturation_level)
 
+    @property
+    def fixed_pattern(self) -> bool:
+        """Whether pixels differ in what they make of the same light."""
+        return self.dsnu_levels > 0 or self.prnu > 0
+
     @overload
     def noise_variance(self, signal: float, *, frames: int = 1) -> float: ...
 
@@ -68,7 +83,7 @@ class Sensor:
     def noise_variance(self, signal: NDArray[Level], *, frames: int | Float64 = 1) -> NDArray[Level]: ...
 
     def noise_variance(self, signal: Any, *, frames: Any = 1) -> Any:
-        """Variance of a delivered level: read noise and shot noise, of which averaging leaves less, and rounding.
+        """Variance of a delivered level: read and shot noise, which averaging reduces, fixed pattern and rounding.
 
         signal: Level above the black level [sensor level], of any shape; below 0 there is no shot noise
         frames: Of how many frames the level is the rounded mean
@@ -76,7 +91,10 @@ class Sensor:
         """
         levels_per_electron = 1.0 / self.electrons_per_level if self.electrons_per_level else 0.0
         lit = max(signal, 0.0) if isinstance(signal, float) else np.maximum(signal, 0)
-        return (self.read_noise_levels**2 + levels_per_electron * lit) / frames + 1.0 / 12.0
+        noise = (self.read_noise_levels**2 + levels_per_electron * lit) / frames + 1.0 / 12.0
+        if self.fixed_pattern:
+            noise = noise + (self.dsnu_levels**2 + np.square(self.prnu * lit))
+        return noise
 
 
 Levels = Float32 | Float64
@@ -84,6 +102,13 @@ Quantised = UInt8 | NDArray[np.uint16]
 
 # Pixels worked on at a time: bounds the float64 copies. Noise is drawn block by block, so changing it changes noise.
 _BLOCK_PIXELS = 1 << 18
+
+# A camera has one fixed pattern, whatever image it takes.
+_PATTERN_SEED = 1288
+
+# Of levels s·(1 + κ·(1 − s/top)) the mean deviation from the line that fits best, both as shares of the level, from
+# 5 to 95 % of the top (EMVA 1288, section on linearity), is so many times κ.
+_LINEARITY_OF_BEND = 0.1457
 
 _LEAST_NOISE = 0.3
 
@@ -97,7 +122,8 @@ def expose(
     """Quantise what the camera sees: scaled, noisy with a generator, rounded half up, clipped to the bit depth.
 
     Sensor level = black level + exposure · levels · (2^b − 1) / full scale. Shot noise is Poisson in the
-    photo-electrons above black, read noise is Gaussian (EMVA Standard 1288, release 4.0, section 2).
+    photo-electrons above black, read noise is Gaussian, and with noise comes the fixed pattern of the pixels (EMVA
+    Standard 1288, release 4.0, section 2). A linearity error bends the levels, with noise and without.
 
     levels: Linear image, shape (H, W) [grey level at exposure 1, the light's gain applied]
     exposure: Relative to the exposure at which the levels hold
@@ -115,6 +141,7 @@ def expose(
     small = sensor.bit_depth <= 8
     quantised: Quantised = np.empty(levels.shape, np.uint8) if small else np.empty(levels.shape, np.uint16)
     rows = max(1, _BLOCK_PIXELS // max(1, levels.shape[1]))
+    pattern = np.random.default_rng(_PATTERN_SEED) if rng is not None and sensor.fixed_pattern else None
     for top in range(0, levels.shape[0], rows):
         block = levels[top : top + rows].astype(np.float64)
         finite = np.isfinite(block)
@@ -125,8 +152,15 @@ def expose(
                 f"{top + len(block) - 1}, the first at row {top + row}, column {column}: {block[row, column]}"
             )
         block *= scale
+        if pattern is not None:
+            block *= 1.0 + sensor.prnu * pattern.standard_normal(block.shape)
         if rng is not None:
             _add_noise(block, sensor=sensor, rng=rng)
+        if pattern is not None:
+            block += sensor.dsnu_levels * pattern.standard_normal(block.shape)
+        if sensor.linearity_error > 0:
+            share = np.clip(block / (sensor.saturated_from - sensor.black_level), 0.0, 1.0)
+            block *= 1.0 + sensor.linearity_error / _LINEARITY_OF_BEND * (1.0 - share)
         block += sensor.black_level + 0.5
         np.floor(block, out=block)
         np.clip(block, 0, sensor.max_level, out=block)

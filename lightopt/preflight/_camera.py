@@ -1,15 +1,22 @@
 """What the camera resolves and delivers, and where the part lies in its image and on the table."""
 
+import math
 from collections.abc import Iterator
 
+import numpy as np
+
+from lightopt.optics import depth_of_field
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, Level, percent
 from lightopt.rendering import too_few_pixels
-from lightopt.scene import pixel_footprint, view_size
+from lightopt.scene import blur_diameter, build_sensor, pixel_footprint, view_size
 
 # a black level or a saturation level that costs more than this share of the full scale is worth a warning
 LOST_RANGE = 0.25
 
 SMALL_WELL = 1000.0  # electrons at saturation below which shot noise alone is over 3 % of the level
+
+# what is blurred over more than a pixel is out of focus; a larger share of the surface seen is worth a warning
+FOCUS_PX, MOST_OUT_OF_FOCUS = 1.0, 0.05
 
 SIDES = ("left", "top", "right", "bottom")
 TABLE_TOLERANCE_MM = 1e-3
@@ -18,7 +25,7 @@ TABLE_TOLERANCE_MM = 1e-3
 def check_lens(checked: CheckedRig) -> Iterator[Finding]:
     """The lens in both of its descriptions."""
     camera = checked.rig.camera
-    a, b = camera.distance_mm, checked.camera.image_distance
+    a, b = camera.focus_distance_mm or camera.distance_mm, checked.camera.image_distance
     focal = a * b / (a + b)
     keys = ("focal_px", "image_distance_mm", "focal_length_mm")
     key = next(key for key in keys if getattr(camera, key) is not None)
@@ -28,6 +35,26 @@ def check_lens(checked: CheckedRig) -> Iterator[Finding]:
     )
     values = {"image_distance_mm": b, "focal_length_mm": focal, "magnification": b / a}
     yield Finding("ok", "lens", text, checked.at("camera", key), values)
+
+
+def check_depth_of_field(checked: CheckedRig) -> Iterator[Finding]:
+    """Where the lens is sharp, and what diffraction leaves."""
+    camera, lens = checked.camera, checked.camera.lens
+    if lens is None:
+        return
+    near, far = depth_of_field(
+        FOCUS_PX * camera.pixel_size, focus=lens.focus, aperture=lens.aperture, image_distance=camera.image_distance
+    )
+    text = (
+        f"f/{checked.rig.camera.aperture:g}, focused at {lens.focus:g} mm: the circle of confusion is within "
+        f"{FOCUS_PX:g} px from {near:.5g} to {far:.5g} mm from the camera ({far - near:.3g} mm of depth)"
+    )
+    values = {"near_mm": near, "far_mm": far if math.isfinite(far) else None, "aperture_mm": lens.aperture}
+    cutoff = camera.diffraction_cutoff
+    if cutoff is not None:
+        text += f"; Airy's disc is {2.44 / cutoff:.3g} px wide"
+        values["airy_px"] = 2.44 / cutoff
+    yield Finding("ok", "depth of field", text, checked.at("camera", "aperture"), values)
 
 
 def check_resolution(checked: CheckedRig) -> Iterator[Finding]:
@@ -65,6 +92,16 @@ def check_sensor(checked: CheckedRig) -> Iterator[Finding]:
     if sensor.electrons_per_level is None:
         return
     electrons = usable * sensor.electrons_per_level
+    if sensor.quantum_efficiency_percent is not None:
+        noise = math.sqrt(build_sensor(checked.rig.camera).noise_variance(0.0))
+        decibels = 20.0 * math.log10(usable / noise)
+        photons = electrons / (0.01 * sensor.quantum_efficiency_percent)
+        text = (
+            f"a pixel saturates at {electrons:.4g} electrons, {photons:.4g} photons; dark noise "
+            f"{noise * sensor.electrons_per_level:.3g} electrons, dynamic range {decibels:.2g} dB"
+        )
+        found = {"electrons_at_saturation": electrons, "photons_at_saturation": photons, "dark_noise_levels": noise}
+        yield Finding("ok", "photons", text, checked.at("camera", "sensor"), found)
     if electrons < SMALL_WELL:
         text = (
             f"a pixel saturates at {electrons:.3g} electrons ({sensor.electrons_per_level:g} per level): shot noise "
@@ -92,6 +129,28 @@ def check_depth(checked: CheckedScene) -> Iterator[Finding]:
     )
     values |= {"nearest_footprint_mm": small, "farthest_footprint_mm": large}
     yield Finding("ok", "depth", text, None, values)
+
+
+def check_focus(checked: CheckedScene) -> Iterator[Finding]:
+    """Share of the surface seen that is out of focus, and by how much."""
+    if checked.scene.camera.lens is None:
+        return
+    for index, sample in enumerate(checked.samples):
+        camera, surface = sample.view.camera, sample.surface
+        if not len(surface):
+            continue
+        blur = blur_diameter(camera, (surface.points - camera.position) @ camera.forward)
+        cosine = np.abs(np.einsum("ij,ij->i", surface.facets, surface.views))
+        area = sample.hits.distance**2 / np.maximum(cosine, 0.05)
+        share, largest = float(area[blur > FOCUS_PX].sum() / area.sum()), float(blur.max())
+        text = f"posture {sample.posture}: the lens blurs the part over up to {largest:.3g} px"
+        if share > 0.0:
+            text += f", {percent(share)} of the surface seen over more than {FOCUS_PX:g} px"
+        level: Level = "warning" if share > MOST_OUT_OF_FOCUS else "ok"
+        if level == "warning":
+            text += "; stop the aperture down, or change focus_distance_mm. Fits take all that is seen to be in focus"
+        values = {"posture": sample.posture.as_dict(), "largest_px": largest, "out_of_focus_share": share}
+        yield Finding(level, "focus", text, checked.at_posture(index), values)
 
 
 def check_part_in_view(checked: CheckedScene) -> Iterator[Finding]:

@@ -18,6 +18,7 @@ SAMPLES = 60_000  # camera rays per posture at most: counts of pixels are estima
 
 RIG_CHECKS: tuple[Callable[[CheckedRig], Iterable[Finding]], ...] = (
     _camera.check_lens,
+    _camera.check_depth_of_field,
     _camera.check_resolution,
     _camera.check_field_of_view,
     _camera.check_sensor,
@@ -30,6 +31,7 @@ SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
     _part.check_size,
     _part.check_mesh,
     _camera.check_depth,
+    _camera.check_focus,
     _camera.check_part_in_view,
     _camera.check_pixels,
     _camera.check_below_table,

@@ -31,10 +31,11 @@ from lightopt.rendering._converged_panel import (
 )
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._direct_view import direct_levels
+from lightopt.rendering._lens_means import TYPICAL_VIEWS, lens_means
 from lightopt.rendering._penumbra_squares import SIDES
 from lightopt.rendering._surface import SurfacePoints, trace_samples
 from lightopt.rendering._surface_light import shade_surface_lights
-from lightopt.scene import PartView, Scene, lens_share, screen_window, view_from_part
+from lightopt.scene import PartView, Scene, lens_share, screen_window, through_lens, view_from_part
 
 _log = logging.getLogger("lightopt.rendering")
 
@@ -58,7 +59,8 @@ class LightImage:
 
     level: Linear, unclipped, noise-free [grey level], shape (height, width)
     diffuse, specular: Its two components [grey level], or None without `layers`
-    inside: Level of a pixel's centre minus the mean over the pixel, shape (height, width); None without `averaged`
+    inside: Level of a pixel's centre minus the mean over the pixel, shape (height, width); None without `averaged`, and
+        with a lens of finite aperture, whose images are means over pixels
     """
 
     light: str
@@ -113,7 +115,7 @@ def cast_rays_at(scene: Scene, *, rays: float = math.inf) -> RayCaster:
 
 def rays_of_images(scene: Scene, *, supersample: int = 1) -> float:
     """About how many rays the images of all postures take, of a part that fills the view."""
-    if any(light.points == "auto" for light in scene.lights):
+    if scene.camera.lens is not None or any(light.points == "auto" for light in scene.lights):
         return math.inf
     # blocker maps leave about as many shadow rays as there are camera rays
     return 2.0 * len(scene.postures) * scene.camera.width * scene.camera.height * supersample**2
@@ -129,6 +131,9 @@ def render(
     threads: int | None = None,
 ) -> Iterator[PostureImages]:
     """Render all postures of a scene under all its lights, one posture after the other; its defects are shown.
+
+    A lens of finite aperture averages over its area and that of each pixel: then `supersample` only says from how many
+    rays at least, n².
 
     scene: From :func:`lightopt.scene.build_scene`
     shadows: Whether the part casts shadows on itself
@@ -178,14 +183,19 @@ def render_posture(
         from a ray at each centre and more rays only where levels are not smooth; with `supersample` 1
     """
     before = caster.rays_cast
-    job = _PostureJob(
-        scene, view_from_part(scene, posture), caster, shadows, supersample, layers, patches, averaged=averaged
-    )
-    _run(job, posture, threads, progress)
+    view = view_from_part(scene, posture)
+    if scene.camera.lens is None:
+        job = _PostureJob(scene, view, caster, shadows, supersample, layers, patches, averaged=averaged)
+        _run(job, posture, threads, progress)
+        images = tuple(job.images)
+    else:
+        job = _PostureJob(replace(scene, lights=()), replace(view, lights=()), caster, shadows, 1, layers, patches)
+        _run(job, posture, threads, None)
+        images = _through_lens(scene, posture, caster, shadows, layers, supersample**2, threads, progress)
     assert job.geometry is not None
     return PostureImages(
         posture=posture,
-        lights=tuple(job.images),
+        lights=images,
         geometry=job.geometry,
         back_faces=int(job.back.sum()),
         rays=caster.rays_cast - before,
@@ -197,9 +207,38 @@ def render_lights(
 ) -> tuple[LightImage, ...]:
     """The images of :func:`render_posture` alone, without what each pixel looks at."""
     view = view_from_part(scene, posture)
+    if scene.camera.lens is not None:
+        return _through_lens(scene, posture, caster, True, False, 1, threads, None)
     job = _PostureJob(scene, view, caster, True, 1, False, None, averaged=averaged, geometry=False)
     _run(job, posture, threads, None)
     return tuple(job.images)
+
+
+def _through_lens(
+    scene: Scene,
+    posture: Posture,
+    caster: RayCaster,
+    shadows: bool,
+    layers: bool,
+    least: int,
+    threads: int | None,
+    progress: Share | None,
+) -> tuple[LightImage, ...]:
+    # `least`: number of views at least
+    names = ("level", "diffuse", "specular") if layers else ("level",)
+    counter = WorkCounter(TYPICAL_VIEWS, progress)
+
+    def render_view(place: Float64, offset: Float64) -> list[dict[str, Float32]]:
+        seen = replace(scene, camera=through_lens(scene.camera, place))
+        view = view_from_part(seen, posture)
+        job = _PostureJob(seen, view, caster, shadows, 1, layers, None, geometry=False, offset=offset)
+        _run(job, posture, threads, None)
+        counter.add(1)
+        counter.report()
+        return [{name: getattr(image, name) for name in names} for image in job.images]
+
+    means = lens_means(render_view, scene, least=least)
+    return tuple(LightImage(light=light.name, **mean) for light, mean in zip(scene.lights, means, strict=True))
 
 
 def _run(job: _PostureJob, posture: Posture, threads: int | None, progress: Share | None) -> None:
@@ -248,8 +287,10 @@ class _PostureJob:
         *,
         averaged: Bool | None = None,
         geometry: bool = True,
+        offset: Float64 | None = None,  # of the samples from their pixels' centres, to the right and down [px]
     ) -> None:
         self.scene, self.view, self.caster = scene, view, caster
+        self.offset = np.zeros(2) if offset is None else offset
         self.shadow_caster = caster if shadows else None
         self.supersample, self.patches = supersample, patches
         self.window = screen_window(view.camera, scene.mesh)
@@ -287,8 +328,8 @@ class _PostureJob:
         """Render rows [top, bottom) under every light."""
         n = self.supersample
         left, _, right, _ = self.window
-        rows = _centres(top * n - self.halo, bottom * n + self.halo) / n
-        columns = _centres(left * n, right * n) / n
+        rows = _centres(top * n - self.halo, bottom * n + self.halo) / n + self.offset[1]
+        columns = _centres(left * n, right * n) / n + self.offset[0]
         hits, smooth = self._trace(columns, rows)
         surface = self._wavy(smooth)
         marked = self._in_defects(surface)

@@ -16,7 +16,9 @@ from lightopt.scene._build import (
 from lightopt.scene._camera import (
     Distortion as Distortion,
     Framing as Framing,
+    Lens as Lens,
     PinholeCamera as PinholeCamera,
+    blur_diameter as blur_diameter,
     frame_part as frame_part,
     lens_share as lens_share,
     pixel_directions as pixel_directions,
@@ -27,6 +29,8 @@ from lightopt.scene._camera import (
     screen_window as screen_window,
     surface_footprint as surface_footprint,
     surface_share as surface_share,
+    through_lens as through_lens,
+    typical_blur as typical_blur,
 )
 from lightopt.scene._collisions import lights_meet as lights_meet
 from lightopt.scene._defects import (

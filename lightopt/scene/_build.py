@@ -17,6 +17,7 @@ from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points
 from lightopt.optics import Reflectance, Sensor, SpecularModel
 from lightopt.scene._camera import (
     Distortion,
+    Lens,
     PinholeCamera,
     frame_part,
     pixel_directions,
@@ -104,6 +105,7 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
     """
     c = rig.camera
     aspect = 1.0
+    focus = c.focus_distance_mm or c.distance_mm
     if c.focal_px is not None:
         image_distance = c.focal_px[0] * c.pixel_size_um * 1e-3
         aspect = c.focal_px[1] / c.focal_px[0]
@@ -111,8 +113,8 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
         image_distance = c.image_distance_mm
     else:
         assert c.focal_length_mm is not None
-        # thin lens focused at the origin: 1/f = 1/a + 1/b
-        image_distance = c.focal_length_mm * c.distance_mm / (c.distance_mm - c.focal_length_mm)
+        # thin lens: 1/f = 1/a + 1/b
+        image_distance = c.focal_length_mm * focus / (focus - c.focal_length_mm)
     image: dict[str, Any] = {
         "width": c.resolution_px[0],
         "height": c.resolution_px[1],
@@ -122,6 +124,14 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
         "principal_point": c.principal_point_px,
         "aspect": aspect,
         "vignetting": (0.0, 0.0) if c.vignetting is None else (c.vignetting.v2, c.vignetting.v4),
+        "cos4": c.vignetting is not None and c.vignetting.cos4,
+        "lens": None
+        if c.aperture is None
+        else Lens(
+            aperture=focus * image_distance / (focus + image_distance) / c.aperture,
+            focus=focus,
+            wavelength=None if c.wavelength_nm is None else c.wavelength_nm * 1e-6,
+        ),
     }
     if c.pose is None:
         camera = place_camera(
@@ -162,8 +172,20 @@ def build_stage(rig: RigConfig) -> Stage:
 
 def build_sensor(camera: CameraConfig) -> Sensor:
     """The sensor of a rig's camera."""
-    own = camera.sensor.model_dump()
-    return Sensor(**own | {"saturation_level": own["saturation_level"] or 2 ** own["bit_depth"] - 1})
+    own = camera.sensor
+    noise, electrons = own.read_noise_levels, own.electrons_per_level
+    if own.dark_current_e_per_s > 0 and electrons is not None and camera.exposure_us is not None:
+        noise = math.sqrt(noise**2 + own.dark_current_e_per_s * camera.exposure_us * 1e-6 / electrons**2)
+    return Sensor(
+        bit_depth=own.bit_depth,
+        saturation_level=own.saturation_level or 2**own.bit_depth - 1,
+        black_level=own.black_level,
+        read_noise_levels=noise,
+        electrons_per_level=electrons,
+        dsnu_levels=own.dsnu_levels,
+        prnu=0.01 * own.prnu_percent,
+        linearity_error=0.01 * own.linearity_error_percent,
+    )
 
 
 def part_postures(part: PartConfig) -> tuple[Posture, ...]:

@@ -1,4 +1,4 @@
-"""The pinhole camera with lens distortion: rays of image points, projection of points, framing of a part."""
+"""The camera: rays of image points, projection of points, what its lens blurs, framing of a part."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
 from lightopt.geometry import TriangleMesh
+from lightopt.optics import airy_diameter, circle_of_confusion
 
 _UNDISTORT_STEPS = 50
 _UNDISTORT_TOLERANCE = 1e-13
@@ -34,6 +35,20 @@ class Distortion:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Lens:
+    """A thin lens in the pinhole, which is the middle of its aperture.
+
+    aperture: Diameter [mm]
+    focus: Depth of the plane in focus along the optical axis [mm]
+    wavelength: Of the light, for diffraction [mm]; None for none
+    """
+
+    aperture: float
+    focus: float
+    wavelength: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class PinholeCamera:
     """A pinhole with an image plane, in whichever frame its vectors are given (world or part).
 
@@ -44,6 +59,10 @@ class PinholeCamera:
     principal_point: Where the optical axis meets the image [px]; None for the image's centre
     aspect: Focal length in rows over that in columns; 1 for square pixels
     vignetting: Coefficients of ρ² and ρ⁴ in what the lens passes, ρ from the principal point in half diagonals
+    cos4: Whether what it passes falls with the fourth power of the cosine to the optical axis as well
+    lens: What the pinhole stands for; None for a pinhole, in which everything is in focus
+    shear: By how much the image is off, to the right and down, for the rays to the plane in focus to end at the same
+        image points from everywhere in the lens [image distances]
     obstructions: Corners of triangles that stand in the view, of lights [mm], shape (t, 3, 3)
     """
 
@@ -59,6 +78,9 @@ class PinholeCamera:
     principal_point: tuple[float, float] | None = None
     aspect: float = 1.0
     vignetting: tuple[float, float] = (0.0, 0.0)
+    cos4: bool = False
+    lens: Lens | None = None
+    shear: tuple[float, float] = (0.0, 0.0)
     obstructions: Float64 | None = None
 
     @property
@@ -69,7 +91,14 @@ class PinholeCamera:
     @property
     def dims(self) -> bool:
         """Whether the lens passes less or more light away from its axis."""
-        return self.vignetting != (0.0, 0.0)
+        return self.cos4 or self.vignetting != (0.0, 0.0)
+
+    @property
+    def diffraction_cutoff(self) -> float | None:
+        """Frequency from which on diffraction leaves no contrast [cycles/px]; None where there is no diffraction."""
+        if self.lens is None or self.lens.wavelength is None:
+            return None
+        return self.lens.aperture * self.pixel_size / (self.lens.wavelength * self.image_distance)
 
     def moved(self, rotation: Float64, translation: Float64) -> PinholeCamera:
         """The camera after x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
@@ -106,6 +135,44 @@ def pose_camera(*, position: Float64, rotation: Float64, **image: Any) -> Pinhol
     return PinholeCamera(position=position, right=right, up=-down, forward=forward, **image)
 
 
+def through_lens(camera: PinholeCamera, place: Float64) -> PinholeCamera:
+    """The pinhole at a place in the lens of a camera, in the unit disc, to the right and up, shape (2,).
+
+    The mean of the images of all places is that of the lens: each has the perspective, and hides what it hides, of the
+    light that passes the lens there.
+    """
+    assert camera.lens is not None
+    right, up = 0.5 * camera.lens.aperture * place
+    return replace(
+        camera,
+        position=camera.position + right * camera.right + up * camera.up,
+        lens=None,
+        shear=(float(right) / camera.lens.focus, -float(up) / camera.lens.focus),
+    )
+
+
+def blur_diameter(camera: PinholeCamera, depth: Float64) -> Float64:
+    """Diameter of the disc that the lens makes of a point, diffraction included [px], of the shape of `depth`.
+
+    depth: Along the optical axis [mm]
+    """
+    lens = camera.lens
+    if lens is None:
+        return np.zeros_like(depth)
+    confusion = circle_of_confusion(
+        depth, focus=lens.focus, aperture=lens.aperture, image_distance=camera.image_distance
+    )
+    cutoff = camera.diffraction_cutoff
+    return np.hypot(confusion / camera.pixel_size, 0.0 if cutoff is None else airy_diameter(cutoff))
+
+
+def typical_blur(camera: PinholeCamera, points: Float64) -> float:
+    """Root mean square of :func:`blur_diameter` over points of a surface, shape (k, 3), frame of the camera."""
+    if camera.lens is None or not len(points):
+        return 0.0
+    return float(np.sqrt(np.mean(blur_diameter(camera, (points - camera.position) @ camera.forward) ** 2)))
+
+
 def pixel_directions(camera: PinholeCamera, columns: Float64, rows: Float64) -> Float64:
     """Directions of the rays through image points, not normalised, shape (k, 3), frame of the camera's vectors.
 
@@ -117,6 +184,7 @@ def pixel_directions(camera: PinholeCamera, columns: Float64, rows: Float64) -> 
     y = (rows - row) * (scale / camera.aspect)
     if not camera.distortion.is_zero:
         x, y = _undistort(camera.distortion, x, y)
+    x, y = x - camera.shear[0], y - camera.shear[1]
     return _directions(x, y, camera.forward, camera.right, camera.up)
 
 
@@ -140,8 +208,8 @@ def project(camera: PinholeCamera, points: Float64) -> tuple[Float64, Float64, F
     offset = points - camera.position
     depth = offset @ camera.forward
     safe = np.where(depth > 0.0, depth, np.nan)
-    x = (offset @ camera.right) / safe
-    y = -(offset @ camera.up) / safe
+    x = (offset @ camera.right) / safe + camera.shear[0]
+    y = -(offset @ camera.up) / safe + camera.shear[1]
     scale = camera.image_distance / camera.pixel_size
     if not camera.distortion.is_zero:
         r2 = x * x + y * y
@@ -165,7 +233,11 @@ def lens_share(camera: PinholeCamera, columns: NDArray[Any], rows: NDArray[Any])
     column, row = camera.axis_px
     r2 = ((columns - column) ** 2 + (rows - row) ** 2) / (0.25 * (camera.width**2 + camera.height**2))
     v2, v4 = camera.vignetting
-    return np.maximum(0.0, 1.0 + r2 * (v2 + r2 * v4))
+    share = np.maximum(0.0, 1.0 + r2 * (v2 + r2 * v4))
+    if camera.cos4:
+        scale = camera.pixel_size / camera.image_distance
+        share /= (1.0 + scale**2 * ((columns - column) ** 2 + ((rows - row) / camera.aspect) ** 2)) ** 2
+    return share
 
 
 def pixel_footprint(camera: PinholeCamera, distance: float) -> float:

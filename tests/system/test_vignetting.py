@@ -17,7 +17,7 @@ from lightopt.estimate.reflectance._samples import collect_samples
 from lightopt.estimate.registration import Observation, Placement
 from lightopt.estimate.registration._pixels import PixelSet, light_at, view_of_placed
 from lightopt.rendering import build_patches, cast_rays_at, render_posture
-from lightopt.scene import build_scene, project, view_from_part
+from lightopt.scene import build_scene, lens_share, pixel_directions, project, view_from_part
 
 V2, V4 = -0.3, 0.08
 POSTURE = Posture(elevation_deg=-10, rotation_deg=170)
@@ -39,6 +39,16 @@ def scenes(tmp_path_factory):
 def factor(columns, rows):
     rho2 = ((columns - 90) ** 2 + (rows - 50) ** 2) / (80**2 + 60**2)
     return 1 + V2 * rho2 + V4 * rho2**2
+
+
+def test_natural_vignetting_is_the_fourth_power_of_the_cosine_to_the_axis(scenes):
+    camera = replace(scenes[0].camera, cos4=True)
+    rows, columns = (a.ravel() + 0.5 for a in np.indices((120, 160)))
+    rays = pixel_directions(camera, columns, rows)
+    cosine = rays @ camera.forward / np.linalg.norm(rays, axis=1)
+    np.testing.assert_allclose(lens_share(camera, columns, rows), cosine**4, rtol=1e-12)
+    both = replace(camera, vignetting=(V2, V4))
+    np.testing.assert_allclose(lens_share(both, columns, rows), factor(columns, rows) * cosine**4, rtol=1e-12)
 
 
 @pytest.mark.parametrize("supersample", [1, 3])

@@ -119,7 +119,7 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed, co
     first = np.array([0, 2, 6] if len(correlated) > 1 else [0, 6], np.int32)
     codes, all_bounds = evidence._changes(
         good, varied.T.copy(), leant, np.array(correlated or (0.0,)), first, placed(owner, cell, column, row),
-        (scale, limit, 0.8, 60.0),
+        (scale, limit, 0.8, 60.0, 0.01),
     )  # fmt: skip
     bounds = all_bounds[-1]
     level = np.minimum(scale * good, limit)
@@ -129,7 +129,7 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed, co
             near = [owner_at(owner, cell, column[p] + s * dx, row[p] + s * dy) for s in (-1, 1)]
             low, high = (level[p] if q < 0 else level[q] for q in near)
             square += ((high - low) / (max(1, sum(q >= 0 for q in near)) * cell)) ** 2
-        variance = 0.8**2 + level[p] / 60.0 + 1.0 / 12.0 + 0.1**2 * square
+        variance = 0.8**2 + level[p] / 60.0 + (0.01 * level[p]) ** 2 + 1.0 / 12.0 + 0.1**2 * square
         if correlated:
             spread = scale * math.hypot(*(leant[:, p] - good[p]))
             variance += correlated[-1] * clipped_variance(scale * good[p], spread, limit)
@@ -246,7 +246,7 @@ def test_a_piece_of_a_scratch_has_the_evidence_of_its_segments_wherever_they_lie
     """In each turn, over directions of light and places within a pixel, where a level is linear in the slope."""
     catalogue = planned_catalogue([one for one in BUILT_IN_CATALOGUE if one.name == "scratch"])
     (own,) = catalogue.entries
-    stencils = evidence._make_stencils(catalogue, footprint)
+    stencils = evidence._make_stencils(catalogue, footprint, 0.0)
     steps = max(1.0, own.shapes[1].width / (2.2 * footprint))
     lean = own.slope * np.stack([np.cos(own.direction), np.sin(own.direction)])
     quarters = (-0.375, -0.125, 0.125, 0.375)

@@ -119,6 +119,28 @@ def test_focal_length_and_image_distance_are_the_same_lens():
     assert lens.where.endswith("focal_length_mm")
 
 
+def test_depth_of_field_in_numbers():
+    lens = {"aperture": 8, "focus_distance_mm": 540, "wavelength_nm": 550}
+    found = only(check_rig(make_rig(camera=lens)), "depth of field")
+    aperture = 1 / (1 / 540 + 1 / 55) / 8
+    step = 0.0044 / (aperture * 55)
+    assert found.values["near_mm"] == pytest.approx(1 / (1 / 540 + step))
+    assert found.values["far_mm"] == pytest.approx(1 / (1 / 540 - step))
+    assert found.values["airy_px"] == pytest.approx(2.44 * 0.55 * 55 / aperture / 4.4)
+    assert "f/8, focused at 540 mm" in found.text
+    assert not find(check_rig(make_rig()), "depth of field")
+    lens_text = only(check_rig(make_rig(camera=lens)), "lens").text
+    assert "focused at 540 mm" in lens_text
+
+
+def test_photons_of_a_data_sheet():
+    sensor = {"electrons_per_level": 40, "quantum_efficiency_percent": 50, "read_noise_levels": 0.1}
+    found = only(check_rig(make_rig(sensor=sensor)), "photons")
+    assert found.values["photons_at_saturation"] == pytest.approx(255 * 40 / 0.5)
+    noise = (0.1**2 + 1 / 12) ** 0.5
+    assert f"dynamic range {20 * math.log10(255 / noise):.2g} dB" in found.text
+
+
 def test_view_of_a_leaning_camera_is_longer_on_the_table():
     view = only(check_rig(make_rig(camera={"elevation_deg": 45})), "field of view")
     # the plane through the pinhole and the image's middle column, cut by hand

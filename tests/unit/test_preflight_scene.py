@@ -249,6 +249,20 @@ def test_depth_range(check):
     assert "43.2 µm" in finding.text
 
 
+def test_share_out_of_focus(check):
+    """Of two blocks side by side one is focused on, the other 20 mm lower."""
+    blocks = [*box((-20, -15, 0), (0, 15, 30)), *box((0, -15, 0), (20, 15, 10))]
+    lens = {"aperture": 4, "focus_distance_mm": 520}
+    found = next(f for f in check(blocks, rig=make_rig(camera=lens)).findings if "lens blurs" in f.text)
+    aperture = 1 / (1 / 520 + 1 / 55) / 4
+    assert found.level == "warning"
+    assert found.values["largest_px"] == pytest.approx(aperture * 55 * (1 / 520 - 1 / 540) / 0.0044, rel=0.06)
+    assert found.values["out_of_focus_share"] == pytest.approx(0.5, abs=0.12)
+    sharp = check(blocks, rig=make_rig(camera={"aperture": 200, "focus_distance_mm": 530}))
+    assert [f.level for f in sharp.findings if "lens blurs" in f.text] == ["ok"]
+    assert not [f for f in check(blocks).findings if f.topic == "focus"]
+
+
 def test_part_behind_the_camera(check):
     # a frame around the camera, so that the camera is not inside it
     frame = np.concatenate([box((-90, -90, 0), (-60, 90, 700)), box((-20, -20, 0), (20, 20, 5))])

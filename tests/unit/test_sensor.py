@@ -202,3 +202,52 @@ def test_wrong_shape_and_negative_seed_are_errors():
         expose(np.zeros(3), sensor=EIGHT_BIT, exposure=1, full_scale=255)
     with pytest.raises(InputError, match="seed"):
         image_rng(-1, light=0, posture=0, exposure=0)
+
+
+def test_fixed_pattern_is_the_same_in_all_images_and_has_the_spread_of_the_data_sheet():
+    sensor = Sensor(bit_depth=12, black_level=100, read_noise_levels=1.0, dsnu_levels=4.0, prnu=0.02)
+    frames = {}
+    for level in (0.0, 100.0):
+        images = [
+            expose(
+                np.full((300, 500), level), sensor=sensor, exposure=1, full_scale=255, rng=np.random.default_rng(seed)
+            )
+            for seed in range(8)
+        ]
+        frames[level] = np.mean(images, axis=0)
+    lit = 100.0 * 4095 / 255
+    dsnu = frames[0.0].std()
+    prnu = np.sqrt(np.var(frames[100.0]) - dsnu**2) / lit
+    assert dsnu == pytest.approx(4.0, rel=0.02)
+    assert prnu == pytest.approx(0.02, rel=0.02)
+    single = expose(np.full((300, 500), 100.0), sensor=sensor, exposure=1, full_scale=255, rng=np.random.default_rng(9))
+    assert np.var(single.astype(float)) == pytest.approx(sensor.noise_variance(lit), rel=0.02)
+    assert np.var(frames[100.0]) == pytest.approx(sensor.noise_variance(lit, frames=8), rel=0.02)
+
+
+def test_without_noise_pixels_are_alike():
+    sensor = Sensor(bit_depth=8, dsnu_levels=4.0, prnu=0.02)
+    assert np.ptp(expose(np.full((20, 20), 100.0), sensor=sensor, exposure=1, full_scale=255)) == 0
+
+
+def test_linearity_error_is_that_of_the_standard():
+    """Mean deviation from the line with the least relative deviations, from 5 to 95 % of saturation."""
+    sensor = Sensor(bit_depth=16, black_level=500, linearity_error=0.003)
+    levels = np.linspace(0, 255, 501)
+    found = expose(levels[None], sensor=sensor, exposure=1, full_scale=255)[0].astype(float) - 500
+    exact = levels * 65535 / 255
+    top = 65535 - 500
+    used = (exact >= 0.05 * top) & (exact <= 0.95 * top)
+    x, y = exact[used], found[used]
+    line = np.stack([np.ones_like(x), x], axis=1)
+    fit = line @ np.linalg.lstsq(line / y[:, None], np.ones_like(y), rcond=None)[0]
+    assert np.mean(np.abs(y - fit) / fit) == pytest.approx(0.003, rel=0.03)
+    assert found[0] == 0
+    assert (np.diff(found) >= 0).all()
+    assert found[-1] == top
+
+
+@pytest.mark.parametrize("key", ["dsnu_levels", "prnu", "linearity_error"])
+def test_negative_figures_are_refused(key):
+    with pytest.raises(InputError, match=key):
+        Sensor(bit_depth=8, **{key: -0.1})

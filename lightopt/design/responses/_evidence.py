@@ -52,7 +52,7 @@ from lightopt.rendering import (
     shade_variants_together,
     surface_variants,
 )
-from lightopt.scene import Scene, project, surface_footprint, surface_share, view_from_part
+from lightopt.scene import Scene, project, surface_footprint, surface_share, typical_blur, view_from_part
 
 UNITS_OF_IMAGE = 3  # most units of evidence that an image counts for
 
@@ -76,10 +76,12 @@ _GREATEST_OF_NEAR = 0.5
 
 _TILE_CELLS = 16.0  # patches are worked on in tiles of so many cells of the image
 _NEAR_CELLS = 2  # cells without a patch see the nearest one up to so many cells away
-_FOOTPRINT_STEPS = 32  # footprints within a 32nd of an octave share what pixels see of defects
+# footprints within a 32nd of an octave, and discs of the lens within an eighth of a pixel, share what pixels see of
+# defects
+_FOOTPRINT_STEPS, _BLUR_STEP = 32, 0.125
 
-# levels by grey levels, level above black at which it clips, read noise, electrons per level
-_Camera = tuple[float, float, float, float]
+# levels by grey levels, level above black at which it clips, noise without light, electrons per level, PRNU
+_Camera = tuple[float, float, float, float, float]
 
 
 def units_needed(min_images: int) -> int:
@@ -123,22 +125,23 @@ class DetectionModel:
         if problem := defects.false_alarms_problem(self.false_alarms):
             raise InputError(problem)
 
-    def stencils(self, footprint: float) -> Stencils:
-        """What pixels of this footprint see of the defects."""
+    def stencils(self, footprint: float, blur: float = 0.0) -> Stencils:
+        """What pixels of this footprint see of the defects; `blur`: diameter of the lens' disc [px]."""
         step = round(_FOOTPRINT_STEPS * math.log2(footprint))
-        return _make_stencils(self.catalogue, 2.0 ** (step / _FOOTPRINT_STEPS))
+        return _make_stencils(self.catalogue, 2.0 ** (step / _FOOTPRINT_STEPS), round(blur / _BLUR_STEP) * _BLUR_STEP)
 
-    def limits(self, pixels: float, footprint: float) -> Float64:
+    def limits(self, pixels: float, footprint: float, blur: float = 0.0) -> Float64:
         """Evidence from which on an image counts for one unit and more, for each entry, shape (e, 3).
 
         pixels: That can be inspected in the images.
+        blur: Diameter of the lens' disc [px].
         """
         entries, found = self.catalogue.entries, np.empty((len(self.catalogue.entries), UNITS_OF_IMAGE))
         # a score is −log₁₀ of the false alarms of noise alone in a pixel
         false_alarms = self.false_alarms if self.threshold is None else pixels * 10.0**-self.threshold
         for e, planned in enumerate(entries):
             own = defects.defect_hypotheses(planned.entry)
-            grid = defects.search_grid(own, footprint)
+            grid = defects.search_grid(own, footprint, blur)
             places = pixels / (grid.ratio * grid.step) ** 2
             z = defects.least_z(
                 places * len(own.turns) * len(grid.halves) * len(defects.SIZES), len(entries), false_alarms
@@ -162,12 +165,12 @@ def _greatest_of_segments(own: defects.DefectHypotheses) -> float:
 
 
 @lru_cache(maxsize=16)
-def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
+def _make_stencils(catalogue: PlannedCatalogue, footprint: float, blur: float) -> Stencils:
     groups: list[tuple[Any, ...]] = []
     before = 0
     for own in catalogue.entries:
         long = own.entry.shape.kind == "scratch"
-        width = own.shapes[1].width
+        width = math.hypot(own.shapes[1].width, blur * footprint)
         ratio = max(1.0, width / (footprint * (_PIXELS_ACROSS_SCRATCH if long else _PIXELS_ACROSS)))
         off = _OFF_PX if width < _NARROW_PX * ratio * footprint else (0.0, 0.0)
         # a scratch is found by any of its segments: five of them stand for all
@@ -178,10 +181,10 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
                 to_image = defects.plane_to_image(one, ratio * footprint)
                 sides = ratio
                 if long:
-                    seen, stands_for = _scratch_piece(own, turn, to_image)
+                    seen, stands_for = _scratch_piece(own, turn, to_image, blur / ratio)
                     sides *= math.sqrt(stands_for)
                 else:
-                    seen = own.seen_by_pixels(1, turn, to_image, off_px=off)
+                    seen = own.seen_by_pixels(1, turn, to_image, off_px=off, blur_px=blur / ratio)
                 pixels, number = np.unique([seen.column, seen.row], axis=1, return_inverse=True)
                 total = np.bincount(number, seen.weight)
                 # those that see most of the defect come first: soon there is enough
@@ -206,7 +209,9 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
     )
 
 
-def _scratch_piece(own: defects.DefectHypotheses, turn: int, to_image: Float64) -> tuple[defects.PixelMixture, float]:
+def _scratch_piece(
+    own: defects.DefectHypotheses, turn: int, to_image: Float64, blur: float
+) -> tuple[defects.PixelMixture, float]:
     # A short piece of a segment, where it changes most, and the whole's evidence as a multiple of the piece's. Walls of
     # a narrow scratch lean to opposite sides, so that evidence depends on where it lies within its pixels: across it
     # lies anywhere, and along it some segment lies best. The change is taken as linear in the slope
@@ -215,13 +220,13 @@ def _scratch_piece(own: defects.DefectHypotheses, turn: int, to_image: Float64) 
     along /= np.hypot(*along)
     across = np.array([-along[1], along[0]])
     lean = np.tan(own.slope) * np.stack([np.cos(own.direction), np.sin(own.direction)])
-    most, piece, whole = -1.0, own.seen_by_pixels(1, turn, to_image), 0.0
+    most, piece, whole = -1.0, own.seen_by_pixels(1, turn, to_image, blur_px=blur), 0.0
     for i in range(_PLACES_ACROSS):
         best = 0.0
         for k in range(_PLACES_ALONG):
             off = across * ((i + 0.5) / _PLACES_ACROSS) + along * (k / _PLACES_ALONG)
             off -= np.rint(off)
-            seen = own.seen_by_pixels(1, turn, to_image, off_px=(float(off[0]), float(off[1])))
+            seen = own.seen_by_pixels(1, turn, to_image, off_px=(float(off[0]), float(off[1])), blur_px=blur)
             middle = axis @ np.linalg.solve(to_image, np.stack([seen.column, seen.row]) - off[:, None])
             near = np.abs(middle) <= 0.5 * _SCRATCH_WIDTHS * own.shapes[1].width
             best = max(best, _evidence_of(seen, lean))
@@ -267,8 +272,9 @@ class PatchEvidence:
         self._surface, self._references = surface.take(self._order), references[self._order]
         share = surface_share(camera, self._surface.points)
         self._passed = 1.0 if share is None else share
-        self._stencils = detection.stencils(footprint).in_cells(image.cell)
-        self._limits = detection.limits(float(areas.sum()), footprint)
+        blur = typical_blur(camera, surface.points)
+        self._stencils = detection.stencils(footprint, blur).in_cells(image.cell)
+        self._limits = detection.limits(float(areas.sum()), footprint, blur)
         entries = detection.catalogue.entries
         turns = [len(one.turns) for one in entries]
         self._planned = PlannedTurns(
@@ -342,7 +348,8 @@ class PatchEvidence:
         first = variants if len(self._correlated) > 1 else variants[[0, -1]]
         scale = exposure * sensor.max_level / self._detection.full_scale
         limit = sensor.saturated_from - sensor.black_level
-        camera = scale, limit, sensor.read_noise_levels, float(sensor.electrons_per_level or math.inf)
+        still = math.hypot(sensor.read_noise_levels, sensor.dsnu_levels)
+        camera = scale, limit, still, float(sensor.electrons_per_level or math.inf), sensor.prnu
         codes, bounds = _changes(good, varied, leant, self._correlated, first, self._image, camera)
         words = evidence_flags(codes, bounds, self._image, self._planned, self._stencils, self._limits)
         in_table = np.empty_like(words)
@@ -409,7 +416,7 @@ def _changes(
     # change that it delivers, and the change that is none: see expected_change. Levels are above black. The waviness of
     # good parts is noise by what `leant` variants change, `correlated` times in each set of bounds, which is of the
     # variants from `first`
-    (column, row, owner, cell, _, _, _), (scale, limit, read_noise, electrons) = image, camera
+    (column, row, owner, cell, _, _, _), (scale, limit, still, electrons, prnu) = image, camera
     codes = np.zeros((len(varied), len(good) + 1), np.int16)
     bounds = np.zeros((len(correlated), len(good) + 1, 3), np.float32)
     levels, variances, wavy = np.empty(len(good)), np.empty(len(good)), np.zeros(len(good))
@@ -425,9 +432,9 @@ def _changes(
             slope = (high - low) / (max(steps, 1) * cell)
             square += slope * slope
         levels[p] = level
-        variances[p] = (
-            read_noise * read_noise + level / electrons + 1.0 / 12.0 + REGISTRATION_PX * REGISTRATION_PX * square
-        )
+        variances[p] = (still * still + level / electrons + 1.0 / 12.0 + REGISTRATION_PX * REGISTRATION_PX * square) + (
+            prnu * level
+        ) ** 2
         if len(leant):
             spread = scale * math.hypot(leant[0, p] - good[p], leant[1, p] - good[p])
             wavy[p] = clipped_variance(scale * good[p], spread, limit)

@@ -206,7 +206,8 @@ def _merge_exposures(
             photometry.dark,
             sensor.saturated_from - sensor.black_level,
             still,
-            sensor.noise_variance(1.0, frames=o.frames) - still,  # the variance is linear in the signal
+            sensor.noise_variance(1.0, frames=o.frames) - still - sensor.prnu**2,  # per level
+            sensor.prnu**2,
             *(own[name] for name in ("level", "deviation", "slack", "limit", "saturated")),
         )
 
@@ -225,6 +226,7 @@ def _merge_exposure(
     saturation: float,
     still: float,
     shot: float,
+    pattern: float,
     level: Float32,
     deviation: Float32,
     slack: Float32,
@@ -243,7 +245,7 @@ def _merge_exposure(
                 continue
             open_[y, x] = False
             level[y, x] = (levels[y, x] - black) / scale
-            variance = still + shot * signal
+            variance = still + (shot + pattern * signal) * signal
             deviation[y, x] = math.sqrt(variance) / scale
             before = variance - 1.0 / 12.0
             slack[y, x] = 0.0

@@ -43,7 +43,7 @@ from lightopt.rendering import (
     surface_variants,
     trace_pixels,
 )
-from lightopt.scene import Scene, lens_share, surface_footprint
+from lightopt.scene import Scene, lens_share, surface_footprint, typical_blur
 
 # a place is tested where a defect of the entry's own size and amplitude is expected to stand out by so much; elsewhere
 # only one several times as strong would be found
@@ -133,13 +133,14 @@ def bank_bytes(bank: TemplateBank) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """The pixels of a posture for shading: their number among `pixels` or −1, tangent axes, foreshortening."""
+    """The pixels of a posture for shading: number among `pixels` or −1, tangent axes, foreshortening, blur [px]."""
 
     pixels: PosturePixels
     index: Int32
     references: Float64
     foreshortening: Int16
     footprint: float
+    blur: float
 
 
 def template_bank(
@@ -186,7 +187,8 @@ def _surface(pixels: PosturePixels, clean: Bool) -> _Surface:
     right, up = image_axes(surface.views, camera.right)
     references = tangent_axis(surface.normals, right)
     classes = foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int16)
-    return _Surface(pixels, index, references, classes, surface_footprint(camera, surface.points[index[clean]]))
+    seen = surface.points[index[clean]]
+    return _Surface(pixels, index, references, classes, surface_footprint(camera, seen), typical_blur(camera, seen))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,10 +222,11 @@ class _EntryPixels:
 def _entry_pixels(
     own: DefectHypotheses, view: PostureView, deviation: Float32, surface: _Surface, lights: int
 ) -> _EntryPixels:
-    grid = search_grid(own, surface.footprint)
+    grid = search_grid(own, surface.footprint, surface.blur)
     ratio = grid.ratio
     deviation, attenuation = _with_waviness(own, view, deviation)
-    border = 2 + math.ceil(0.5 * max(shape.length for shape in own.shapes) / (ratio * surface.footprint))
+    reach = max(shape.length for shape in own.shapes) / surface.footprint + surface.blur
+    border = 2 + math.ceil(0.5 * reach / ratio)
     rows, columns = mask_window(view.clean)
     count = np.stack(
         [_block_sums((view.clean & (level > 0.0))[rows, columns], ratio, border) for level in view.predicted], axis=-1
@@ -306,7 +309,8 @@ def _templates(entry: _EntryPixels, surface: _Surface, threads: int | None) -> E
     foreshortening = entry.foreshortening
     height, breadth = foreshortening.shape
     footprint = entry.ratio * surface.footprint
-    pieces = _pieces(own, halves, np.unique(foreshortening[foreshortening >= 0]).tolist(), footprint, breadth)
+    classes = np.unique(foreshortening[foreshortening >= 0]).tolist()
+    pieces = _pieces(own, halves, classes, footprint, surface.blur / entry.ratio, breadth)
     places = (-(-(height - 2 * border) // step), -(-(breadth - 2 * border) // step))
     inverse = np.zeros((len(own.turns) * len(halves), *places), np.float32)
 
@@ -323,7 +327,7 @@ def _templates(entry: _EntryPixels, surface: _Surface, threads: int | None) -> E
         deviation=entry.deviation,
         attenuation=entry.attenuation,
         ratio=entry.ratio,
-        width_px=own.shapes[1].width / footprint,
+        width_px=math.hypot(own.shapes[1].width / footprint, surface.blur / entry.ratio),
         corner=entry.corner,
         border=border,
         change=entry.change,
@@ -357,7 +361,12 @@ def _block_sums(mask: Bool, ratio: int, border: int) -> UInt8:
 
 
 def _pieces(
-    own: DefectHypotheses, halves: Sequence[tuple[float, float]], classes: Sequence[int], footprint: float, breadth: int
+    own: DefectHypotheses,
+    halves: Sequence[tuple[float, float]],
+    classes: Sequence[int],
+    footprint: float,
+    blur: float,
+    breadth: int,
 ) -> Pieces:
     sizes, turns = len(own.shapes), len(own.turns)
     counts = np.zeros((FORESHORTENINGS, sizes, turns * len(halves)), np.int32)
@@ -367,7 +376,7 @@ def _pieces(
         to_image = plane_to_image(one, footprint)
         for size in range(sizes):
             for pose, (turn, off) in enumerate(itertools.product(range(turns), halves)):
-                mixture = own.seen_by_pixels(size, turn, to_image, off_px=off)
+                mixture = own.seen_by_pixels(size, turn, to_image, off_px=off, blur_px=blur)
                 parts.append((mixture.row * breadth + mixture.column, mixture.variant, mixture.weight))
                 counts[one, size, pose] = len(mixture.weight)
     pixel, variant, weight = (np.concatenate(some) for some in zip(*parts, strict=True))

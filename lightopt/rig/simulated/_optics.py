@@ -100,6 +100,7 @@ class BenchOptics:
             self.scene.sensor,
             electrons_per_level=None if electrons is None else electrons / gain,
             read_noise_levels=self.scene.sensor.read_noise_levels * gain,
+            dsnu_levels=self.scene.sensor.dsnu_levels * gain,
         )
         level = np.full((self.scene.camera.height, self.scene.camera.width), self._truth.ambient_level, np.float32)
         lit = {name: share for name, share in sorted(shares.items()) if share > 0.0}
