@@ -132,6 +132,9 @@ class ReflectanceConfig(Frozen):
     """Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating."""
     full_scale: fields.Positive = 255.0
     """Full scale in which R_d and R_s are expressed [levels]."""
+    white_level: fields.Positive | None = None
+    """Level of a white diffuse surface that faces a light of gain 1 at the origin [levels of full_scale]. It says which
+    share of light the part reflects, for light from the part to itself; such that the part reflects 65 % if absent."""
 
 
 class SurfaceConfig(Frozen):

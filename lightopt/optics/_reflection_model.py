@@ -17,12 +17,14 @@ class Reflectance:
     R_s: Specular reflection coefficient [grey level]
     sigma: Concentration of the specular lobe, the standard deviation of δ [rad]
     full_scale: Level that the coefficients call full scale [grey level]
+    white_level: Level of a white diffuse surface that faces a light of weight 1 [grey level]; None where not known
     """
 
     R_d: float
     R_s: float
     sigma: float
     full_scale: float = 255.0
+    white_level: float | None = None
 
     def changed(self, *, R_d_factor: float = 1.0, sigma_factor: float = 1.0) -> Reflectance:
         """Coefficients of a place where R_d is multiplied, and the lobe widened without reflecting more or less light.

@@ -177,7 +177,19 @@ def shade_isolated(
     panels: Part frame; channels of one light are worked out together
     threads: That work on the points of such a light
     """
-    shaded, blocker = [panel_to_shade(panel, caster) for panel in panels], caster if shadows else None
+    shaded = [panel_to_shade(panel, caster) for panel in panels]
+    return isolated_levels(surface, shaded, reflectance, caster if shadows else None, threads=threads)
+
+
+def isolated_levels(
+    surface: SurfacePoints,
+    shaded: Sequence[PanelLight | ConvergedPanel],
+    reflectance: Reflectance,
+    blocker: RayCaster | None,
+    *,
+    threads: int = 1,
+) -> list[Float64]:
+    """As :func:`shade_isolated`, of lights from :func:`panel_to_shade`; without a caster, without shadows."""
     levels: dict[int, Float64] = {}
     for group in channel_groups(shaded):
         lights = [light for i in group if isinstance(light := shaded[i], SurfaceLight)]
@@ -192,7 +204,7 @@ def shade_isolated(
         for i in group:
             d, s = _shade_alone(surface, shaded[i], reflectance, blocker)
             levels[i] = reflectance.R_d * d + reflectance.R_s * s
-    return [levels[i] for i in range(len(panels))]
+    return [levels[i] for i in range(len(shaded))]
 
 
 def _shade_alone(

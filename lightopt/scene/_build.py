@@ -14,7 +14,7 @@ from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, 
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
-from lightopt.optics import Reflectance, Sensor
+from lightopt.optics import Reflectance, Sensor, least_white_level
 from lightopt.scene._camera import (
     Distortion,
     PinholeCamera,
@@ -47,6 +47,7 @@ def build_scene(
     lights: Sequence[str] | None = None,
     points: int | Literal["auto"] | None = None,
     defects: bool = True,
+    bounces: int = 0,
 ) -> Scene:
     """Place a rig's camera and lights and a part in the world frame.
 
@@ -54,7 +55,9 @@ def build_scene(
     lights: Names of the lights to keep, instead of all
     points: Point lights per panel, instead of the rig's
     defects: Whether the part has the defects and the waviness that its file names, or is good and smooth
-    Raises InputError: A posture outside the stage's range, an unknown light, a mesh that cannot be loaded, a part
+    bounces: How often images show light that goes from the part to the part
+    Raises InputError: A white level at which the part would reflect more light than it gets, a posture outside the
+        stage's range, an unknown light, a mesh that cannot be loaded, a part
         wholly outside the view or a camera inside the part (with what another unit of the mesh file would make of it,
         where that explains it), a lens that folds the image over, a defect that is not on the part
     """
@@ -66,19 +69,18 @@ def build_scene(
     # lights that are off stand there, too
     camera = replace(camera, obstructions=obstructions(camera, build_lights(rig) if lights else placed))
     mesh, placement, warnings = _mesh(part, pixel_footprint(camera, rig.camera.distance_mm))
-    reflectance = part.reflectance
     scene = Scene(
         camera=camera,
         lights=placed,
         mesh=mesh,
-        reflectance=Reflectance(
-            R_d=reflectance.R_d, R_s=reflectance.R_s, sigma=reflectance.sigma_rad, full_scale=reflectance.full_scale
-        ),
+        reflectance=_reflectance(part),
         sensor=build_sensor(rig.camera),
         stage=build_stage(rig),
         postures=chosen,
         placement=placement,
         freedoms=6 if part.placement.registration == "full" else 3,
+        bounces=bounces,
+        environment=rig.environment.level,
     )
     warnings += _check_view(scene, rig, part)
     waviness = None
@@ -88,6 +90,20 @@ def build_scene(
         )
     placed_defects = place_defects(scene, rig, part) if defects else ()
     return replace(scene, warnings=warnings, defects=placed_defects, waviness=waviness)
+
+
+def _reflectance(part: PartConfig) -> Reflectance:
+    own = part.reflectance
+    reflectance = Reflectance(
+        R_d=own.R_d, R_s=own.R_s, sigma=own.sigma_rad, full_scale=own.full_scale, white_level=own.white_level
+    )
+    least = least_white_level(reflectance)
+    if own.white_level is not None and own.white_level < least:
+        raise InputError(
+            f"{part.source.at('reflectance', 'white_level')}: expected at least {least:.4g}, found "
+            f"{own.white_level:g}: with these R_d, R_s and sigma_rad the part would reflect more light than it gets"
+        )
+    return reflectance
 
 
 def build_camera(rig: RigConfig) -> PinholeCamera:
