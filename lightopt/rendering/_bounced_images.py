@@ -91,7 +91,7 @@ def _over_squares(
         known[index] = done[index] = True
 
     side = SIDES[0]
-    corners = np.stack(np.mgrid[0 : at.shape[0] : side, 0 : at.shape[1] : side], axis=-1).reshape(-1, 2)
+    corners = side * np.argwhere(np.ones(-(-np.array(at.shape) // side), np.bool_))
     for side in SIDES:
         smooth = _smooth_squares(corners, side, at, surface.points, surface.normals, surface.front)
         work_out(_nodes(corners[smooth], side, at, len(surface)))

@@ -187,9 +187,14 @@ def isolated_levels(
     reflectance: Reflectance,
     blocker: RayCaster | None,
     *,
+    penumbrae: bool = True,
     threads: int = 1,
 ) -> list[Float64]:
-    """As :func:`shade_isolated`, of lights from :func:`panel_to_shade`; without a caster, without shadows."""
+    """As :func:`shade_isolated`, of lights from :func:`panel_to_shade`; without a caster, without shadows.
+
+    penumbrae: Whether those of converged panels are worked out; otherwise the share of a panel that a point sees is
+        that of its coarse rays
+    """
     levels: dict[int, Float64] = {}
     for group in channel_groups(shaded):
         lights = [light for i in group if isinstance(light := shaded[i], SurfaceLight)]
@@ -202,16 +207,29 @@ def isolated_levels(
             }
             continue
         for i in group:
-            d, s = _shade_alone(surface, shaded[i], reflectance, blocker)
+            d, s = _shade_alone(surface, shaded[i], reflectance, blocker, penumbrae)
             levels[i] = reflectance.R_d * d + reflectance.R_s * s
     return [levels[i] for i in range(len(shaded))]
 
 
 def _shade_alone(
-    surface: SurfacePoints, light: PanelLight | ConvergedPanel, reflectance: Reflectance, caster: RayCaster | None
+    surface: SurfacePoints,
+    light: PanelLight | ConvergedPanel,
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+    penumbrae: bool,
 ) -> tuple[Float64, Float64]:
     if not isinstance(light, ConvergedPanel):
         return shade_light(surface, light, reflectance=reflectance, caster=caster)
+    if not penumbrae:
+        seen = surface.front.astype(np.float64)
+        if caster is not None:
+            clear, above = visible_counts(surface, probe_targets(light.light), caster)
+            seen = clear / np.maximum(above, 1)
+        terms = np.zeros((len(surface), 2))
+        _add_whole_panel(surface, seen > 0.0, _converged_light(light, reflectance), terms)
+        terms *= light.light.total_weight * seen[:, None]
+        return terms[:, 0], terms[:, 1]
     # every second place of a row
     sample, shape = 2 * np.arange(len(surface)), (1, 2 * len(surface))
     return shade_converged(surface, light, sample=sample, shape=shape, reflectance=reflectance, caster=caster)[:2]

@@ -23,17 +23,19 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, dot, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster, TriangleMesh, resolve_hits
-from lightopt.lights import PanelLight
+from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import Reflectance, specular_cosine, white_level
 from lightopt.rendering._converged_panel import ConvergedPanel, isolated_levels, panel_to_shade
 from lightopt.rendering._surface import SurfacePoints, surface_at
-from lightopt.scene import Scene, coarse_points
+from lightopt.scene import Scene
 
 # cells of the unit square of (u, turn), from which directions are made, with a first ray through the middle of each
 LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (6, 8), (2, 4)
 # errors of a cell that are small enough [grey level], share; and its most further rays along each side
 CHANGE, RELATIVE_CHANGE = 0.2, 0.01
 MOST_SIDES = 8
+LEAST_SHARE = 0.05  # of that error, above which a cell gets more than one further ray
+LEAST_POINTS, MOST_POINTS = 2, 6  # a side, that stand for panels; those of more points are whole
 
 _RAYS_AT_ONCE = 1 << 16
 _SHIFT = 0.6180339887498949  # of one row of cells against the next, in cells
@@ -69,18 +71,14 @@ class PartLight:
     ) -> PartLight:
         """That of a scene's part.
 
-        lights: Part frame; points that are too far apart for the lobe, whose spots are mirrored as spots, are converged
+        lights: Part frame; panels get points that the lobe cannot tell apart or, where these are too many, none
         """
         sigma = scene.reflectance.sigma
-        fine = [
-            replace(light, points="auto", gain=light.total_weight) if coarse_points(light, sigma) else light
-            for light in lights
-        ]
         return cls(
             mesh=scene.mesh,
             caster=caster,
             blocker=caster if shadows else None,
-            lights=[panel_to_shade(light, caster) for light in fine],
+            lights=[panel_to_shade(_mirrored_light(light, sigma), caster) for light in lights],
             reflectance=scene.reflectance,
             environment=scene.environment,
             bounces=scene.bounces,
@@ -123,7 +121,7 @@ class PartLight:
             limit = CHANGE + RELATIVE_CHANGE * area * _sums(point, values, len(some))
             spread = np.maximum(_differences(values.reshape(-1, len(some), *cells)).reshape(values.shape), near)
             off = area * np.max(spread / limit[:, point], axis=0)
-            sides = np.clip(np.ceil(off ** (2.0 / 3.0)), np.where(off > 0.0, 2, 1), MOST_SIDES).astype(np.intp)
+            sides = np.clip(np.ceil(off ** (2.0 / 3.0)), np.where(off > LEAST_SHARE, 2, 1), MOST_SIDES).astype(np.intp)
             cell, u, turn = _divided(some.points, point, u, turn, sides, cells)
             (values,) = factor * self._seen(
                 some, rays, point[cell], u, turn, lambda met: self._levels(met, self.bounces)
@@ -176,14 +174,14 @@ class PartLight:
             return np.zeros((2, len(self.lights), len(surface)))
         wide = math.hypot(own.sigma, angle)
         spread = replace(own, R_d=0.0, R_s=own.R_s * (own.sigma / wide) ** 2, sigma=wide)
-        return np.stack([isolated_levels(surface, self.lights, one, None) for one in (own, spread)])
+        return np.stack([isolated_levels(surface, self.lights, one, None, penumbrae=False) for one in (own, spread)])
 
     def _levels(self, surface: SurfacePoints, bounces: int) -> Float64:
         # levels of points that rays met before so many bounces, shape (1, lights, k)
         levels = np.zeros((1, len(self.lights), len(surface)))
         if not bounces:
             return levels
-        levels[0] = isolated_levels(surface, self.lights, self.reflectance, self.blocker)
+        levels[0] = isolated_levels(surface, self.lights, self.reflectance, self.blocker, penumbrae=False)
         if bounces > 1 or self.environment:
             front = surface.take(np.flatnonzero(surface.front))
             nodes, white = _cells(len(front), NESTED_CELLS), white_level(self.reflectance)
@@ -194,6 +192,17 @@ class PartLight:
                 seen = self._seen(front, rays, *nodes, lambda met: self._levels(met, bounces - 1))
                 levels[0][:, surface.front] += coefficient * seen.reshape(len(self.lights), len(front), -1).mean(axis=2)
         return levels
+
+
+def _mirrored_light(light: PanelLight, sigma: float) -> PanelLight:
+    # a light as the part sees it in itself: the half vectors of a panel's points turn by half of what directions do
+    if isinstance(light, SurfaceLight):
+        return light
+    k = max(LEAST_POINTS, math.ceil(0.5 * max(light.size) / (light.distance * sigma)))
+    if light.points != "auto" and light.points >= k * k:
+        return light
+    points = k * k if k <= MOST_POINTS else "auto"
+    return replace(light, points=points, normalisation="mean", gain=light.total_weight)
 
 
 @kernel
@@ -236,7 +245,7 @@ def _divided(
 
 def _sums(point: Index, values: Float64, count: int) -> Float64:
     # over the rays of each point, shape (lights, count)
-    return np.stack([np.bincount(point, row, count) for row in values])
+    return np.stack([np.bincount(point, row, count).astype(np.float64) for row in values])
 
 
 def _differences(values: Float64) -> Float64:
