@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from bounce_picture import bounce_picture
 from displaced_picture import displaced_picture
 from frames_drawing import frames_drawing
 from lighting_picture import lighting_picture
@@ -229,6 +230,7 @@ def main() -> None:
         inspection_picture(PICTURES / "inspection.png", out)
         statistic_picture(PICTURES / "statistic.png")
         displaced_picture(PICTURES / "displaced.png")
+        bounce_picture(PICTURES / "interreflection.png")
         lighting_picture(PICTURES / "lighting-systems.png")
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
     replace_block(DOCS / "tutorial" / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")

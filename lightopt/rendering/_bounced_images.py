@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
@@ -19,12 +20,13 @@ from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PinholeCamera, lens_share
 
 SIDES = (16, 8, 4, 2)  # of the squares, in samples
-BAND = 8 * SIDES[0]  # rows of samples that are worked on at once
+BAND = 16 * SIDES[0]  # rows of samples that are worked on at once
 NEAR = 4  # rows and columns around a sample, in which others like it tell its level
 LEAST_NEAR = 5  # number of these
 MOST_TURN = 0.05  # angle between their normals [rad]
 # by how much the middle may differ from the mean of the corners, besides its own error [grey level], share
 CHANGE, RELATIVE_CHANGE = 0.3, 0.02
+SHARED = 65  # rows and columns around a sample that share glints, twice
 MOST_BEND = 0.1  # normals that differ by more from those interpolated between corners divide a square [rad]
 MOST_STEP = 0.1  # and points that are further from those interpolated, as a share of the square's diagonal
 
@@ -102,7 +104,26 @@ def _over_squares(
         corners = corners[np.all(corners < at.shape, axis=1)]
     _from_neighbours(at, surface.points, surface.normals, surface.facets, values, done)
     work_out(~done)
+    if values[2].any():
+        values[0] += _shared(values[2], known, at) * surface.front
     return values[0]
+
+
+def _shared(glints: Float64, known: Bool, at: Int32) -> Float64:
+    # means of the glints of samples that were worked out over those around each sample, shape (lights, k)
+    chosen = at >= 0
+    chosen[chosen] = known[at[chosen]]
+    shared = np.zeros_like(glints)
+    weight = _blurred(chosen.astype(np.float64))[at >= 0]
+    for found, own in zip(shared, glints, strict=True):
+        image = np.zeros(at.shape)
+        image[chosen] = own[at[chosen]]
+        found[at[at >= 0]] = _blurred(image)[at >= 0] / np.maximum(weight, 1e-12)
+    return shared
+
+
+def _blurred(image: Float64) -> Float64:
+    return ndimage.uniform_filter(ndimage.uniform_filter(image, SHARED, mode="constant"), SHARED, mode="constant")
 
 
 @kernel
@@ -167,7 +188,7 @@ def _interpolated(corners: Int32, side: int, at: Int32, values: Float64, done: B
             v, e = values[0, light], values[1, light]
             off = abs(v[middle] - 0.25 * (v[a] + v[b] + v[c] + v[d]))
             error = max(max(max(e[a], e[b]), max(e[c], e[d])), e[middle])
-            agrees &= off <= CHANGE + RELATIVE_CHANGE * v[middle] + 2.0 * error
+            agrees &= off <= CHANGE + RELATIVE_CHANGE * v[middle] + error
         fitting[k] = agrees
         if not agrees:
             continue
@@ -220,7 +241,7 @@ def _from_neighbours(
                 for k in range(count):
                     least, most = min(least, v[numbers[k]]), max(most, v[numbers[k]])
                     error = max(error, e[numbers[k]])
-                agrees &= most - least <= CHANGE + RELATIVE_CHANGE * most + 2.0 * error
+                agrees &= most - least <= CHANGE + RELATIVE_CHANGE * most + error
             if not agrees:
                 continue
             done[i] = True

@@ -35,6 +35,8 @@ LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (6, 8), (2, 4)
 CHANGE, RELATIVE_CHANGE = 0.2, 0.01
 MOST_SIDES = 8
 LEAST_SHARE = 0.05  # of that error, above which a cell gets more than one further ray
+SPREAD = 1.4  # width of the directions of the lobe's rays, in those of the lobe
+MOST_OF_A_RAY = 0.3  # of what a ray of diffuse light adds at once [grey level]
 LEAST_POINTS, MOST_POINTS = 2, 6  # a side, that stand for panels; those of more points are whole
 
 _RAYS_AT_ONCE = 1 << 16
@@ -91,27 +93,37 @@ class PartLight:
         return np.array([self.environment * light.total_weight for light in lights])
 
     def diffuse(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
-        """What diffuse reflection adds to the levels of points, and about its error, shape (2, lights, k)."""
+        """What diffuse reflection adds to the levels of points, about its error, and glints, shape (3, lights, k).
+
+        Glints are what single rays add beyond :data:`MOST_OF_A_RAY`: a lamp in a small fillet, which few points' rays
+        happen to meet. They are to be shared with the points around.
+        """
         factor = self.reflectance.R_d / white_level(self.reflectance)
-        return self._converged(surface, _cosine_rays, factor, DIFFUSE_CELLS, threads)
+        return self._converged(surface, _cosine_rays, factor, DIFFUSE_CELLS, MOST_OF_A_RAY, threads)
 
     def specular(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
-        """What the lobe adds to the levels of points, and about its error, shape (2, lights, k)."""
+        """As :meth:`diffuse`, what the lobe adds, which has no glints."""
         factor = self.reflectance.R_s / (math.pi * white_level(self.reflectance))
-        return self._converged(surface, self._lobe_rays, factor, LOBE_CELLS, threads)
+        return self._converged(surface, self._lobe_rays, factor, LOBE_CELLS, math.inf, threads)
 
     def _lobe_rays(self, surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
         return _lobe_rays(surface.normals, surface.facets, surface.views, self.reflectance.sigma, point, u, turn)
 
     def _converged(
-        self, surface: SurfacePoints, rays: _Rays, factor: float, cells: tuple[int, int], threads: int | None
+        self,
+        surface: SurfacePoints,
+        rays: _Rays,
+        factor: float,
+        cells: tuple[int, int],
+        most: float,
+        threads: int | None,
     ) -> Float64:
         # factor times the mean over the unit square of (u, turn), and about its error. What a first ray of each cell
         # sees says how many more it takes, and is no part of the mean, which would miss what first rays missed
         step, area = max(1, _RAYS_AT_ONCE // (cells[0] * cells[1])), 1.0 / (cells[0] * cells[1])
         # half vectors turn by half of what directions do between rays
         angle = 0.5 * math.sqrt(
-            area * (2.0 * math.pi if rays is _cosine_rays else 16.0 * math.pi * self.reflectance.sigma**2)
+            area * (2.0 * math.pi if rays is _cosine_rays else 16.0 * math.pi * (SPREAD * self.reflectance.sigma) ** 2)
         )
 
         def chunk(start: int) -> Float64:
@@ -127,26 +139,30 @@ class PartLight:
                 some, rays, point[cell], u, turn, lambda met: self._levels(met, self.bounces)
             )
             number = sides[cell] ** 2
-            levels = area * _sums(point[cell], values / number, len(some))
+            added = area * values / number
+            small = np.minimum(added, most)
             # of the mean of values that differ as those of their cell do; of one alone, from nothing
-            means = _sums(cell, values, len(point)) / sides**2
-            off = (values - np.where(number > 1, means[:, cell], 0.0)) / number
-            error = area * np.sqrt(_sums(point[cell], off**2, len(some)))
-            return np.stack([levels, error])
+            means = _sums(cell, small, len(point)) / sides**2
+            off = small - np.where(number > 1, means[:, cell], 0.0)
+            return np.stack(
+                [
+                    _sums(point[cell], small, len(some)),
+                    np.sqrt(_sums(point[cell], off**2, len(some))),
+                    _sums(point[cell], added - small, len(some)),
+                ]
+            )
 
         if factor == 0.0:
-            return np.zeros((2, len(self.lights), len(surface)))
+            return np.zeros((3, len(self.lights), len(surface)))
         chunks = in_threads(chunk, range(0, len(surface), step), threads)
-        return np.concatenate([np.zeros((2, len(self.lights), 0)), *chunks], axis=2)
+        return np.concatenate([np.zeros((3, len(self.lights), 0)), *chunks], axis=2)
 
     def _seen(
         self, surface: SurfacePoints, rays: _Rays, point: Index, u: Float64, turn: Float64, levels: _Levels
     ) -> Float64:
         # weight times the levels that a ray from each of the points meets, shape (arrays of levels, lights, rays)
-        parts = [
-            self._seen_at_once(surface, rays, *(a[start : start + _RAYS_AT_ONCE] for a in (point, u, turn)), levels)
-            for start in range(0, max(1, len(point)), _RAYS_AT_ONCE)
-        ]
+        ends = [slice(start, start + _RAYS_AT_ONCE) for start in range(0, max(1, len(point)), _RAYS_AT_ONCE)]
+        parts = [self._seen_at_once(surface, rays, point[own], u[own], turn[own], levels) for own in ends]
         return np.concatenate(parts, axis=2)
 
     def _seen_at_once(
@@ -229,13 +245,15 @@ def _divided(
     # are follows the R₂ sequence (Roberts 2018) from a start that differs from point to point
     count = np.sum(sides**2)
     cell, new_u, new_turn = np.empty(count, np.intp), np.empty(count), np.empty(count)
-    k = 0
+    k = first = 0
     for c in range(len(point)):
         p, n = vector_at(points, point[c]), sides[c]
+        if c > 0 and point[c] != point[c - 1]:
+            first = k
         start = _SCATTER * (p.x + _STEP_U * p.y + _STEP_V * p.z)
         for i in range(n):
             for j in range(n):
-                s, t = start + _STEP_U * (k + 1), start * _STEP_U + _STEP_V * (k + 1)
+                s, t = start + _STEP_U * (k - first), start * _STEP_U + _STEP_V * (k - first)
                 cell[k] = c
                 new_u[k] = u[c] + ((i + s - math.floor(s)) / n - 0.5) / cells[0]
                 new_turn[k] = turn[c] + ((j + t - math.floor(t)) / n - 0.5) / cells[1]
@@ -271,12 +289,13 @@ def _turned(n: Vector, angle: float, turn: float) -> Vector:
 def _lobe_rays(
     normals: Float64, facets: Float64, views: Float64, sigma: float, point: Index, u: Float64, turn: Float64
 ) -> tuple[Float64, Float64]:
-    # views mirrored by half vectors as dense as the lobe: dω of light is 4 (V·H) dω of H
+    # views mirrored by half vectors as dense as a lobe of SPREAD times the width, whose rays meet highlights in its
+    # tail; dω of light is 4 (V·H) dω of H
     directions, weights = np.empty((len(point), 3)), np.zeros(len(point))
     for k in range(len(point)):
         i = point[k]
         n, v = vector_at(normals, i), vector_at(views, i)
-        n_dot_v, delta = dot(n, v), sigma * math.sqrt(-2.0 * math.log(1.0 - u[k]))
+        n_dot_v, delta = dot(n, v), SPREAD * sigma * math.sqrt(-2.0 * math.log(1.0 - u[k]))
         half = _turned(n, delta, turn[k])
         across = dot(v, half)
         way = minus(scaled(half, 2.0 * across), v)
@@ -284,7 +303,8 @@ def _lobe_rays(
         above = dot(n, way) > 0.0 and dot(vector_at(facets, i), way) > 0.0
         if n_dot_v > 0.0 and across > 0.0 and delta < math.pi and above:
             narrowing = math.sin(delta) / delta if delta > 1e-6 else 1.0
-            weights[k] = 8.0 * math.pi * sigma**2 * across * narrowing / specular_cosine(n_dot_v)
+            lobe = SPREAD**2 * (1.0 - u[k]) ** (SPREAD**2 - 1.0)
+            weights[k] = 8.0 * math.pi * sigma**2 * lobe * across * narrowing / specular_cosine(n_dot_v)
     return directions, weights
 
 
