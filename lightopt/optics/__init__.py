@@ -4,11 +4,7 @@ A model is a scalar function compiled as a kernel, called per surface point and 
 :mod:`lightopt.rendering`; it knows neither meshes nor rigs.
 """
 
-from lightopt.optics._albedo import (
-    DEFAULT_ALBEDO as DEFAULT_ALBEDO,
-    least_white_level as least_white_level,
-    white_level as white_level,
-)
+from lightopt.optics._albedo import least_white_level as least_white_level, white_level as white_level
 from lightopt.optics._reflection_model import (
     MAX_LOBE_EXPONENT as MAX_LOBE_EXPONENT,
     MIN_COS_VIEW as MIN_COS_VIEW,

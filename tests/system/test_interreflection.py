@@ -16,7 +16,8 @@ from lightopt.config import PartConfig
 from lightopt.core.errors import InputError
 from lightopt.geometry import TriangleMesh
 from lightopt.lights import panel_grid
-from lightopt.optics import DEFAULT_ALBEDO, MIN_COS_VIEW, Reflectance, white_level
+from lightopt.optics import MIN_COS_VIEW, Reflectance, white_level
+from lightopt.optics._albedo import DEFAULT_ALBEDO
 from lightopt.rendering import SurfacePoints, cast_rays_at
 from lightopt.rendering._interreflection import PartLight
 
