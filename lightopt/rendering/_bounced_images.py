@@ -105,20 +105,19 @@ def _over_squares(
     _from_neighbours(at, surface.points, surface.normals, surface.facets, values, done)
     work_out(~done)
     if values[2].any():
-        values[0] += _shared(values[2], known, at) * surface.front
+        values[0] += _shared(values[2], surface.front, at)
     return values[0]
 
 
-def _shared(glints: Float64, known: Bool, at: Int32) -> Float64:
-    # means of the glints of samples that were worked out over those around each sample, shape (lights, k)
+def _shared(glints: Float64, front: Bool, at: Int32) -> Float64:
+    # means of glints over the samples around each, shape (lights, k)
     chosen = at >= 0
-    chosen[chosen] = known[at[chosen]]
-    shared = np.zeros_like(glints)
-    weight = _blurred(chosen.astype(np.float64))[at >= 0]
+    chosen[chosen] = front[at[chosen]]
+    shared, weight = np.zeros_like(glints), _blurred(chosen.astype(np.float64))[chosen]
     for found, own in zip(shared, glints, strict=True):
         image = np.zeros(at.shape)
-        image[chosen] = own[at[chosen]]
-        found[at[at >= 0]] = _blurred(image)[at >= 0] / np.maximum(weight, 1e-12)
+        image[chosen] = own[at[chosen]] / weight
+        found[at[chosen]] = _blurred(image)[chosen]
     return shared
 
 
@@ -199,11 +198,12 @@ def _interpolated(corners: Int32, side: int, at: Int32, values: Float64, done: B
                     continue
                 done[i] = True
                 bubble = 16.0 * s * (1.0 - s) * t * (1.0 - t)
-                for light in range(values.shape[1]):
-                    v = values[0, light]
-                    off = v[middle] - 0.25 * (v[a] + v[b] + v[c] + v[d])
-                    plane = (1.0 - t) * ((1.0 - s) * v[a] + s * v[b]) + t * ((1.0 - s) * v[c] + s * v[d])
-                    v[i] = max(0.0, plane + bubble * off)
+                for layer in range(0, 3, 2):
+                    for light in range(values.shape[1]):
+                        v = values[layer, light]
+                        off = v[middle] - 0.25 * (v[a] + v[b] + v[c] + v[d])
+                        plane = (1.0 - t) * ((1.0 - s) * v[a] + s * v[b]) + t * ((1.0 - s) * v[c] + s * v[d])
+                        v[i] = max(0.0, plane + bubble * off)
     return fitting
 
 
@@ -245,8 +245,9 @@ def _from_neighbours(
             if not agrees:
                 continue
             done[i] = True
-            for light in range(values.shape[1]):
-                mean = 0.0
-                for k in range(count):
-                    mean += weights[k] * values[0, light, numbers[k]]
-                values[0, light, i] = mean / total
+            for layer in range(0, 3, 2):
+                for light in range(values.shape[1]):
+                    mean = 0.0
+                    for k in range(count):
+                        mean += weights[k] * values[layer, light, numbers[k]]
+                    values[layer, light, i] = mean / total

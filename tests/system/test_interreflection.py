@@ -12,7 +12,8 @@ import reference as ref
 from worlds import levels, merged, scene_from_mesh, sphere
 
 from lightopt import build_scene, render
-from lightopt.config import PartConfig
+from lightopt.config import PartConfig, load_rig
+from lightopt.config._rig import VirtualBenchConfig
 from lightopt.core.errors import InputError
 from lightopt.geometry import TriangleMesh
 from lightopt.lights import panel_grid
@@ -20,6 +21,9 @@ from lightopt.optics import MIN_COS_VIEW, Reflectance, white_level
 from lightopt.optics._albedo import DEFAULT_ALBEDO
 from lightopt.rendering import SurfacePoints, cast_rays_at
 from lightopt.rendering._interreflection import PartLight
+from lightopt.rig.capture._wiring import bench_truth
+from lightopt.rig.simulated._bench_process import BenchTruth
+from lightopt.rig.simulated._optics import BenchOptics
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MATTE = {"R_d": 100.0, "R_s": 0.0, "sigma": 0.05}
@@ -211,3 +215,13 @@ def test_albedo_of_a_narrow_lobe(sigma):
     expected = 8000.0 * sigma**2 * (1.0 - 4.0 / 3.0 * sigma**2) / DEFAULT_ALBEDO
     assert white_level(reflectance) == pytest.approx(expected, rel=1e-4)
     assert white_level(replace(reflectance, white_level=50.0)) == 50.0
+
+
+def test_the_virtual_bench_has_the_bounces_of_its_file():
+    rig = load_rig(CONFIGS / "rigs" / "four-panel.yaml")
+    truth = bench_truth(rig.model_copy(update={"virtual_bench": VirtualBenchConfig(bounces=1)}))
+    scene = small_spout()
+    frames = [
+        BenchOptics(scene, one).frame({"light1": 1.0}, scene.postures[0], exposure=1.0) for one in (BenchTruth(), truth)
+    ]
+    assert frames[1].mean() > frames[0].mean() + 1.0
