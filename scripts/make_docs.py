@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from bounce_picture import bounce_picture
 from displaced_picture import displaced_picture
 from frames_drawing import frames_drawing
 from lens_picture import lens_picture
@@ -230,6 +231,7 @@ def main() -> None:
         inspection_picture(PICTURES / "inspection.png", out)
         statistic_picture(PICTURES / "statistic.png")
         displaced_picture(PICTURES / "displaced.png")
+        bounce_picture(PICTURES / "interreflection.png")
         lighting_picture(PICTURES / "lighting-systems.png")
         lens_picture(PICTURES / "lens.png")
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")

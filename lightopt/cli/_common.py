@@ -49,6 +49,8 @@ Exposures = Annotated[str, selection_option(metavar="X,…", help="Relative expo
 POINTS_HELP = "Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel)."
 Points = Annotated[str | None, model_option(metavar="M", help=POINTS_HELP, show_default="as the rig file says")]
 Shadows = Annotated[bool, model_option("--shadows/--no-shadows", help="Let the part cast shadows.")]
+_BOUNCES = model_option(metavar="N", min=0, help="Add light that goes up to N times from the part to the part.")
+Bounces = Annotated[int, _BOUNCES]
 _PATCHES = model_option(metavar="N", min=1, help="Target number of visible surface patches.", show_default="200000")
 Patches = Annotated[int | None, _PATCHES]
 _DERIVED_HELP = "Also write the images derived from series: phases, differences of segments, merged exposures …"

@@ -18,6 +18,7 @@ def render(
     shadows: common.Shadows = True,
     defects: bool = common.model_option(True, "--defects/--no-defects", help="Render the defects listed in PART."),
     supersample: int = common.model_option(1, metavar="N", min=1, help="Cast N × N rays per pixel."),
+    bounces: common.Bounces = 0,
     patches: common.Patches = None,
     layers: bool = output_option(False, "--layers", help="Also write the EXR channels diffuse.Y and specular.Y."),
     sheet: common.Sheet = False,
@@ -47,6 +48,7 @@ def render(
         shadows=shadows,
         supersample=supersample,
         defects=defects,
+        bounces=bounces,
         patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
     )
     loaded_rig, loaded_part = common.load_inputs(rig, part)

@@ -7,7 +7,11 @@ into physics.
 from lightopt.config._camera import CameraConfig as CameraConfig, CameraDeviceConfig as CameraDeviceConfig
 from lightopt.config._defects import DefectConfig as DefectConfig, PixelPlaceConfig as PixelPlaceConfig
 from lightopt.config._edit import copied_text as copied_text, with_list as with_list, with_values as with_values
-from lightopt.config._fields import MOST_POINTS as MOST_POINTS, points_problem as points_problem
+from lightopt.config._fields import (
+    MOST_BOUNCES as MOST_BOUNCES,
+    MOST_POINTS as MOST_POINTS,
+    points_problem as points_problem,
+)
 from lightopt.config._hardware import (
     AxisConfig as AxisConfig,
     ChannelConfig as ChannelConfig,
@@ -30,7 +34,6 @@ from lightopt.config._part import (
     InspectionConfig as InspectionConfig,
     PartConfig as PartConfig,
     PlacementConfig as PlacementConfig,
-    ReflectanceConfig as ReflectanceConfig,
 )
 from lightopt.config._pose import standing_at as standing_at
 from lightopt.config._rig import LightConfig as LightConfig, RigConfig as RigConfig

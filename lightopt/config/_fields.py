@@ -171,6 +171,8 @@ LIST = Field(strict=False)  # of fixed length; it becomes a tuple, which strict 
 Number = Annotated[float, Field(ge=-1e6, le=1e6), expecting("a number")]
 Positive = Annotated[float, Field(gt=0, le=1e9), expecting("a number above 0, up to 1e9")]
 Coefficient = Annotated[float, Field(ge=0, le=1e12), expecting("a number from 0 to 1e12")]
+MOST_BOUNCES = 4
+Bounces = Annotated[int, Field(ge=0, le=MOST_BOUNCES), expecting(f"a whole number from 0 to {MOST_BOUNCES}")]
 Length = Annotated[float, Field(ge=1e-3, le=1e6), expecting("a length between 0.001 and 1000000 (a number)")]
 ABOVE_TABLE = "a number between 0 and 180 (degrees above the table, ends excluded)"
 Elevation = Annotated[float, Field(gt=0, lt=180), expecting(ABOVE_TABLE)]

@@ -17,7 +17,7 @@ _Share = Annotated[float, Field(ge=0, le=1), expecting("a number from 0 to 1")]
 
 
 class InspectionConfig(Frozen):
-    """Limits by which `lightopt inspect` judges OK or NG."""
+    """What `lightopt inspect` compares with, and the limits by which it judges OK or NG."""
 
     most_defects: Annotated[int, Field(ge=0, le=10**6), expecting("a whole number from 0 to 1000000")] = 0
     """A part with more defects than this is NG."""
@@ -28,6 +28,8 @@ class InspectionConfig(Frozen):
     least_inspected: _Share = 0.0
     """A part is NG if less than this share of its visible surface, over all postures, was inspected. Surface inspected
     only for glints counts."""
+    bounces: fields.Bounces = 0
+    """How often light goes from the part to the part in the images that measured ones are compared with."""
 
 
 _UNITLESS = (".stl", ".ply", ".obj")
@@ -150,6 +152,9 @@ class ReflectanceConfig(Frozen):
     equations. If absent, it does not depend on the angle of incidence."""
     full_scale: fields.Positive = 255.0
     """Full scale in which R_d and R_s are expressed [levels]."""
+    white_level: fields.Positive | None = None
+    """Level of a white diffuse surface that faces a light of gain 1 at the origin [levels of full_scale]. It says which
+    share of light the part reflects, for light from the part to itself; such that the part reflects 65 % if absent."""
 
     @property
     def sigma(self) -> float:
@@ -214,7 +219,7 @@ class PartConfig(fields.FileConfig):
     defect_catalogue: _Catalogue | None = None
     """Kinds of defect for which the inspection is planned; the built-in ones if absent."""
     inspection: InspectionConfig = InspectionConfig()
-    """Limits by which inspections judge OK or NG; no defects allowed if absent."""
+    """What inspections compare with, and the limits by which they judge OK or NG; no defects allowed if absent."""
 
     @field_validator("postures", mode="wrap")
     @classmethod

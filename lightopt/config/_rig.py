@@ -36,6 +36,13 @@ class StageConfig(fields.Frozen):
     """Measured scale of the rotary axis."""
 
 
+class EnvironmentConfig(fields.Frozen):
+    """What surrounds part and rig, and is mirrored by the part."""
+
+    level: fields.Coefficient = 0.0
+    """Level of the surroundings in images of a light of gain 1, in all directions [levels of the part's full_scale]."""
+
+
 class VirtualBenchConfig(fields.Frozen):
     """What the virtual bench has in place of what its files say; only lightopt capture reads it."""
 
@@ -46,6 +53,8 @@ class VirtualBenchConfig(fields.Frozen):
     """Seed of the noise, and of the waviness of the part's surface."""
     rays: Annotated[int, Field(ge=1, le=8), fields.expecting("a whole number from 1 to 8")] = 1
     """Rays along each side of a pixel, which shows their mean; 1 is the pixel's centre alone."""
+    bounces: fields.Bounces = 0
+    """How often light goes from the part to the part before it reaches the camera; 0 is direct light alone."""
     part_offset_mm: fields.Coordinates = (0.0, 0.0, 0.0)
     """How far the part is from its place, world frame at posture (0, 0) [mm]."""
     part_rotation_vector_deg: fields.Coordinates = (0.0, 0.0, 0.0)
@@ -70,6 +79,8 @@ class RigConfig(fields.FileConfig):
     """The lights, at least one."""
     programme: _Programme | None = None
     """Images, each of some of the lights with weights, that take the place of one image per light in every command."""
+    environment: EnvironmentConfig = EnvironmentConfig()
+    """What surrounds the rig; black if absent."""
     stage: StageConfig = StageConfig()
     """The stage; unlimited about the origin if absent."""
     calibration: CalibrationConfig | None = None

@@ -14,6 +14,7 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import side_by_side
+from lightopt.core.vectors import vector_at
 from lightopt.geometry._blocker_maps import BlockerMaps
 from lightopt.geometry._ray_packets import packet_scene
 from lightopt.geometry._triangle_mesh import bounding_box
@@ -90,6 +91,18 @@ class RayCaster:
         with self._lock:
             self._rays_cast += len(directions)
         return self._packets.first_hit(*rays, doubtful=self._maps.doubtful if neighbours else None)
+
+    def next_hit(self, points: Float64, normals: Float64, directions: Float64) -> Int32:
+        """Index of the first face that each ray from the surface meets, −1 where none; shape (k,).
+
+        points: Points on the surface, where the rays begin [mm], shape (k, 3)
+        normals: Unit geometric normals on the side of the surface that the rays leave, shape (k, 3)
+        directions: Shape (k, 3), any length
+        """
+        begins = _begins(points, normals, self.centre, self.radius).T
+        return self._run(
+            "INTERSECT", np.ascontiguousarray(begins, np.float32), np.ascontiguousarray(directions, np.float32)
+        )
 
     def occluded(
         self, points: Float64, normals: Float64, targets: Float64, *, point_index: Int32, target_index: Int32
@@ -210,16 +223,16 @@ def resolve_hits(face: Int32, origin: Float64, directions: Float64, vertices: Fl
     Embree's float32 answer is good to about 1e-5 of the distance, which is not enough for the normals of a glossy
     surface.
 
-    face: Answer of ``first_hit``, −1 where a ray met nothing, shape (n,)
-    origin: Common origin of the rays [mm], shape (3,)
+    face: Answer of ``first_hit`` or ``next_hit``, −1 where a ray met nothing, shape (n,)
+    origin: Of the rays [mm], a common one of shape (3,), or shape (n, 3)
     directions: Shape (n, 3), any length
     """
-    return Hits(*_resolve(face, origin, directions, vertices, faces))
+    return Hits(*_resolve(face, np.atleast_2d(origin), directions, vertices, faces))
 
 
 @kernel
 def _resolve(
-    face: Int32, origin: Float64, directions: Float64, vertices: Float64, faces: Int32
+    face: Int32, origins: Float64, directions: Float64, vertices: Float64, faces: Int32
 ) -> tuple[Int32, Int32, Float64, Float64, Float64, Float64]:
     count = np.count_nonzero(face >= 0)
     ray, hit = np.empty(count, np.int32), np.empty(count, np.int32)
@@ -229,6 +242,7 @@ def _resolve(
         f = face[i]
         if f < 0:
             continue
+        origin = vector_at(origins, i if len(origins) > 1 else 0)
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
         ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
@@ -236,7 +250,7 @@ def _resolve(
         e2x, e2y, e2z = vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az
         px, py, pz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
         determinant = e1x * px + e1y * py + e1z * pz
-        sx, sy, sz = origin[0] - ax, origin[1] - ay, origin[2] - az
+        sx, sy, sz = origin.x - ax, origin.y - ay, origin.z - az
         qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
         if determinant != 0.0:
             bu = (sx * px + sy * py + sz * pz) / determinant
@@ -251,6 +265,6 @@ def _resolve(
         z = az + bu * e1z + bv * e2z
         ray[k], hit[k], u[k], v[k] = i, f, bu, bv
         points[k, 0], points[k, 1], points[k, 2] = x, y, z
-        distance[k] = np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2)
+        distance[k] = np.sqrt((x - origin.x) ** 2 + (y - origin.y) ** 2 + (z - origin.z) ** 2)
         k += 1
     return ray, hit, u, v, points, distance

@@ -4,6 +4,7 @@ A model is a scalar function compiled as a kernel, called per surface point and 
 :mod:`lightopt.rendering`; it knows neither meshes nor rigs.
 """
 
+from lightopt.optics._albedo import least_white_level as least_white_level, white_level as white_level
 from lightopt.optics._lens import (
     airy_diameter as airy_diameter,
     airy_kernel as airy_kernel,

@@ -81,6 +81,7 @@ class Reflectance:
         GGX, α/2, with which both models have the same curvature where they are brightest
     full_scale: Level that the coefficients call full scale [grey level]
     model: The lobe's form
+    white_level: Level of a white diffuse surface that faces a light of weight 1 [grey level]; None where not known
     """
 
     R_d: float
@@ -88,6 +89,7 @@ class Reflectance:
     sigma: float
     full_scale: float = 255.0
     model: SpecularModel = SpecularModel()
+    white_level: float | None = None
 
     @property
     def lobe(self) -> Lobe:

@@ -24,7 +24,7 @@ from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._penumbra_cells import ConvergedLight
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
-from lightopt.rendering._point_lights import clear_targets, shade_points, visible_counts
+from lightopt.rendering._point_lights import clear_targets, facing_targets, shade_points, visible_counts
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._surface_light import shade_surface_lights
 from lightopt.rendering._whole_panel import whole_panel
@@ -177,7 +177,23 @@ def shade_isolated(
     panels: Part frame; channels of one light are worked out together
     threads: That work on the points of such a light
     """
-    shaded, blocker = [panel_to_shade(panel, caster) for panel in panels], caster if shadows else None
+    shaded = [panel_to_shade(panel, caster) for panel in panels]
+    return isolated_levels(surface, shaded, reflectance, caster if shadows else None, threads=threads)
+
+
+def isolated_levels(
+    surface: SurfacePoints,
+    shaded: Sequence[PanelLight | ConvergedPanel],
+    reflectance: Reflectance,
+    blocker: RayCaster | None,
+    *,
+    penumbrae: bool = True,
+    threads: int = 1,
+) -> list[Float64]:
+    """As :func:`shade_isolated`, of lights from :func:`panel_to_shade`; without a caster, without shadows.
+
+    penumbrae: Whether panels may be seen in part; otherwise a ray to one of their places, in turn, decides for all
+    """
     levels: dict[int, Float64] = {}
     for group in channel_groups(shaded):
         lights = [light for i in group if isinstance(light := shaded[i], SurfaceLight)]
@@ -190,19 +206,47 @@ def shade_isolated(
             }
             continue
         for i in group:
-            d, s = _shade_alone(surface, shaded[i], reflectance, blocker)
+            d, s = _shade_alone(surface, shaded[i], reflectance, blocker, penumbrae)
             levels[i] = reflectance.R_d * d + reflectance.R_s * s
-    return [levels[i] for i in range(len(panels))]
+    return [levels[i] for i in range(len(shaded))]
 
 
 def _shade_alone(
-    surface: SurfacePoints, light: PanelLight | ConvergedPanel, reflectance: Reflectance, caster: RayCaster | None
+    surface: SurfacePoints,
+    light: PanelLight | ConvergedPanel,
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+    penumbrae: bool,
 ) -> tuple[Float64, Float64]:
+    if not penumbrae:
+        return _shade_by_one_ray(surface, light, reflectance, caster)
     if not isinstance(light, ConvergedPanel):
         return shade_light(surface, light, reflectance=reflectance, caster=caster)
     # every second place of a row
     sample, shape = 2 * np.arange(len(surface)), (1, 2 * len(surface))
     return shade_converged(surface, light, sample=sample, shape=shape, reflectance=reflectance, caster=caster)[:2]
+
+
+def _shade_by_one_ray(
+    surface: SurfacePoints, light: PanelLight | ConvergedPanel, reflectance: Reflectance, caster: RayCaster | None
+) -> tuple[Float64, Float64]:
+    # each point sees all of a panel or nothing, by a ray to one of its places in turn
+    seen = surface.front
+    if caster is not None:
+        targets = shadow_targets(light.light if isinstance(light, ConvergedPanel) else light)
+        own = np.arange(len(surface)) % len(targets) == np.arange(len(targets))[:, None]
+        own &= facing_targets(surface, targets, geometric=True)
+        seen = caster.visible(surface.points, surface.facets, targets, candidates=own, outside=surface.outside)
+        seen = seen.any(axis=0)
+    index = np.flatnonzero(seen)
+    some, terms = surface.take(index), np.zeros((len(surface), 2))
+    if isinstance(light, ConvergedPanel):
+        found = np.zeros((len(some), 2))
+        _add_whole_panel(some, np.ones(len(some), np.bool_), _converged_light(light, reflectance), found)
+        terms[index] = found * light.light.total_weight
+    else:
+        terms[index] = np.stack(shade_light(some, light, reflectance=reflectance, caster=None), axis=1)
+    return terms[:, 0], terms[:, 1]
 
 
 def shade_changed_points(

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lightopt import __version__
-from lightopt.config import PartConfig, RigConfig, input_hashes, load_part, load_rig, points_problem
+from lightopt.config import MOST_BOUNCES, PartConfig, RigConfig, input_hashes, load_part, load_rig, points_problem
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import provenance
@@ -51,6 +51,7 @@ class RenderOptions:
     supersample: n² rays per pixel
     patch_budget: About how many patches may be visible
     defects: Whether the part's defects are shown; the good part otherwise
+    bounces: How often light goes from the part to the part before it reaches the camera
     """
 
     lights: tuple[str, ...] | None = None
@@ -63,6 +64,7 @@ class RenderOptions:
     supersample: int = 1
     patch_budget: int = DEFAULT_PATCH_BUDGET
     defects: bool = True
+    bounces: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +111,13 @@ def render_image_set(
     part = part if isinstance(part, PartConfig) else load_part(part)
     _check_options(options)
     scene = build_scene(
-        rig, part, postures=options.postures, lights=options.lights, points=options.points, defects=options.defects
+        rig,
+        part,
+        postures=options.postures,
+        lights=options.lights,
+        points=options.points,
+        defects=options.defects,
+        bounces=options.bounces,
     )
     caster: RayCaster | None = cast_rays_at(scene, rays=rays_of_images(scene, supersample=options.supersample))
     refuse_unusable_scene(scene, rig, part, caster)
@@ -194,6 +202,8 @@ def _check_options(options: RenderOptions) -> None:
         problems.append("option 'exposures': the same exposure was given twice")
     if not 1 <= options.supersample <= MOST_SUPERSAMPLE:
         problems.append(f"option 'supersample': expected 1 to {MOST_SUPERSAMPLE}, found {options.supersample}")
+    if not 0 <= options.bounces <= MOST_BOUNCES:
+        problems.append(f"option 'bounces': expected 0 to {MOST_BOUNCES}, found {options.bounces}")
     if options.patch_budget < 1:
         problems.append(f"option 'patch_budget': expected at least 1, found {options.patch_budget}")
     if options.noise is not None and options.noise < 0:
@@ -216,6 +226,8 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
         "supersample": options.supersample,
         "patch_budget": options.patch_budget,
     }
+    if options.bounces:
+        chosen["bounces"] = options.bounces
     # sets of parts without defects do not mention them
     if part.defects and not options.defects:
         chosen["defects"] = False

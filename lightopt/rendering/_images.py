@@ -20,6 +20,7 @@ from lightopt.core.transforms import Posture
 from lightopt.core.vectors import dot, vector_at
 from lightopt.geometry import Hits, Patches, RayCaster
 from lightopt.lights import SurfaceLight
+from lightopt.rendering._bounced_images import bounced_bands
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
     PanelVisibility,
@@ -31,6 +32,7 @@ from lightopt.rendering._converged_panel import (
 )
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._direct_view import direct_levels
+from lightopt.rendering._interreflection import PartLight
 from lightopt.rendering._lens_means import TYPICAL_VIEWS, lens_means
 from lightopt.rendering._penumbra_squares import SIDES
 from lightopt.rendering._surface import SurfacePoints, trace_samples
@@ -265,6 +267,8 @@ def _run(job: _PostureJob, posture: Posture, threads: int | None, progress: Shar
         for image in job.images:
             assert image.inside is not None
             image.inside[:] -= image.level
+    if job.scene.bounces or job.scene.environment:
+        job.add_bounces(threads)
     for number, level in direct_levels(view, job.scene.mesh, caster, threads=threads):
         job.images[number].level[:] += level
     rays, free, seconds = caster.rays_cast - before, caster.rays_free - free, monotonic() - begun
@@ -423,6 +427,23 @@ class _PostureJob:
             for target, values in self._light(marked, number, light, sample, grid, passed):
                 means = np.bincount(hits.ray // n**2, values, len(pixels)) / n**2
                 target.ravel()[pixels[own]] = means[own]
+
+    def add_bounces(self, threads: int) -> None:
+        """Add the light that reaches the camera from the part, or its surroundings, by way of the part."""
+        light = PartLight.of_scene(self.scene, self.view.lights, self.caster, shadows=self.shadow_caster is not None)
+
+        def trace(columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
+            hits, surface = self._trace(columns, rows)
+            return hits, self._wavy(surface)
+
+        camera = self.view.camera
+        for band in bounced_bands(light, camera, self.window, trace, supersample=self.supersample, threads=threads):
+            own = (slice(band.top, band.bottom), slice(band.left, band.left + band.diffuse.shape[2]))
+            for image, diffuse, specular in zip(self.images, band.diffuse, band.specular, strict=True):
+                image.level[own] += diffuse + specular
+                if image.diffuse is not None and image.specular is not None:
+                    image.diffuse[own] += diffuse
+                    image.specular[own] += specular
 
     def _trace(self, columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
         order, *at = _tiles(columns, rows)

@@ -112,12 +112,21 @@ def trace_samples(
     neighbours: Whether points that follow each other are close to each other: they are then traced together
     """
     hits = trace_hits(caster, mesh, camera, columns, rows, neighbours=neighbours)
+    return hits, surface_at(hits, mesh, camera.position, outside=caster.is_outside(camera.position))
+
+
+def surface_at(hits: Hits, mesh: TriangleMesh, eyes: Float64, *, outside: bool) -> SurfacePoints:
+    """The surface where rays meet it.
+
+    eyes: Where the rays come from [mm], a common place of shape (3,), or one for each hit, shape (k, 3)
+    outside: Whether they come from outside the part's bounding sphere, or from points that were seen from there
+    """
     smooth = mesh.normals is not None
     vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
     found = _interpolate(
-        mesh.vertices, mesh.faces, vertex_normals, smooth, hits.face, hits.u, hits.v, hits.points, camera.position
+        mesh.vertices, mesh.faces, vertex_normals, smooth, hits.face, hits.u, hits.v, hits.points, np.atleast_2d(eyes)
     )
-    return hits, SurfacePoints(hits.points, *found, outside=caster.is_outside(camera.position))
+    return SurfacePoints(hits.points, *found, outside=outside)
 
 
 @kernel
@@ -130,7 +139,7 @@ def _interpolate(
     u: Float64,
     v: Float64,
     points: Float64,
-    eye: Float64,
+    eyes: Float64,
 ) -> tuple[Float64, Float64, Float64, Bool]:
     k = len(face)
     normals = np.empty((k, 3))
@@ -142,7 +151,7 @@ def _interpolate(
         corner = vector_at(vertices, a)
         facet = cross(minus(vector_at(vertices, b), corner), minus(vector_at(vertices, c), corner))
         facet = divided(facet, length(facet))
-        view = minus(Vector(eye[0], eye[1], eye[2]), vector_at(points, i))
+        view = minus(vector_at(eyes, i if len(eyes) > 1 else 0), vector_at(points, i))
         view = divided(view, length(view))
         normal = facet
         if smooth:

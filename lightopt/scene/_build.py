@@ -8,13 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lightopt.config import CameraConfig, PartConfig, ReflectanceConfig, RigConfig, load_part, load_rig
+from lightopt.config import CameraConfig, PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
-from lightopt.optics import Reflectance, Sensor, SpecularModel
+from lightopt.optics import Reflectance, Sensor, SpecularModel, least_white_level
 from lightopt.scene._camera import (
     Distortion,
     Lens,
@@ -40,16 +40,6 @@ CHORD_TOLERANCE_FOOTPRINTS = 0.2
 ANGULAR_TOLERANCE, MOST_ANGULAR_TOLERANCE = 0.1, 0.5
 
 
-def _build_reflectance(config: ReflectanceConfig) -> Reflectance:
-    """The reflection of a part's surface."""
-    share = config.R_s_wide / config.R_s if config.R_s_wide is not None and config.R_s > 0.0 else 0.0
-    ratio = 1.0 if config.sigma_wide_rad is None else config.sigma_wide_rad / config.sigma
-    model = SpecularModel(
-        name=config.model, wide_share=share, wide_ratio=ratio, refractive_index=config.refractive_index
-    )
-    return Reflectance(R_d=config.R_d, R_s=config.R_s, sigma=config.sigma, full_scale=config.full_scale, model=model)
-
-
 def build_scene(
     rig: RigConfig | Path | str,
     part: PartConfig | Path | str,
@@ -58,6 +48,7 @@ def build_scene(
     lights: Sequence[str] | None = None,
     points: int | Literal["auto"] | None = None,
     defects: bool = True,
+    bounces: int = 0,
 ) -> Scene:
     """Place a rig's camera and lights and a part in the world frame.
 
@@ -65,7 +56,9 @@ def build_scene(
     lights: Names of the lights to keep, instead of all
     points: Point lights per panel, instead of the rig's
     defects: Whether the part has the defects and the waviness that its file names, or is good and smooth
-    Raises InputError: A posture outside the stage's range, an unknown light, a mesh that cannot be loaded, a part
+    bounces: How often images show light that goes from the part to the part
+    Raises InputError: A white level at which the part would reflect more light than it gets, a posture outside the
+        stage's range, an unknown light, a mesh that cannot be loaded, a part
         wholly outside the view or a camera inside the part (with what another unit of the mesh file would make of it,
         where that explains it), a lens that folds the image over, a defect that is not on the part
     """
@@ -81,12 +74,14 @@ def build_scene(
         camera=camera,
         lights=placed,
         mesh=mesh,
-        reflectance=_build_reflectance(part.reflectance),
+        reflectance=_reflectance(part),
         sensor=build_sensor(rig.camera),
         stage=build_stage(rig),
         postures=chosen,
         placement=placement,
         freedoms=6 if part.placement.registration == "full" else 3,
+        bounces=bounces,
+        environment=rig.environment.level,
     )
     warnings += _check_view(scene, rig, part)
     waviness = None
@@ -96,6 +91,26 @@ def build_scene(
         )
     placed_defects = place_defects(scene, rig, part) if defects else ()
     return replace(scene, warnings=warnings, defects=placed_defects, waviness=waviness)
+
+
+def _reflectance(part: PartConfig) -> Reflectance:
+    own = part.reflectance
+    model = SpecularModel(
+        name=own.model,
+        wide_share=own.R_s_wide / own.R_s if own.R_s_wide is not None and own.R_s > 0.0 else 0.0,
+        wide_ratio=1.0 if own.sigma_wide_rad is None else own.sigma_wide_rad / own.sigma,
+        refractive_index=own.refractive_index,
+    )
+    reflectance = Reflectance(
+        R_d=own.R_d, R_s=own.R_s, sigma=own.sigma, full_scale=own.full_scale, model=model, white_level=own.white_level
+    )
+    least = least_white_level(reflectance)
+    if own.white_level is not None and own.white_level < least:
+        raise InputError(
+            f"{part.source.at('reflectance', 'white_level')}: expected at least {least:.4g}, found "
+            f"{own.white_level:g}: with these coefficients the part would reflect more light than it gets"
+        )
+    return reflectance
 
 
 def build_camera(rig: RigConfig) -> PinholeCamera:

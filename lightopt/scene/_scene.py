@@ -44,6 +44,8 @@ class Scene:
     defects: On the part, frame of the mesh; images show them, the mesh does not
     waviness: Of good parts; None for smooth ones
     freedoms: Degrees of freedom of the part on its stage: 3 on the plate, 6 with height and tilt
+    bounces: How often light goes from the part to the part in images
+    environment: Level of what surrounds the rig under a light of gain 1 [grey level]
     """
 
     camera: PinholeCamera
@@ -58,6 +60,8 @@ class Scene:
     defects: tuple[PlacedDefect, ...] = ()
     waviness: Waviness | None = None
     freedoms: int = 3
+    bounces: int = 0
+    environment: float = 0.0
 
     @property
     def pivot(self) -> Float64:

@@ -492,3 +492,25 @@ def test_files_of_others_in_the_way_are_left_alone(cli, bench):
     assert ran.err.startswith(f"error: {stranger}: exists but belongs to no image set")
     assert stranger.read_text() == "mine"
     assert not (bench.out / "manifest.json").exists()
+
+
+# --- light from the part to the part
+
+
+def test_bounces_add_light_and_are_options_of_the_set(cli, bench):
+    for name, options in (("direct", ()), ("bounced", ("--bounces", "1"))):
+        out = bench.out.with_name(name)
+        assert cli("render", bench.rig, bench.part, "-o", out, "--light", "light1", *FEW, *options).status == 0
+    manifests = [json.loads((bench.out.with_name(n) / "manifest.json").read_text()) for n in ("direct", "bounced")]
+    assert "bounces" not in manifests[0]["provenance"]["options"]
+    assert manifests[1]["provenance"]["options"]["bounces"] == 1
+    entry = manifests[0]["images"][0]["exr"]
+    direct, bounced = (read_exr(bench.out.with_name(name) / entry)["Y"] for name in ("direct", "bounced"))
+    assert np.all(bounced >= direct)
+    assert bounced.sum() > direct.sum()
+
+
+def test_too_many_bounces_are_refused(cli, bench):
+    ran = cli("render", bench.rig, bench.part, "-o", bench.out, "--bounces", "5")
+    assert ran.status == 2
+    assert "bounces: expected 0 to 4, found 5" in ran.err

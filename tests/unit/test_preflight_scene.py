@@ -506,3 +506,22 @@ def test_part_outside_the_image_is_not_seen(check, monkeypatch):
 )
 def test_directions_in_words(mean, words):
     assert facing(np.array(mean)) == words
+
+
+# ---- the part in itself
+
+
+def test_a_convex_part_mirrors_nothing_of_itself(check):
+    finding = only(check(BLOCK), "mirrored part")
+    assert (finding.level, finding.values["share"]) == ("ok", 0.0)
+
+
+def test_a_groove_mirrors_its_other_side(check):
+    """Walls at 45° in a groove: each mirrors a view from above to the other, all of it."""
+    corners = np.array([(x, y, abs(x)) for x in (-10.0, 0.0, 10.0) for y in (-10.0, 10.0)])
+    faces = np.array([(0, 2, 1), (1, 2, 3), (2, 4, 3), (3, 4, 5)])
+    finding = only(check(corners[faces]), "mirrored part")
+    assert finding.level == "warning"
+    assert finding.values["share"] > 0.9
+    assert "render --bounces 1" in finding.text
+    assert not find(check(corners[faces], reflectance={"R_s": 0}), "mirrored part")

@@ -112,7 +112,8 @@ def nominal_scene(
         return scenes[key], read()
     # a STEP file is read by another process
     scenes[key], observations = side_by_side(
-        lambda: build_scene(rig, part, postures=key[0], lights=names, defects=False), read
+        lambda: build_scene(rig, part, postures=key[0], lights=names, defects=False, bounces=part.inspection.bounces),
+        read,
     )
     return scenes[key], observations
 

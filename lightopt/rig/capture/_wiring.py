@@ -230,7 +230,9 @@ def bench_truth(rig: RigConfig, seed: int | None = None) -> BenchTruth:
         return BenchTruth() if seed is None else BenchTruth(seed=seed)
     x, y, z = map(math.radians, own.part_rotation_vector_deg)
     seed = own.seed if seed is None else seed
-    return BenchTruth(seed=seed, rays=own.rays, part_offset_mm=own.part_offset_mm, part_rotation=(x, y, z))
+    return BenchTruth(
+        seed=seed, rays=own.rays, bounces=own.bounces, part_offset_mm=own.part_offset_mm, part_rotation=(x, y, z)
+    )
 
 
 def _true_rig(rig: RigConfig) -> RigConfig:

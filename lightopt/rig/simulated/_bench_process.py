@@ -45,6 +45,7 @@ class BenchTruth:
     # whether frames begin on request; otherwise they follow one another, and the first after a change began before it
     triggered: bool = True
     rays: int = 1  # along each side of a pixel, which shows their mean, as a real camera's does; 1: its centre
+    bounces: int = 0  # how often light goes from the part to the part
 
 
 @dataclass(frozen=True, kw_only=True)

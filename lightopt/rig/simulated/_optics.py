@@ -41,6 +41,7 @@ class BenchOptics:
                 rotation_from_vector(np.array(truth.part_rotation, np.float64)),
                 np.array(truth.part_offset_mm, np.float64),
             ),
+            bounces=truth.bounces,
             sensor=replace(scene.sensor, black_level=scene.sensor.black_level + truth.dark_level),
         )
         self._truth = truth

@@ -1,0 +1,61 @@
+"""From levels to the share of light that a surface reflects, which light between surfaces needs.
+
+The level of a pixel is κ times the radiance that reaches the camera, per unit of a light's normal irradiance (a panel's
+weight, a large light's ∫ L·cosα/r² dA). A white surface, whose diffuse albedo is 1, shows the level W = κ/π where it
+faces that light. Hence the surface's BRDF is
+
+    f = (R_d + R_s / (cosθ_i cosθ_o) · exp(−δ²/(2σ²))) / (π·W)
+
+and its albedo, where it is seen along its normal, (R_d + (1/π) ∫ R_s exp(−δ²/(2σ²)) · 4 cosδ dω_H) / W. Other lobes take
+the place of the Gaussian one, with their factors for the directions of light and view.
+"""
+
+import math
+
+import numpy as np
+
+from lightopt.core.arrays import Float64
+from lightopt.optics._reflection_model import Lobe, Reflectance, light_factor
+
+DEFAULT_ALBEDO = 0.65
+"""Share of light that a surface of unknown white level reflects: that of chrome plating."""
+
+_NODES = 64
+_REACH = 12.0  # standard deviations of the lobe that are integrated
+_MOST_DELTA = math.pi / 4  # the surface, seen along its normal, mirrors its own horizon there
+
+
+def specular_sum(reflectance: Reflectance) -> float:
+    """∫ exp(−δ²/(2σ²)) · 4 cosδ dω_H / π of a lobe seen along the normal: albedo times W per unit of R_s."""
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    lobe = reflectance.lobe
+    if lobe.ggx:
+        # δ whose shares of 4 cosδ dω_H below the lobe are even
+        alpha, end = 2.0 * reflectance.sigma, math.tan(_MOST_DELTA)
+        share = 0.5 * end**2 / (alpha**2 + end**2) * (nodes + 1.0)
+        delta, step = np.arctan(alpha * np.sqrt(share / (1.0 - share))), 2.0 * alpha**2 * end**2 / (alpha**2 + end**2)
+        return float(step * np.sum(weights * _factors(delta, lobe)))
+    total = 0.0
+    for height, inverse in ((1.0, lobe.inverse), (lobe.wide_share, lobe.wide_inverse)):
+        end = min(_MOST_DELTA, _REACH * math.sqrt(0.5 / inverse))
+        delta = 0.5 * end * (nodes + 1.0)
+        values = np.exp(-inverse * delta**2) * np.cos(delta) * np.sin(delta) * _factors(delta, lobe)
+        total += height * float(8.0 * 0.5 * end * np.sum(weights * values))
+    return total
+
+
+def _factors(delta: Float64, lobe: Lobe) -> Float64:
+    # of light that a surface, seen along its normal, mirrors at a normal leaning by δ
+    return np.array([light_factor(max(0.0, math.cos(2.0 * d)), 2.0 * math.cos(d), lobe) for d in delta])
+
+
+def least_white_level(reflectance: Reflectance) -> float:
+    """Level W at which the surface reflects all light: with a lower one, it would reflect more than it gets."""
+    return reflectance.R_d + reflectance.R_s * specular_sum(reflectance)
+
+
+def white_level(reflectance: Reflectance) -> float:
+    """Level W of the surface's own file, or that of the default albedo [grey level]."""
+    if reflectance.white_level is not None:
+        return reflectance.white_level
+    return least_white_level(reflectance) / DEFAULT_ALBEDO

@@ -1,0 +1,253 @@
+"""Light of the part on itself in images: worked out at some pixels, and interpolated between them where it is smooth.
+
+A square of pixels has nodes at its corners and in its middle. Where the surface in it is smooth and the middle agrees
+with the mean of the corners, the polynomial through the five nodes serves for all of it; otherwise the square is
+divided, at last into single pixels.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.kernels import kernel
+from lightopt.core.vectors import dot, length, minus, vector_at
+from lightopt.geometry import Hits
+from lightopt.rendering._interreflection import PartLight
+from lightopt.rendering._surface import SurfacePoints
+from lightopt.scene import PinholeCamera, lens_share
+
+SIDES = (16, 8, 4, 2)  # of the squares, in samples
+BAND = 16 * SIDES[0]  # rows of samples that are worked on at once
+NEAR = 4  # rows and columns around a sample, in which others like it tell its level
+LEAST_NEAR = 5  # number of these
+MOST_TURN = 0.05  # angle between their normals [rad]
+# by how much the middle may differ from the mean of the corners, besides its own error [grey level], share
+CHANGE, RELATIVE_CHANGE = 0.3, 0.02
+SHARED = 65  # rows and columns around a sample that share glints, twice
+MOST_BEND = 0.1  # normals that differ by more from those interpolated between corners divide a square [rad]
+MOST_STEP = 0.1  # and points that are further from those interpolated, as a share of the square's diagonal
+
+_Trace = Callable[[Float64, Float64], tuple[Hits, SurfacePoints]]
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Rows [top, bottom) of images, columns from `left` on: levels to add, shape (lights, rows, columns)."""
+
+    top: int
+    bottom: int
+    left: int
+    diffuse: Float64
+    specular: Float64
+
+
+def bounced_bands(
+    light: PartLight,
+    camera: PinholeCamera,
+    window: tuple[int, int, int, int],
+    trace: _Trace,
+    *,
+    supersample: int = 1,
+    threads: int | None = None,
+) -> Iterator[Band]:
+    """What the part's light on itself adds to the images of a posture, band by band.
+
+    window: Left, top, right and bottom of what is rendered [px]
+    trace: Casts the camera's rays through a grid of columns and rows
+    supersample: n² samples of a pixel, whose mean it shows
+    """
+    n, (left, top, right, bottom) = supersample, window
+    columns = (np.arange(left * n, right * n) + 0.5) / n
+    step = max(1, BAND // n)
+    for first in range(top, bottom, step):
+        end = min(first + step, bottom)
+        # with the row that the squares of the last rows reach to
+        rows = (np.arange(first * n, min(end, bottom - 1) * n + 1) + 0.5) / n
+        hits, surface = trace(columns, rows)
+        at = np.full((len(rows), len(columns)), -1, np.int32)
+        at.ravel()[hits.ray] = np.arange(len(surface), dtype=np.int32)
+        passed = lens_share(camera, columns[hits.ray % len(columns)], rows[hits.ray // len(columns)])
+        pixels = []
+        for worked_out in (light.diffuse, light.specular):
+            values = _over_squares(surface, at, worked_out, threads)
+            samples = np.zeros((len(values), *at.shape))
+            samples[:, at >= 0] = (values if passed is None else values * passed)[:, at[at >= 0]]
+            samples = samples[:, : (end - first) * n].reshape(len(values), end - first, n, right - left, n)
+            pixels.append(samples.mean(axis=(2, 4)))
+        yield Band(first, end, left, *pixels)
+
+
+def _over_squares(
+    surface: SurfacePoints, at: Int32, worked_out: Callable[[SurfacePoints, int | None], Float64], threads: int | None
+) -> Float64:
+    # levels of all points of a grid, shape (lights, k)
+    known, done = np.zeros(len(surface), np.bool_), ~surface.front
+    values = np.zeros((*worked_out(surface.take(slice(0)), 1).shape[:2], len(surface)))
+
+    def work_out(chosen: Bool) -> None:
+        index = np.flatnonzero(chosen & ~known)
+        values[..., index] = worked_out(surface.take(index), threads)
+        known[index] = done[index] = True
+
+    side = SIDES[0]
+    corners = side * np.argwhere(np.ones(-(-np.array(at.shape) // side), np.bool_))
+    for side in SIDES:
+        smooth = _smooth_squares(corners, side, at, surface.points, surface.normals, surface.front)
+        work_out(_nodes(corners[smooth], side, at, len(surface)))
+        fitting = smooth.copy()
+        fitting[smooth] = _interpolated(corners[smooth], side, at, values, done)
+        half = side // 2
+        corners = np.concatenate([corners[~fitting] + [down, right] for down in (0, half) for right in (0, half)])
+        corners = corners[np.all(corners < at.shape, axis=1)]
+    _from_neighbours(at, surface.points, surface.normals, surface.facets, values, done)
+    work_out(~done)
+    if values[2].any():
+        values[0] += _shared(values[2], surface.front, at)
+    return values[0]
+
+
+def _shared(glints: Float64, front: Bool, at: Int32) -> Float64:
+    # means of glints over the samples around each, shape (lights, k)
+    chosen = at >= 0
+    chosen[chosen] = front[at[chosen]]
+    shared, weight = np.zeros_like(glints), _blurred(chosen.astype(np.float64))[chosen]
+    for found, own in zip(shared, glints, strict=True):
+        image = np.zeros(at.shape)
+        image[chosen] = own[at[chosen]] / weight
+        found[at[chosen]] = _blurred(image)[chosen]
+    return shared
+
+
+def _blurred(image: Float64) -> Float64:
+    return ndimage.uniform_filter(ndimage.uniform_filter(image, SHARED, mode="constant"), SHARED, mode="constant")
+
+
+@kernel
+def _smooth_squares(corners: Int32, side: int, at: Int32, points: Float64, normals: Float64, front: Bool) -> Bool:
+    # squares inside the grid whose points and normals are nearly those interpolated between the corners
+    smooth = np.zeros(len(corners), np.bool_)
+    for k in range(len(corners)):
+        top, left = corners[k, 0], corners[k, 1]
+        if top + side >= at.shape[0] or left + side >= at.shape[1]:
+            continue
+        found = True
+        for y in range(side + 1):
+            for x in range(side + 1):
+                i = at[top + y, left + x]
+                found &= i >= 0 and front[i]
+        if not found:
+            continue
+        a, b = at[top, left], at[top, left + side]
+        c, d = at[top + side, left], at[top + side, left + side]
+        across = minus(vector_at(points, d), vector_at(points, a))
+        most = MOST_STEP * length(across)
+        for y in range(side + 1):
+            for x in range(side + 1):
+                i, s, t = at[top + y, left + x], x / side, y / side
+                of = ((1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t)
+                away = bend = 0.0
+                for axis in range(3):
+                    place = of[0] * points[a, axis] + of[1] * points[b, axis]
+                    place += of[2] * points[c, axis] + of[3] * points[d, axis]
+                    away += (points[i, axis] - place) ** 2
+                    lean = of[0] * normals[a, axis] + of[1] * normals[b, axis]
+                    lean += of[2] * normals[c, axis] + of[3] * normals[d, axis]
+                    bend += (normals[i, axis] - lean) ** 2
+                found &= away <= most * most and bend <= MOST_BEND**2
+        smooth[k] = found
+    return smooth
+
+
+@kernel
+def _nodes(corners: Int32, side: int, at: Int32, count: int) -> Bool:
+    chosen = np.zeros(count, np.bool_)
+    half = side // 2
+    for k in range(len(corners)):
+        y, x = corners[k, 0], corners[k, 1]
+        chosen[at[y, x]] = chosen[at[y, x + side]] = chosen[at[y + side, x]] = True
+        chosen[at[y + side, x + side]] = chosen[at[y + half, x + half]] = True
+    return chosen
+
+
+@kernel
+def _interpolated(corners: Int32, side: int, at: Int32, values: Float64, done: Bool) -> Bool:
+    # fills the squares whose middle agrees with their corners under every light, and says which
+    fitting = np.zeros(len(corners), np.bool_)
+    half = side // 2
+    for k in range(len(corners)):
+        top, left = corners[k, 0], corners[k, 1]
+        a, b = at[top, left], at[top, left + side]
+        c, d = at[top + side, left], at[top + side, left + side]
+        middle = at[top + half, left + half]
+        agrees = True
+        for light in range(values.shape[1]):
+            v, e = values[0, light], values[1, light]
+            off = abs(v[middle] - 0.25 * (v[a] + v[b] + v[c] + v[d]))
+            error = max(max(max(e[a], e[b]), max(e[c], e[d])), e[middle])
+            agrees &= off <= CHANGE + RELATIVE_CHANGE * v[middle] + error
+        fitting[k] = agrees
+        if not agrees:
+            continue
+        for y in range(side + 1):
+            for x in range(side + 1):
+                i, s, t = at[top + y, left + x], x / side, y / side
+                if done[i]:
+                    continue
+                done[i] = True
+                bubble = 16.0 * s * (1.0 - s) * t * (1.0 - t)
+                for layer in range(0, 3, 2):
+                    for light in range(values.shape[1]):
+                        v = values[layer, light]
+                        off = v[middle] - 0.25 * (v[a] + v[b] + v[c] + v[d])
+                        plane = (1.0 - t) * ((1.0 - s) * v[a] + s * v[b]) + t * ((1.0 - s) * v[c] + s * v[d])
+                        v[i] = max(0.0, plane + bubble * off)
+    return fitting
+
+
+@kernel
+def _from_neighbours(
+    at: Int32, points: Float64, normals: Float64, facets: Float64, values: Float64, done: Bool
+) -> None:
+    # fills samples beside edges from others on the same surface near them, where these agree
+    rows, columns = at.shape
+    told = done.copy()
+    for y in range(rows):
+        for x in range(columns):
+            i = at[y, x]
+            if i < 0 or told[i]:
+                continue
+            weights, count, total = np.empty((2 * NEAR + 1) ** 2), 0, 0.0
+            numbers = np.empty(len(weights), np.int64)
+            n, p, facet = vector_at(normals, i), vector_at(points, i), vector_at(facets, i)
+            for down in range(max(0, y - NEAR), min(rows, y + NEAR + 1)):
+                for right in range(max(0, x - NEAR), min(columns, x + NEAR + 1)):
+                    j = at[down, right]
+                    if j < 0 or not told[j]:
+                        continue
+                    turn, way = minus(n, vector_at(normals, j)), minus(vector_at(points, j), p)
+                    if length(turn) > MOST_TURN or abs(dot(way, facet)) > MOST_TURN * length(way):
+                        continue
+                    weights[count] = 1.0 / ((down - y) ** 2 + (right - x) ** 2)
+                    numbers[count], total, count = j, total + weights[count], count + 1
+            if count < LEAST_NEAR:
+                continue
+            agrees = True
+            for light in range(values.shape[1]):
+                v, e = values[0, light], values[1, light]
+                least, most, error = v[numbers[0]], v[numbers[0]], 0.0
+                for k in range(count):
+                    least, most = min(least, v[numbers[k]]), max(most, v[numbers[k]])
+                    error = max(error, e[numbers[k]])
+                agrees &= most - least <= CHANGE + RELATIVE_CHANGE * most + error
+            if not agrees:
+                continue
+            done[i] = True
+            for layer in range(0, 3, 2):
+                for light in range(values.shape[1]):
+                    mean = 0.0
+                    for k in range(count):
+                        mean += weights[k] * values[layer, light, numbers[k]]
+                    values[layer, light, i] = mean / total

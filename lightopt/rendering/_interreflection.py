@@ -1,0 +1,353 @@
+"""Light that reaches the camera from the part by way of the part: its mirror image of itself, and its diffuse light.
+
+Rays leave the surface where its lobe or its diffuse reflection gathers light. What they meet is shaded by the lights as
+images are, seen from where the rays begin. The numbers of rays double until the level changes no more.
+
+    I(v) = 1/(π·W) ∫ (R_d N·l + R_s / cosθ_o · exp(−δ²/(2σ²))) · I₂(l) dω
+
+I₂ is the level that the other surface shows in direction −l, or the surroundings' level, and W the white level
+(:mod:`lightopt.optics._albedo`). Directions are those of cells of a unit square, which are divided where levels differ.
+Nothing is random: the same scene gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lightopt.core.arrays import Float64, Index
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import end_if_stopped, in_threads
+from lightopt.core.vectors import Vector, dot, minus, plus, scaled, vector_at
+from lightopt.geometry import RayCaster, TriangleMesh, resolve_hits
+from lightopt.lights import PanelLight, SurfaceLight
+from lightopt.optics import Lobe, Reflectance, light_factor, specular_divisor, specular_lobe, white_level
+from lightopt.rendering._converged_panel import ConvergedPanel, isolated_levels, panel_to_shade
+from lightopt.rendering._surface import SurfacePoints, surface_at
+from lightopt.scene import Scene
+
+# cells of the unit square of (u, turn), from which directions are made, with a first ray through the middle of each
+LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (6, 8), (2, 4)
+# errors of a cell that are small enough [grey level], share; and its most further rays along each side
+CHANGE, RELATIVE_CHANGE = 0.2, 0.01
+MOST_SIDES = 8
+LEAST_SHARE = 0.05  # of that error, above which a cell gets more than one further ray
+SPREAD = 1.4  # width of the directions of the lobe's rays, in those of the lobe
+MOST_OF_A_RAY = 0.3  # of what a ray of diffuse light adds at once [grey level]
+LEAST_POINTS, MOST_POINTS = 2, 6  # a side, that stand for panels; those of more points are whole
+
+_RAYS_AT_ONCE = 1 << 16
+_SHIFT = 0.6180339887498949  # of one row of cells against the next, in cells
+_STEP_U, _STEP_V = 0.7548776662466927, 0.5698402909980532  # 1/g and 1/g² of g³ = g + 1
+_SCATTER = 1e3  # by which places are multiplied for starts of the sequence [1/mm]
+
+# directions of rays from some of the points, shape (rays, 3), and weights, 0 where nothing is gathered
+_Rays = Callable[[SurfacePoints, Index, Float64, Float64], tuple[Float64, Float64]]
+_Levels = Callable[[SurfacePoints], Float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PartLight:
+    """What the light of the part on itself depends on, in one posture.
+
+    lights: Part frame, from :func:`lightopt.rendering.panel_to_shade`
+    blocker: For shadows; None for none
+    environment: Level of the surroundings under a light of gain 1 [grey level]
+    bounces: From the part to the part
+    """
+
+    mesh: TriangleMesh
+    caster: RayCaster
+    blocker: RayCaster | None
+    lights: Sequence[PanelLight | ConvergedPanel]
+    reflectance: Reflectance
+    environment: float
+    bounces: int
+
+    @classmethod
+    def of_scene(
+        cls, scene: Scene, lights: Sequence[PanelLight], caster: RayCaster, *, shadows: bool = True
+    ) -> PartLight:
+        """That of a scene's part.
+
+        lights: Part frame; panels get points that the lobe cannot tell apart or, where these are too many, none
+        """
+        sigma = scene.reflectance.sigma
+        return cls(
+            mesh=scene.mesh,
+            caster=caster,
+            blocker=caster if shadows else None,
+            lights=[panel_to_shade(_mirrored_light(light, sigma), caster) for light in lights],
+            reflectance=scene.reflectance,
+            environment=scene.environment,
+            bounces=scene.bounces,
+        )
+
+    @property
+    def surroundings(self) -> Float64:
+        """Level of the surroundings under each light, shape (lights,)."""
+        lights = (one.light if isinstance(one, ConvergedPanel) else one for one in self.lights)
+        return np.array([self.environment * light.total_weight for light in lights])
+
+    def diffuse(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
+        """What diffuse reflection adds to the levels of points, about its error, and glints, shape (3, lights, k).
+
+        Glints are what single rays add beyond :data:`MOST_OF_A_RAY`: a lamp in a small fillet, which few points' rays
+        happen to meet. They are to be shared with the points around.
+        """
+        factor = self.reflectance.R_d / white_level(self.reflectance)
+        return self._converged(surface, _cosine_rays, factor, DIFFUSE_CELLS, MOST_OF_A_RAY, threads)
+
+    def specular(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
+        """As :meth:`diffuse`, what the lobe adds, which has no glints."""
+        factor = self.reflectance.R_s / (math.pi * white_level(self.reflectance))
+        return self._converged(surface, self._lobe_rays, factor, LOBE_CELLS, math.inf, threads)
+
+    def _lobe_rays(self, surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
+        return _lobe_rays(surface.normals, surface.facets, surface.views, self.reflectance.lobe, point, u, turn)
+
+    def _converged(
+        self,
+        surface: SurfacePoints,
+        rays: _Rays,
+        factor: float,
+        cells: tuple[int, int],
+        most: float,
+        threads: int | None,
+    ) -> Float64:
+        # factor times the mean over the unit square of (u, turn), and about its error. What a first ray of each cell
+        # sees says how many more it takes, and is no part of the mean, which would miss what first rays missed
+        step, area = max(1, _RAYS_AT_ONCE // (cells[0] * cells[1])), 1.0 / (cells[0] * cells[1])
+        # half vectors turn by half of what directions do between rays
+        angle = 0.5 * math.sqrt(
+            area * (2.0 * math.pi if rays is _cosine_rays else 16.0 * math.pi * (SPREAD * self.reflectance.sigma) ** 2)
+        )
+
+        def chunk(start: int) -> Float64:
+            some = surface.take(slice(start, start + step))
+            point, u, turn = _cells(len(some), cells)
+            values, near = factor * self._seen(some, rays, point, u, turn, lambda met: self._hints(met, angle))
+            limit = CHANGE + RELATIVE_CHANGE * area * _sums(point, values, len(some))
+            spread = np.maximum(_differences(values.reshape(-1, len(some), *cells)).reshape(values.shape), near)
+            off = area * np.max(spread / limit[:, point], axis=0)
+            sides = np.clip(np.ceil(off ** (2.0 / 3.0)), np.where(off > LEAST_SHARE, 2, 1), MOST_SIDES).astype(np.intp)
+            cell, u, turn = _divided(some.points, point, u, turn, sides, cells)
+            (values,) = factor * self._seen(
+                some, rays, point[cell], u, turn, lambda met: self._levels(met, self.bounces)
+            )
+            number = sides[cell] ** 2
+            added = area * values / number
+            small = np.minimum(added, most)
+            # of the mean of values that differ as those of their cell do; of one alone, from nothing
+            means = _sums(cell, small, len(point)) / sides**2
+            off = small - np.where(number > 1, means[:, cell], 0.0)
+            return np.stack(
+                [
+                    _sums(point[cell], small, len(some)),
+                    np.sqrt(_sums(point[cell], off**2, len(some))),
+                    _sums(point[cell], added - small, len(some)),
+                ]
+            )
+
+        if factor == 0.0:
+            return np.zeros((3, len(self.lights), len(surface)))
+        chunks = in_threads(chunk, range(0, len(surface), step), threads)
+        return np.concatenate([np.zeros((3, len(self.lights), 0)), *chunks], axis=2)
+
+    def _seen(
+        self, surface: SurfacePoints, rays: _Rays, point: Index, u: Float64, turn: Float64, levels: _Levels
+    ) -> Float64:
+        # weight times the levels that a ray from each of the points meets, shape (arrays of levels, lights, rays)
+        ends = [slice(start, start + _RAYS_AT_ONCE) for start in range(0, max(1, len(point)), _RAYS_AT_ONCE)]
+        parts = [self._seen_at_once(surface, rays, point[own], u[own], turn[own], levels) for own in ends]
+        return np.concatenate(parts, axis=2)
+
+    def _seen_at_once(
+        self, surface: SurfacePoints, rays: _Rays, point: Index, u: Float64, turn: Float64, levels: _Levels
+    ) -> Float64:
+        end_if_stopped()
+        directions, weights = rays(surface, point, u, turn)
+        own = np.flatnonzero(weights > 0.0)
+        origins, ways = surface.points[point[own]], directions[own]
+        faces = self.caster.next_hit(origins, surface.facets[point[own]], ways)
+        hits = resolve_hits(faces, origins, ways, self.mesh.vertices, self.mesh.faces)
+        met = own[hits.ray]
+        other = surface_at(hits, self.mesh, hits.points - directions[met], outside=surface.outside)
+        found = levels(other)
+        seen = np.zeros((*found.shape[:2], len(point)))
+        seen[0][:, own] = self.surroundings[:, None]
+        seen[..., met] = found
+        return seen * weights
+
+    def _hints(self, surface: SurfacePoints, angle: float) -> Float64:
+        # levels of points that rays met, without shadows, and those of highlights that may be beside them, where
+        # normals are uncertain by an angle [rad]; shape (2, lights, k)
+        own = self.reflectance
+        if not self.bounces:
+            return np.zeros((2, len(self.lights), len(surface)))
+        wide = math.hypot(own.sigma, angle)
+        spread = replace(own, R_d=0.0, R_s=own.R_s * (own.sigma / wide) ** 2, sigma=wide)
+        return np.stack([isolated_levels(surface, self.lights, one, None, penumbrae=False) for one in (own, spread)])
+
+    def _levels(self, surface: SurfacePoints, bounces: int) -> Float64:
+        # levels of points that rays met before so many bounces, shape (1, lights, k)
+        levels = np.zeros((1, len(self.lights), len(surface)))
+        if not bounces:
+            return levels
+        levels[0] = isolated_levels(surface, self.lights, self.reflectance, self.blocker, penumbrae=False)
+        if bounces > 1 or self.environment:
+            front = surface.take(np.flatnonzero(surface.front))
+            nodes, white = _cells(len(front), NESTED_CELLS), white_level(self.reflectance)
+            for coefficient, rays in (
+                (self.reflectance.R_d / white, _cosine_rays),
+                (self.reflectance.R_s / (math.pi * white), self._lobe_rays),
+            ):
+                seen = self._seen(front, rays, *nodes, lambda met: self._levels(met, bounces - 1))
+                levels[0][:, surface.front] += coefficient * seen.reshape(len(self.lights), len(front), -1).mean(axis=2)
+        return levels
+
+
+def _mirrored_light(light: PanelLight, sigma: float) -> PanelLight:
+    # a light as the part sees it in itself: the half vectors of a panel's points turn by half of what directions do
+    if isinstance(light, SurfaceLight):
+        return light
+    k = max(LEAST_POINTS, math.ceil(0.5 * max(light.size) / (light.distance * sigma)))
+    if light.points != "auto" and light.points >= k * k:
+        return light
+    points = k * k if k <= MOST_POINTS else "auto"
+    return replace(light, points=points, normalisation="mean", gain=light.total_weight)
+
+
+@kernel
+def _frame(n: Vector) -> tuple[Vector, Vector]:
+    # two unit vectors perpendicular to a unit vector and to each other (Duff et al. 2017, JCGT 6(1))
+    sign = math.copysign(1.0, n.z)
+    a = -1.0 / (sign + n.z)
+    b = n.x * n.y * a
+    return Vector(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), Vector(b, sign + n.y * n.y * a, -n.y)
+
+
+def _cells(count: int, cells: tuple[int, int]) -> tuple[Index, Float64, Float64]:
+    # middles of the cells of the unit square for so many points: point, u, turn. Rows are shifted against each other
+    row, column = (a.ravel() for a in np.mgrid[0 : cells[0], 0 : cells[1]])
+    u, turn = (row + 0.5) / cells[0], (column + row * _SHIFT % 1.0) / cells[1]
+    return np.repeat(np.arange(count), len(u)), np.tile(u, count), np.tile(turn, count)
+
+
+@kernel
+def _divided(
+    points: Float64, point: Index, u: Float64, turn: Float64, sides: Index, cells: tuple[int, int]
+) -> tuple[Index, Float64, Float64]:
+    # places in each cell divided into sides², one in each piece: number of the cell, u, turn. Where in the pieces they
+    # are follows the R₂ sequence (Roberts 2018) from a start that differs from point to point
+    count = np.sum(sides**2)
+    cell, new_u, new_turn = np.empty(count, np.intp), np.empty(count), np.empty(count)
+    k = first = 0
+    for c in range(len(point)):
+        p, n = vector_at(points, point[c]), sides[c]
+        if c > 0 and point[c] != point[c - 1]:
+            first = k
+        start = _SCATTER * (p.x + _STEP_U * p.y + _STEP_V * p.z)
+        for i in range(n):
+            for j in range(n):
+                s, t = start + _STEP_U * (k - first), start * _STEP_U + _STEP_V * (k - first)
+                cell[k] = c
+                new_u[k] = u[c] + ((i + s - math.floor(s)) / n - 0.5) / cells[0]
+                new_turn[k] = turn[c] + ((j + t - math.floor(t)) / n - 0.5) / cells[1]
+                k += 1
+    return cell, new_u, new_turn
+
+
+def _sums(point: Index, values: Float64, count: int) -> Float64:
+    # over the rays of each point, shape (lights, count)
+    return np.stack([np.bincount(point, row, count).astype(np.float64) for row in values])
+
+
+def _differences(values: Float64) -> Float64:
+    # greatest difference of each cell from those beside it, shape (lights, k, rows, columns); turns have no end
+    beside = np.abs(values - np.roll(values, 1, axis=3))
+    greatest = np.maximum(beside, np.roll(beside, -1, axis=3))
+    above = np.abs(np.diff(values, axis=2))
+    np.maximum(greatest[:, :, 1:], above, out=greatest[:, :, 1:])
+    np.maximum(greatest[:, :, :-1], above, out=greatest[:, :, :-1])
+    return greatest
+
+
+@kernel
+def _turned(n: Vector, angle: float, turn: float) -> Vector:
+    # unit vector at an angle [rad] to n, in a direction [turns] about it
+    first, second = _frame(n)
+    turn *= 2.0 * math.pi
+    across = plus(scaled(first, math.cos(turn)), scaled(second, math.sin(turn)))
+    return plus(scaled(n, math.cos(angle)), scaled(across, math.sin(angle)))
+
+
+@kernel
+def _lobe_rays(
+    normals: Float64, facets: Float64, views: Float64, lobe: Lobe, point: Index, u: Float64, turn: Float64
+) -> tuple[Float64, Float64]:
+    # views mirrored by half vectors as dense as a lobe of SPREAD times the width, whose rays meet highlights in its
+    # tail, half of them by the wider of two lobes; dω of light is 4 (V·H) dω of H
+    directions, weights = np.empty((len(point), 3)), np.zeros(len(point))
+    for k in range(len(point)):
+        i = point[k]
+        n, v = vector_at(normals, i), vector_at(views, i)
+        n_dot_v, delta = dot(n, v), _leaning(u[k], lobe)
+        half = _turned(n, delta, turn[k])
+        across = dot(v, half)
+        way = minus(scaled(half, 2.0 * across), v)
+        directions[k, 0], directions[k, 1], directions[k, 2] = way
+        above = dot(n, way) > 0.0 and dot(vector_at(facets, i), way) > 0.0
+        if n_dot_v > 0.0 and across > 0.0 and delta < math.pi and above:
+            chord = 2.0 * math.sin(0.5 * delta)
+            value = specular_lobe(chord * chord, lobe) * light_factor(dot(n, way), 2.0 * across, lobe)
+            weights[k] = 8.0 * math.pi * value * across * _solid_angle(delta, lobe) / specular_divisor(n_dot_v, lobe)
+    return directions, weights
+
+
+@kernel
+def _leaning(u: float, lobe: Lobe) -> float:
+    # δ of a half vector [rad], below which is a share u of all
+    if lobe.ggx:
+        return math.atan(SPREAD * math.sqrt(2.0 / lobe.inverse * u / (1.0 - u)))
+    inverse = lobe.inverse
+    if lobe.wide_share > 0.0:
+        inverse = lobe.inverse if u < 0.5 else lobe.wide_inverse
+        u = 2.0 * u - math.floor(2.0 * u)
+    return SPREAD * math.sqrt(-math.log(1.0 - u) / inverse)
+
+
+@kernel
+def _solid_angle(delta: float, lobe: Lobe) -> float:
+    # sinδ dδ per share of the half vectors
+    if lobe.ggx:
+        tangent, alpha_squared = math.tan(delta), SPREAD**2 * 2.0 / lobe.inverse
+        density = 2.0 * alpha_squared * (1.0 + tangent * tangent) / (alpha_squared + tangent * tangent) ** 2
+        return math.cos(delta) / density
+    density = 2.0 * lobe.inverse / SPREAD**2 * math.exp(-(delta * delta) * lobe.inverse / SPREAD**2)
+    if lobe.wide_share > 0.0:
+        wide = lobe.wide_inverse / SPREAD**2
+        density = 0.5 * (density + 2.0 * wide * math.exp(-(delta * delta) * wide))
+    narrowing = math.sin(delta) / delta if delta > 1e-6 else 1.0
+    return narrowing / density
+
+
+def _cosine_rays(surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
+    return _rays_by_cosine(surface.normals, surface.facets, point, u, turn)
+
+
+@kernel
+def _rays_by_cosine(
+    normals: Float64, facets: Float64, point: Index, u: Float64, turn: Float64
+) -> tuple[Float64, Float64]:
+    # as dense as N·l
+    directions, weights = np.empty((len(point), 3)), np.zeros(len(point))
+    for k in range(len(point)):
+        way = _turned(vector_at(normals, point[k]), math.asin(math.sqrt(u[k])), turn[k])
+        directions[k, 0], directions[k, 1], directions[k, 2] = way
+        if dot(vector_at(facets, point[k]), way) > 0.0:
+            weights[k] = 1.0
+    return directions, weights

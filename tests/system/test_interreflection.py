@@ -1,0 +1,227 @@
+"""Light from the part to the part against closed forms, and against sums over the other surface's area."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import reference as ref
+from worlds import levels, merged, scene_from_mesh, sphere
+
+from lightopt import build_scene, render
+from lightopt.config import PartConfig, load_rig
+from lightopt.config._rig import VirtualBenchConfig
+from lightopt.core.errors import InputError
+from lightopt.geometry import TriangleMesh
+from lightopt.lights import panel_grid
+from lightopt.optics import MIN_COS_VIEW, Reflectance, white_level
+from lightopt.optics._albedo import DEFAULT_ALBEDO
+from lightopt.rendering import SurfacePoints, cast_rays_at
+from lightopt.rendering._interreflection import PartLight
+from lightopt.rig.capture._wiring import bench_truth
+from lightopt.rig.simulated._bench_process import BenchTruth
+from lightopt.rig.simulated._optics import BenchOptics
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+MATTE = {"R_d": 100.0, "R_s": 0.0, "sigma": 0.05}
+SATIN = {"R_d": 45.0, "R_s": 12500.0, "sigma": 0.0475}
+CAMERA = ref.Camera(width=80, height=60, pixel_um=88)
+
+
+def rectangle(corner, first, second):
+    """Two triangles; the normal is along first × second."""
+    corner, first, second = (np.array(a, float) for a in (corner, first, second))
+    corners = np.array([corner, corner + first, corner + first + second, corner + second])
+    return TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), None)
+
+
+def floor_and_wall(height, half=40.0):
+    """A floor at z = 0 for x > 0, and a wall at x = 0 that faces +X."""
+    floor = rectangle((0, -half, 0), (half, 0, 0), (0, 2 * half, 0))
+    wall = rectangle((0, -half, 0), (0, 2 * half, 0), (0, 0, height))
+    return merged(floor, wall)
+
+
+def floor_points(places, views):
+    """Points of the floor, at x and y, and directions that they are seen from."""
+    points = np.array([(x, y, 0.0) for x, y in places])
+    up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    views = np.array(views, float)
+    return SurfacePoints(points, up, up, views / np.linalg.norm(views, axis=1)[:, None], np.ones(len(points), bool))
+
+
+def part_light(scene):
+    return PartLight.of_scene(scene, scene.lights, cast_rays_at(scene))
+
+
+def test_diffuse_light_of_a_wall_is_that_of_its_form_factor():
+    """The wall shows R_d all over, lit along its normal; a place on the floor sees it under F of the plates' corner."""
+    height, far = 15.0, 4000.0
+    lamp = ref.Light(distance=1e6, elevation=0.01, azimuth=0, k=1)
+    scene = scene_from_mesh(CAMERA, [lamp], floor_and_wall(height, far), reflectance=MATTE)
+    scene = replace(scene, bounces=1, reflectance=replace(scene.reflectance, white_level=160.0))
+    x, y = np.array([1.0, 4.0, 15.0, 40.0]), np.random.default_rng(1).uniform(-3.0, 3.0, 300)
+    surface = floor_points([(a, b) for a in x for b in y], [(0, 0, 1)] * (len(x) * len(y)))
+    found = part_light(scene).diffuse(surface)
+    added = (found[0, 0] + found[2, 0]).reshape(len(x), len(y))
+    form_factor = 0.5 * (1.0 - x / np.hypot(x, height))
+    expected = 100.0 / 160.0 * 100.0 * form_factor
+    np.testing.assert_allclose(added.mean(axis=1), expected, rtol=0.015)
+    assert np.all(added.std(axis=1) < 0.4 + 0.03 * expected)
+
+
+def test_integrating_sphere_adds_the_albedo_with_each_bounce():
+    """A lamp in the middle gives level R_d all over; each bounce adds albedo times what was there before."""
+    inside = sphere(20.0, rows=64)
+    inside = TriangleMesh(inside.vertices, inside.faces[:, ::-1].copy(), -inside.normals)
+    lamp = ref.Light(distance=1e-3, elevation=60, azimuth=0, size=(1e-3, 1e-3), k=1)
+    scene = scene_from_mesh(CAMERA, [lamp], inside, reflectance=MATTE)
+    reflectance = replace(scene.reflectance, white_level=200.0)
+    directions = np.array([(0.0, 0.0, -1.0), (0.6, 0.0, 0.8), (0.48, 0.64, -0.6)])
+    ones = np.ones(len(directions), bool)
+    surface = SurfacePoints(20.0 * 0.999 * directions, -directions, -directions, -directions, ones)
+    for bounces, expected in ((1, 50.0), (2, 50.0 + 25.0), (3, 50.0 + 25.0 + 12.5)):
+        found = part_light(replace(scene, bounces=bounces, reflectance=reflectance)).diffuse(surface)
+        np.testing.assert_allclose(found[0, 0] + found[2, 0], expected, rtol=5e-3)
+
+
+@pytest.mark.parametrize("reflectance", [MATTE, SATIN], ids=["matte", "satin"])
+def test_a_convex_part_in_white_surroundings_shows_its_albedo(reflectance):
+    lamp = ref.Light(distance=300, elevation=60, azimuth=0, k=1, gain=0.5)
+    scene = scene_from_mesh(CAMERA, [lamp], sphere(15.0), reflectance=reflectance)
+    lit = replace(scene, environment=80.0)
+    added = levels(lit) - levels(scene)
+    assert added[30, 40] == pytest.approx(DEFAULT_ALBEDO * 80.0 * 0.5, rel=0.01)  # proportional to the light's gain
+
+
+def test_a_convex_part_in_a_dark_box_has_no_bounce():
+    scene = scene_from_mesh(CAMERA, [ref.Light(distance=300, elevation=60, azimuth=0, k=2)], sphere(15.0))
+    assert np.array_equal(levels(scene), levels(replace(scene, bounces=1)))
+
+
+def test_a_narrow_lobe_mirrors_the_other_surface():
+    lamp = ref.Light(distance=1e6, elevation=0.01, azimuth=0, k=1)
+    reflectance = {"R_d": 20.0, "R_s": 2e6, "sigma": 0.003}
+    scene = replace(scene_from_mesh(CAMERA, [lamp], floor_and_wall(30.0), reflectance=reflectance), bounces=1)
+    # seen from +X: mirrored towards the wall, 10 mm high, in a view that its own lobe is far from
+    surface = floor_points([(10.0, 3.0), (10.0, 0.0)], [(1, 0.4, 1), (1, 0.4, 0.1)])
+    found = part_light(scene).specular(surface)[0, 0]
+    sigma, white = 0.003, white_level(scene.reflectance)
+    mirrored = 8.0 * sigma**2 * (1.0 - 4.0 / 3.0 * sigma**2) * 2e6 / white
+    np.testing.assert_allclose(found, mirrored * 20.0, rtol=2e-3)
+
+
+def area_sum(scene, surface, *, height, half, step):
+    """One bounce as a sum over cells of the wall, in plain NumPy: diffuse and specular level of each floor point."""
+    r = scene.reflectance
+    y = np.arange(-half + step / 2, half, step)
+    z = np.arange(step / 2, height, step)
+    q = np.stack([np.zeros((len(z), len(y))), *np.broadcast_arrays(y[None], z[:, None])], axis=-1).reshape(-1, 3)
+    (light,) = scene.lights
+    lamps, normal, up = panel_grid(light, light.points), np.array([1.0, 0, 0]), np.array([0.0, 0, 1.0])
+
+    def level(n, n_dot_l, to_light, view):
+        half_vector = to_light + view
+        half_vector /= np.linalg.norm(half_vector, axis=1)[:, None]
+        delta = np.arccos(np.clip(half_vector @ n, -1, 1))
+        cosine = np.maximum(view @ n, MIN_COS_VIEW)
+        lobe = r.R_s / cosine * np.exp(-0.5 * (delta / r.sigma) ** 2)
+        return r.R_d * n_dot_l, np.where((n_dot_l > 0) & (view @ n > 0), lobe, 0.0)
+
+    found = []
+    for point, view in zip(surface.points, surface.views, strict=True):
+        way = q - point
+        distance = np.linalg.norm(way, axis=1)
+        way /= distance[:, None]
+        seen = np.zeros(len(q))
+        for lamp in lamps:
+            to_lamp = lamp - q
+            to_lamp /= np.linalg.norm(to_lamp, axis=1)[:, None]
+            seen += sum(level(normal, np.maximum(to_lamp @ normal, 0.0), to_lamp, -way)) / len(lamps)
+        solid_angle = step**2 * np.maximum(-way @ normal, 0.0) / distance**2
+        parts = level(up, way @ up, way, np.broadcast_to(view, way.shape))
+        found.append([np.sum(part * seen * solid_angle) / (math.pi * white_level(r)) for part in parts])
+    return np.array(found).T
+
+
+def test_highlight_in_a_highlight_against_a_sum_over_the_other_surface():
+    height, half = 20.0, 20.0
+    lamp = ref.Light(distance=330, elevation=50, azimuth=5, size=(60, 60), k=3)
+    scene = scene_from_mesh(CAMERA, [lamp], floor_and_wall(height, half), reflectance=SATIN)
+    scene = replace(scene, bounces=1)
+    # seen from where the floor mirrors the wall, and the wall mirrors the lamp, or nearly so
+    (light,) = scene.lights
+    direction = light.centre / np.linalg.norm(light.centre)
+    views = [direction + np.array([0, 0, 0.1 * k]) for k in (-1, 0, 1, 2)]
+    surface = floor_points([(6.0, 0.0), (8.0, 1.0), (10.0, -1.0), (7.0, 2.0)], views)
+    diffuse, specular = area_sum(scene, surface, height=height, half=half, step=0.05)
+    own = part_light(scene)
+    assert specular.max() > 200.0
+    found = own.specular(surface)[0, 0]
+    np.testing.assert_allclose(found, specular, rtol=0.03, atol=0.5)
+    added = own.diffuse(surface)
+    np.testing.assert_allclose(added[0, 0] + added[2, 0], diffuse, rtol=0.05, atol=0.3)
+
+
+def small_spout(**options):
+    scene = build_scene(
+        CONFIGS / "rigs" / "four-panel.yaml", CONFIGS / "parts" / "spout.yaml", lights=["light1"], **options
+    )
+    camera = replace(scene.camera, width=160, height=120, pixel_size=10 * scene.camera.pixel_size)
+    return replace(scene, camera=camera, postures=scene.postures[:1])
+
+
+def test_images_are_the_same_with_any_number_of_threads_and_have_their_layers():
+    scene = small_spout(bounces=1)
+    images = [next(iter(render(scene, threads=threads, layers=True))).lights[0] for threads in (1, 3)]
+    assert np.array_equal(images[0].level, images[1].level)
+    np.testing.assert_allclose(images[0].diffuse + images[0].specular, images[0].level, rtol=1e-5, atol=1e-3)
+
+
+def test_interpolation_between_pixels_keeps_the_bounce(monkeypatch):
+    """Every pixel worked out, beside squares of them."""
+    from lightopt.rendering import _bounced_images
+
+    scene = small_spout()
+    direct = levels(scene)
+    bounce = levels(replace(scene, bounces=1)) - direct
+    monkeypatch.setattr(_bounced_images, "SIDES", (16,))
+    monkeypatch.setattr(_bounced_images, "_smooth_squares", lambda corners, *_: np.zeros(len(corners), bool))
+    monkeypatch.setattr(_bounced_images, "_from_neighbours", lambda *_: None)
+    each = levels(replace(scene, bounces=1)) - direct
+    assert bounce.mean() == pytest.approx(each.mean(), rel=0.02)
+    assert each.mean() > 0.5
+
+
+def test_a_part_that_reflects_more_than_it_gets_is_refused():
+    part = PartConfig.model_validate(
+        {
+            "format": "lightopt-part/1",
+            "name": "x",
+            "mesh": {"file": str(CONFIGS / "parts" / "spout.stl"), "units": "mm"},
+            "reflectance": {"R_d": 45, "R_s": 12500, "sigma_rad": 0.0475, "white_level": 100},
+        }
+    )
+    with pytest.raises(InputError, match=r"white_level: expected at least 269.* found 100: .*more light than it gets"):
+        build_scene(CONFIGS / "rigs" / "four-panel.yaml", part)
+
+
+@pytest.mark.parametrize("sigma", [0.003, 0.0475])
+def test_albedo_of_a_narrow_lobe(sigma):
+    reflectance = Reflectance(R_d=0.0, R_s=1000.0, sigma=sigma)
+    expected = 8000.0 * sigma**2 * (1.0 - 4.0 / 3.0 * sigma**2) / DEFAULT_ALBEDO
+    assert white_level(reflectance) == pytest.approx(expected, rel=1e-4)
+    assert white_level(replace(reflectance, white_level=50.0)) == 50.0
+
+
+def test_the_virtual_bench_has_the_bounces_of_its_file():
+    rig = load_rig(CONFIGS / "rigs" / "four-panel.yaml")
+    truth = bench_truth(rig.model_copy(update={"virtual_bench": VirtualBenchConfig(bounces=1)}))
+    scene = small_spout()
+    frames = [
+        BenchOptics(scene, one).frame({"light1": 1.0}, scene.postures[0], exposure=1.0) for one in (BenchTruth(), truth)
+    ]
+    assert frames[1].mean() > frames[0].mean() + 1.0
