@@ -13,20 +13,13 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import minimize
 
+from lightopt import rendering
 from lightopt.config import RigConfig
 from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import rotation_x, rotation_y
 from lightopt.defects import SHAPE_KINDS, mark_surface
 from lightopt.lights import SurfaceLight, picture_light
-from lightopt.rendering import (
-    PosturePixels,
-    SurfacePoints,
-    cast_rays_at,
-    light_of_channels,
-    mirrored_places,
-    trace_pixels,
-)
 from lightopt.scene import Scene, move_part
 
 MOST_CAMERA_PIXELS = 20_000  # that the picture is fitted to; of more, every second or third row and column
@@ -101,7 +94,7 @@ def inverse_pattern(
     own = _in_part_frame(seen, scene, display)
     shape = (pixels[1], pixels[0])
     full = _levels(surface, picture_light(own, np.ones(shape)), scene)
-    u, v, _ = mirrored_places(surface, own)
+    u, v, _ = rendering.mirrored_places(surface, own)
     inside = (np.abs(u) < 0.5 * own.size[0]) & (np.abs(v) < 0.5 * own.size[1])
     reflecting = np.flatnonzero(inside & (full >= REFLECTING_SHARE * full.max(initial=0.0)))
     if len(reflecting) < pixels[0] * pixels[1] // 100 + 10:
@@ -167,9 +160,9 @@ def _rms(values: Float64) -> float:
     return math.sqrt(float(np.nanmean(values**2)))
 
 
-def _seen(scene: Scene, wanted: Bool | None = None) -> PosturePixels:
+def _seen(scene: Scene, wanted: Bool | None = None) -> rendering.PosturePixels:
     # clean pixels: those wanted, or those of a regular grid where they are many; defects turn their normals
-    seen = trace_pixels(scene, scene.postures[0], cast_rays_at(scene))
+    seen = rendering.trace_pixels(scene, scene.postures[0], rendering.cast_rays_at(scene))
     step = math.ceil(math.sqrt(len(seen.row) / MOST_CAMERA_PIXELS))
     chosen = (seen.row % step == 0) & (seen.column % step == 0) if wanted is None else wanted[seen.row, seen.column]
     keep = np.flatnonzero(seen.clean & chosen)
@@ -181,13 +174,13 @@ def _seen(scene: Scene, wanted: Bool | None = None) -> PosturePixels:
     return replace(seen, row=seen.row[keep], column=seen.column[keep], clean=seen.clean[keep], surface=surface)
 
 
-def _in_part_frame(seen: PosturePixels, scene: Scene, display: SurfaceLight) -> SurfaceLight:
+def _in_part_frame(seen: rendering.PosturePixels, scene: Scene, display: SurfaceLight) -> SurfaceLight:
     rotation, translation = scene.stage.transform(seen.posture)
     return display.moved(rotation.T, -rotation.T @ translation)
 
 
-def _levels(surface: SurfacePoints, light: SurfaceLight, scene: Scene) -> Float64:
-    (diffuse,), (specular,) = light_of_channels(surface, [light], scene.reflectance.sigma)
+def _levels(surface: rendering.SurfacePoints, light: SurfaceLight, scene: Scene) -> Float64:
+    (diffuse,), (specular,) = rendering.light_of_channels(surface, [light], scene.reflectance.sigma)
     return scene.reflectance.R_d * diffuse + scene.reflectance.R_s * specular
 
 
@@ -198,9 +191,11 @@ def _stripes(row: Int32, column: Int32, period_px: float | None) -> Float64:
     return 1.0 + 0.5 * TARGET_CONTRAST * (waves[0] + waves[1])
 
 
-def _responses(surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, int], scene: Scene) -> sparse.csr_array:
+def _responses(
+    surface: rendering.SurfacePoints, light: SurfaceLight, shape: tuple[int, int], scene: Scene
+) -> sparse.csr_array:
     # specular level of each camera pixel per display pixel: of those in reach of the lobe about the mirrored place
-    u, v, distance = mirrored_places(surface, light)
+    u, v, distance = rendering.mirrored_places(surface, light)
     wide, high = light.size[0] / shape[1], light.size[1] / shape[0]
     reach = 2.0 * distance * math.tan(LOBE_SIGMAS * scene.reflectance.sigma)
     order = np.argsort(u)
@@ -217,7 +212,7 @@ def _responses(surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, in
         if len(near):
             one[i, j] = 1.0
             own = [picture_light(light, one)]
-            _, (specular,) = light_of_channels(surface.take(near), own, scene.reflectance.sigma)
+            _, (specular,) = rendering.light_of_channels(surface.take(near), own, scene.reflectance.sigma)
             one[i, j] = 0.0
             columns.append(np.full(len(near), i * shape[1] + j))
             points.append(near)
@@ -227,7 +222,7 @@ def _responses(surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, in
 
 
 def _diffuse_responses(
-    surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, int], scene: Scene
+    surface: rendering.SurfacePoints, light: SurfaceLight, shape: tuple[int, int], scene: Scene
 ) -> tuple[Float64, sparse.csr_array]:
     # diffuse level of each camera pixel per block of the display, shape (k, blocks), and the blocks' means of a picture
     rows, columns = (np.arange(count) * min(DIFFUSE_BLOCKS, count) // count for count in shape)
@@ -236,7 +231,7 @@ def _diffuse_responses(
     found = np.zeros((len(surface.points), len(numbers)))
     for number in range(len(numbers)):
         own = picture_light(light, (block == number).reshape(shape).astype(np.float64))
-        found[:, number] = scene.reflectance.R_d * light_of_channels(surface, [own], None)[0][0]
+        found[:, number] = scene.reflectance.R_d * rendering.light_of_channels(surface, [own], None)[0][0]
     share = 1.0 / np.bincount(block)[block]
     means = sparse.csr_array((share, (block, np.arange(len(block)))), shape=(len(numbers), len(block)))
     return found, means

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lightopt import rendering
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.threads import available_processors, in_threads
 from lightopt.core.transforms import Posture
@@ -14,17 +15,6 @@ from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import Placement
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
-from lightopt.rendering import (
-    UNLIT,
-    WHOLE,
-    PosturePixels,
-    SurfacePoints,
-    channel_groups,
-    light_layer,
-    light_of_channels,
-    trace_samples,
-    visibility_of_lights,
-)
 from lightopt.scene import PartView, Scene, lens_share, view_from_part
 
 _LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
@@ -88,16 +78,20 @@ def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> Part
 
 
 def _layers(
-    surface: SurfacePoints, group: Sequence[PanelLight], caster: RayCaster, sigmas: Sequence[float], threads: int
+    surface: rendering.SurfacePoints,
+    group: Sequence[PanelLight],
+    caster: RayCaster,
+    sigmas: Sequence[float],
+    threads: int,
 ) -> Iterator[Float64]:
     # diffuse light, and specular light for each σ, of channels of a light or of one panel, shape (lights, n) each
     channels = [light for light in group if isinstance(light, SurfaceLight)]
     if channels:
-        yield light_of_channels(surface, channels, None, threads=threads)[0]
+        yield rendering.light_of_channels(surface, channels, None, threads=threads)[0]
         for sigma in sigmas:
-            yield light_of_channels(surface, channels, sigma, diffuse=False, threads=threads)[1]
+            yield rendering.light_of_channels(surface, channels, sigma, diffuse=False, threads=threads)[1]
         return
-    layer = light_layer(surface, group[0], caster, threads=1)
+    layer = rendering.light_layer(surface, group[0], caster, threads=1)
     yield layer.diffuse[None]
     for sigma in sigmas:
         yield layer.specular(sigma, threads=1)[None]
@@ -118,8 +112,8 @@ def light_at(
     only some of a panel is seen.
     """
     columns, rows = pixels.positions
-    hits, surface = trace_samples(caster, scene.mesh, view.camera, columns, rows, neighbours=True)
-    some = PosturePixels(
+    hits, surface = rendering.trace_samples(caster, scene.mesh, view.camera, columns, rows, neighbours=True)
+    some = rendering.PosturePixels(
         posture=pixels.posture,
         view=view,
         row=np.floor(rows[hits.ray]).astype(np.int32),
@@ -132,15 +126,15 @@ def light_at(
     names = list(dict.fromkeys(image.light for image in pixels.images))
     panels = {panel.name: panel for panel in view.lights}
 
-    groups = channel_groups([panels[name] for name in names])
+    groups = rendering.channel_groups([panels[name] for name in names])
     threads = threads or available_processors()
     threads_of_group = max(1, threads // max(1, len(groups)))
 
     def shade(number: int) -> None:
         group = [panels[names[i]] for i in groups[number]]
-        verdicts = visibility_of_lights(some, group, caster, moving=True, threads=1)
-        whole = verdicts == WHOLE
-        found = np.stack([np.where(whole | (verdicts == UNLIT), 0.0, np.nan)] * (1 + len(sigmas)))
+        verdicts = rendering.visibility_of_lights(some, group, caster, moving=True, threads=1)
+        whole = verdicts == rendering.WHOLE
+        found = np.stack([np.where(whole | (verdicts == rendering.UNLIT), 0.0, np.nan)] * (1 + len(sigmas)))
         seen = np.flatnonzero(whole.any(axis=0))
         for place, level in enumerate(_layers(surface.take(seen), group, caster, sigmas, threads_of_group)):
             found[place][:, seen] = np.where(whole[:, seen], level, found[place][:, seen])
