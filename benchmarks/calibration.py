@@ -23,26 +23,18 @@ import numpy as np
 from benchmarks.inspection import FIRST, FULL, Size, prepare, replace_block
 from lightopt import load_part
 from lightopt.estimate.registration import Observation, Placement, place_part
-from lightopt.inspection import (
-    DETECTORS,
-    CalibratedPosture,
-    Deviations,
-    InspectOptions,
-    PostureView,
-    RegisteredSet,
-    calibrate_registered,
-    deviations,
-    find_regions,
-    least_rate,
-    nominal_pixels,
-    posture_view,
-    predict,
-    region_hits,
-    sets_needed,
-    subtract_systematic,
-    synthetic_image,
-    threshold,
-)
+from lightopt.inspection import InspectOptions, PostureView, least_rate, predict
+from lightopt.inspection.calibration._calibrate import calibrate_registered
+from lightopt.inspection.calibration._calibration import CalibratedPosture, sets_needed
+from lightopt.inspection.calibration._systematic import subtract_systematic
+from lightopt.inspection.detection._deviation import Deviations, deviations
+from lightopt.inspection.detection._regions import find_regions
+from lightopt.inspection.detection._registry import DETECTORS
+from lightopt.inspection.detection._residual_score import threshold
+from lightopt.inspection.evaluation._evaluation import region_hits
+from lightopt.inspection.fusion._synthetic_image import synthetic_image
+from lightopt.inspection.prediction._posture_view import posture_view
+from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels
 from lightopt.optics import expose, image_rng, saturated
 from lightopt.rendering import PostureImages, cast_rays_at, render_posture
 from lightopt.scene import Scene, build_scene

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from lightopt.rig.devices import CameraSettings, open_camera
-from lightopt.rig.simulated import GigeCamera
+from lightopt.rig.simulated._camera_gige import GigeCamera
 
 SIZE = (640, 480)
 FASTEST = 200.0

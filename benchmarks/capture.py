@@ -12,16 +12,8 @@ from benchmarks._case import CONFIGS, RIG, Size
 from benchmarks._report import Report, Table
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture import (
-    CaptureOptions,
-    CapturePlan,
-    Devices,
-    Timing,
-    capture,
-    connect_devices,
-    start_bench,
-    wiring_of,
-)
+from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, Timing, capture, connect_devices, wiring_of
+from lightopt.rig.capture._wiring import start_bench
 from lightopt.rig.simulated import BenchProcess
 
 TARGET = 0.15

@@ -30,29 +30,16 @@ from lightopt.core.transforms import Posture
 from lightopt.defects import SCALES_PX
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.images import ImageSet, read_exr, read_image_set
-from lightopt.inspection import (
-    FUSIONS,
-    TEMPLATES,
-    Deviations,
-    PostureView,
-    SyntheticImage,
-    area_under_roc,
-    defect_size,
-    deviations,
-    find_regions,
-    fit_detection_curve,
-    fuse_images,
-    nominal_scene,
-    pixel_weights,
-    posture_view,
-    predict,
-    region_hits,
-    register_part,
-    score_deviations,
-    score_templates,
-    split_regions,
-    threshold,
-)
+from lightopt.inspection import PostureView, SyntheticImage, predict
+from lightopt.inspection.detection._deviation import Deviations, deviations
+from lightopt.inspection.detection._matched_filter import TEMPLATES, score_templates
+from lightopt.inspection.detection._regions import find_regions, split_regions
+from lightopt.inspection.detection._residual_score import score_deviations, threshold
+from lightopt.inspection.evaluation._evaluation import area_under_roc, defect_size, fit_detection_curve, region_hits
+from lightopt.inspection.fusion._gradient_fusion import FUSIONS, pixel_weights
+from lightopt.inspection.fusion._synthetic_image import fuse_images
+from lightopt.inspection.prediction._posture_view import posture_view
+from lightopt.inspection.prediction._registered_set import nominal_scene, register_part
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 from lightopt.scene import _build
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from lightopt.inspection import poisson_grid
+from lightopt.inspection.fusion._poisson import poisson_grid
 
 SIZES = ((300, 400), (600, 800), (1200, 1600))
 LARGEST_DIRECT = 600

@@ -36,9 +36,11 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.defects import DEFAULT_FALSE_ALARMS, PlacedDefect, tangent_references
-from lightopt.design import DetectionModel, ImageEvaluator, planned_catalogue, unpack_flags
+from lightopt.design import DetectionModel, planned_catalogue
 from lightopt.design._problem import images_that_decide
 from lightopt.design.responses._evidence import spare_units
+from lightopt.design.responses._image_evaluator import ImageEvaluator
+from lightopt.design.responses._packed_bits import unpack_flags
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import (
     Calibration,
@@ -48,11 +50,12 @@ from lightopt.inspection import (
     calibrate,
     evaluate_set,
     inspect_set,
-    sets_needed,
 )
+from lightopt.inspection.calibration._calibration import sets_needed
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.report import chart, figure_image, fixed_style
-from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, start_bench, wiring_of
+from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, wiring_of
+from lightopt.rig.capture._wiring import start_bench
 from lightopt.rig.simulated import BenchTruth
 from lightopt.scene import build_catalogue, place_defects
 

@@ -14,24 +14,13 @@ from benchmarks.bare import THREADS
 from benchmarks.search import peak_bytes
 from lightopt import build_scene, load_part, load_rig
 from lightopt.core.transforms import Posture
-from lightopt.design import (
-    DRAWN_PATCHES,
-    DetectionModel,
-    ImageEvaluator,
-    PairAssessment,
-    PostureChoice,
-    PostureRequest,
-    Setup,
-    Tolerances,
-    analyse_tolerances,
-    choose_postures,
-    drawn_patches,
-    find_candidates,
-    place_lights,
-    place_of,
-    planned_catalogue,
-    sum_of_images,
-)
+from lightopt.design import DetectionModel, Tolerances, find_candidates, place_of, planned_catalogue
+from lightopt.design._misalignment import PairAssessment, Setup
+from lightopt.design._tolerances import analyse_tolerances
+from lightopt.design.postures._light_positions import place_lights
+from lightopt.design.postures._posture_search import PostureChoice, PostureRequest, choose_postures
+from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
+from lightopt.design.responses._packed_bits import sum_of_images
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import build_catalogue
 

@@ -34,20 +34,14 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration import Placement, place_part, refuse_mismatch
 from lightopt.images import ImageSet, read_image_set, write_png
-from lightopt.inspection import (
-    REFERENCES,
-    InspectOptions,
-    PostureView,
-    PredictionCache,
-    RegisteredSet,
-    calibrate_registered,
-    inspect_registered,
-    region_hits,
-    register_set,
-    sets_needed,
-)
+from lightopt.inspection import REFERENCES, InspectOptions, PostureView, PredictionCache
+from lightopt.inspection._inspect import inspect_registered
+from lightopt.inspection.calibration._calibrate import calibrate_registered
+from lightopt.inspection.calibration._calibration import sets_needed
+from lightopt.inspection.evaluation._evaluation import region_hits
 from lightopt.inspection.prediction._posture_view import some_pixels
 from lightopt.inspection.prediction._reference import ReferenceName
+from lightopt.inspection.prediction._registered_set import RegisteredSet, register_set
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import build_scene

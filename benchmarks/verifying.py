@@ -24,7 +24,9 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.defects import Waviness
 from lightopt.estimate.registration import Observation
-from lightopt.estimate.verification import Parameters, Verification, VerifyLimits, verify_observations
+from lightopt.estimate.verification import Verification, VerifyLimits
+from lightopt.estimate.verification._parameters import Parameters
+from lightopt.estimate.verification._verify import verify_observations
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, project, view_from_part

@@ -11,7 +11,8 @@ from scipy import ndimage
 
 from lightopt.config import load_part, load_rig
 from lightopt.estimate.registration import Observation
-from lightopt.estimate.verification import Parameters, VerifyLimits
+from lightopt.estimate.verification import VerifyLimits
+from lightopt.estimate.verification._parameters import Parameters
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import build_scene

@@ -9,7 +9,7 @@ import typer
 from lightopt.cli import _common as common
 from lightopt.cli._common import hardware_option, output_option, selection_option
 from lightopt.cli._terminal import echo, echo_error, run_context, show_table
-from lightopt.core.errors import InputError, Interrupted, counted
+from lightopt.core.errors import InputError, Interrupted, counted, refuse
 
 if TYPE_CHECKING:
     from lightopt.rig.capture import CapturePlan, CaptureResult
@@ -85,8 +85,7 @@ def capture(
                 check_folder(out, loaded_rig, loaded_part, plan, **existing)
         except InputError as error:
             problems += error.messages
-        if problems:
-            raise InputError(*problems)
+        refuse(problems)
         return
     assert out is not None
     try:

@@ -11,7 +11,7 @@ import typer
 
 from lightopt.cli import _common as common
 from lightopt.cli._terminal import echo, echo_paths, flag, run_context, show_table
-from lightopt.core.errors import CheckFailed, InputError
+from lightopt.core.errors import CheckFailed, InputError, refuse
 
 if TYPE_CHECKING:
     from lightopt.config import RigConfig
@@ -198,8 +198,7 @@ def _complete(kind: str, options: FitOptions, free: list[str] | None, points: st
         problems.append("--method paper: cannot be combined with --free, --joint or --register")
     elif options.write_noise:
         problems.append("--method paper: estimates no noise; omit --write-noise")
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     return replace(options, gain="gain" in (free or ()), dark="dark" in (free or ()), points=chosen)
 
 

@@ -12,7 +12,7 @@ import typer
 
 from lightopt.cli import _common as common, _terminal as terminal
 from lightopt.cli._terminal import echo, show_page_table, show_progress
-from lightopt.core.errors import CheckFailed, InputError, counted, percent
+from lightopt.core.errors import CheckFailed, InputError, counted, percent, refuse
 from lightopt.core.run_context import RunContext, StageShare
 
 if TYPE_CHECKING:
@@ -106,8 +106,7 @@ def inspect(
         given = {"--calibration": learned is not None, "--evaluate": evaluate, "--fail-on-defect": fail_on_defect}
         given_names = (name for name, is_given in given.items() if is_given)
         problems += [f"{name}: cannot be combined with --calibrate, which does not inspect" for name in given_names]
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     output = _Output(rig=loaded_rig, part=loaded_part, report=report, threads=threads, quiet=quiet, verbose=verbose)
     sets = [read_image_set(path) for path in images]

@@ -10,7 +10,7 @@ from lightopt.cli import _common as common
 from lightopt.cli._common import output_option
 from lightopt.cli._optimize_tables import show_commands, show_design, show_plan
 from lightopt.cli._terminal import echo, echo_warning, show_progress, show_table
-from lightopt.core.errors import CheckFailed, InputError
+from lightopt.core.errors import CheckFailed, refuse
 from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
@@ -164,8 +164,7 @@ def optimize(
         for option, value, used, other in dependent
         if value is not None and not used
     ]
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     chosen_exposures = () if exposures is None else common.parse_exposures(exposures)
     shown_share, kept_share = (
         None if text is None else common.parse_share(text, option=option, expected=f"{of}, such as 0.95")

@@ -4,6 +4,9 @@
 comparison: ``comparison.json``, ``comparison.csv`` and ``report.html``.
 """
 
-from lightopt.comparison._compare import compare_lighting as compare_lighting
-from lightopt.comparison._presets import PRESETS as PRESETS, preset_files as preset_files
+from lightopt.comparison._compare import (
+    PRESETS as PRESETS,
+    compare_lighting as compare_lighting,
+    preset_files as preset_files,
+)
 from lightopt.comparison._report import answer_text as answer_text, systems_table as systems_table

@@ -3,11 +3,14 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 
+from lightopt import design
 from lightopt.comparison._report import comparison_report
 from lightopt.comparison._results import (
     LightingComparison,
@@ -17,37 +20,89 @@ from lightopt.comparison._results import (
     comparison_csv,
     comparison_document,
 )
-from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.core.errors import CheckFailed, InputError, counted
+from lightopt.config import PartConfig, RigConfig, load_part, load_rig, with_values
+from lightopt.core.errors import CheckFailed, InputError, counted, refuse
 from lightopt.core.provenance import differences, provenance
 from lightopt.core.run_context import RunContext
-from lightopt.design import (
-    DEFAULT_TOLERANCE_TARGET,
-    BlindReason,
-    DesignOutput,
-    DesignResult,
-    JointTolerances,
-    OptimizeOptions,
-    PlanOptions,
-    blind_text,
-    deciding_text,
-    design_tolerances,
-    finish_design,
-    optimize,
-    place_of,
-    place_text,
-    write_design,
-)
 from lightopt.images import make_folder, write_text_atomic
 from lightopt.lights import outlines
 from lightopt.rendering import cast_rays_at, render_lights
 from lightopt.report.design import blind_pictures, design_report
 from lightopt.rig.capture import cycle_time
-from lightopt.scene import build_lights, pixel_footprint
+from lightopt.scene import build_camera, build_lights, pixel_footprint
+
+PRESETS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "four-panel": "four-panel",
+        "bars": "bars",
+        "ring-quadrants": "ring-quadrants",
+        "low-ring": "low-angle-ring",
+        "dome-quadrants": "dome-quadrants",
+        "flat-dome": "flat-dome",
+        "tunnel": "tunnel",
+        "coaxial": "coaxial",
+        "spot": "spot",
+        "led-array": "led-array",
+        "display": "display-stripes",
+        "binary-stripes": "binary-stripes",
+        "grid-backlight": "moving-grid",
+        "dome-sines": "dome-stripes",
+    }
+)
+"""Name of each preset, and of the sample rig that it is."""
+
+
+_OWN_CAMERA = "dome-quadrants"  # whose pixels and sensor the presets have where no rig is given
 
 PICTURES = 4  # images of each system that the report shows
 REPORT, TABLE, DOCUMENT = "report.html", "comparison.csv", "comparison.json"
 SAME_FOOTPRINT = 0.05  # footprints that differ by more are not the same
+
+
+def preset_files(
+    names: Sequence[str], folder: Path, *, camera_of: RigConfig | None = None, force: bool = False
+) -> list[Path]:
+    """Copy the rig files of presets to a folder, where they can be changed, and return them.
+
+    Their cameras stand where the lights let them look through; they get the pixels, on the part, and the sensor of
+    another rig, so that the systems can be compared.
+
+    camera_of: The other rig; None for pixels and sensor of the preset dome-quadrants
+    Raises InputError: A name that no preset has, or another file in its place without `force`.
+    """
+    unknown = [name for name in names if name not in PRESETS]
+    refuse(f'no preset "{name}"; presets are {", ".join(PRESETS)}' for name in unknown)
+    make_folder(folder)
+    samples, found = files("lightopt.samples").joinpath("rigs"), list[Path]()
+    with as_file(samples.joinpath(f"{PRESETS[_OWN_CAMERA]}.yaml")) as path:
+        camera_of = camera_of or load_rig(path)
+    for name in names:
+        with as_file(samples.joinpath(f"{PRESETS[name]}.yaml")) as path:
+            text = with_values(path.read_text(encoding="utf-8"), _same_pixels(load_rig(path), camera_of))
+        text = "".join(line for line in text.splitlines(keepends=True) if "yaml-language-server" not in line)
+        path = folder / f"{name}.yaml"
+        if path.exists() and path.read_text(encoding="utf-8") != text and not force:
+            raise InputError(
+                f"{path}: differs from the preset; give it as a rig file without the preset, or use option 'force'"
+            )
+        write_text_atomic(path, text)
+        found.append(path)
+    return found
+
+
+def _same_pixels(rig: RigConfig, other: RigConfig) -> dict[tuple[str | int, ...], str | None]:
+    # values of a rig file: pixels as large on the table as those of another rig, and the same sensor
+    camera = build_camera(rig)
+    footprint = pixel_footprint(build_camera(other), other.camera.distance_mm)
+    pixel_um = 1000.0 * footprint * camera.image_distance / rig.camera.distance_mm
+    width, height = other.camera.resolution_px
+    sensor = other.camera.sensor.model_dump(exclude={"data_sheet"})
+    return {
+        ("camera", "resolution_px", 0): str(width),
+        ("camera", "resolution_px", 1): str(height),
+        ("camera", "pixel_size_um"): f"{pixel_um:.9g}",
+        **{("camera", "sensor", key): None if value is None else f"{value:.9g}" for key, value in sensor.items()},
+    }
 
 
 def compare_lighting(
@@ -55,8 +110,8 @@ def compare_lighting(
     part: PartConfig | Path | str,
     folder: Path | str,
     *,
-    options: OptimizeOptions,
-    plan: PlanOptions | None = None,
+    options: design.OptimizeOptions,
+    plan: design.PlanOptions | None = None,
     tolerances: bool = True,
     force: bool = False,
     run: RunContext | None = None,
@@ -70,11 +125,11 @@ def compare_lighting(
     tolerances: Whether the mounting tolerance and the pose tolerance of each system are computed
     Raises InputError: Whatever is wrong with the part, the rig files or the options, or no system that can be used.
     """
-    folder, run, plan = Path(folder), run or RunContext(), plan or PlanOptions()
+    folder, run, plan = Path(folder), run or RunContext(), plan or design.PlanOptions()
     part = part if isinstance(part, PartConfig) else load_part(part)
     options = replace(options, objectives=("detectability",), images=False)
     loaded = _loaded([Path(rig) for rig in rigs])
-    facts = _provenance(loaded, part, options, plan, DEFAULT_TOLERANCE_TARGET if tolerances else None)
+    facts = _provenance(loaded, part, options, plan, design.DEFAULT_TOLERANCE_TARGET if tolerances else None)
     if not force:
         _refuse_other_comparison(folder / DOCUMENT, facts)
     found: list[SystemResult] = []
@@ -84,12 +139,12 @@ def compare_lighting(
         own = run.apart(name)
         fewer = min(options.min_images, len(rig.lights))
         if fewer < options.min_images:
-            warnings[f"{name}: it has {counted(fewer, 'light')}, so that {deciding_text(fewer)}"] = None
+            warnings[f"{name}: it has {counted(fewer, 'light')}, so that {design.deciding_text(fewer)}"] = None
         try:
             request = replace(options, min_images=fewer)
-            result = optimize(rig, part, folder / name, options=request, plan=plan, force=force, run=own)
-            output = write_design(result, blind_pictures(result), force=force, run=own)
-            finish_design(output, design_report(output) if options.report else None)
+            result = design.optimize(rig, part, folder / name, options=request, plan=plan, force=force, run=own)
+            output = design.write_design(result, blind_pictures(result), force=force, run=own)
+            design.finish_design(output, design_report(output) if options.report else None)
         except CheckFailed as error:
             unusable.append(UnusableSystem(name=name, messages=error.messages))
             continue
@@ -99,7 +154,7 @@ def compare_lighting(
             unusable.append(UnusableSystem(name=name, messages=error.messages))
             continue
         warnings |= dict.fromkeys(f"{name}: {text}" for text in output.warnings if "no light can be moved" not in text)
-        allowed = design_tolerances(result, run=own) if tolerances else None
+        allowed = design.design_tolerances(result, run=own) if tolerances else None
         if allowed is not None and allowed.lights is None:
             warnings[f"{name}: it has too many lights for its mounting tolerance; channels of a light are one"] = None
         found.append(_system(name, output, allowed, run.threads))
@@ -125,7 +180,11 @@ def compare_lighting(
 
 
 def _provenance(
-    rigs: Mapping[str, RigConfig], part: PartConfig, options: OptimizeOptions, plan: PlanOptions, target: float | None
+    rigs: Mapping[str, RigConfig],
+    part: PartConfig,
+    options: design.OptimizeOptions,
+    plan: design.PlanOptions,
+    target: float | None,
 ) -> dict[str, Any]:
     inputs = {"part": {"file": part.source.path.name, "sha256": part.source.sha256}}
     inputs |= {name: {"file": rig.source.path.name, "sha256": rig.source.sha256} for name, rig in rigs.items()}
@@ -161,12 +220,13 @@ def _loaded(paths: Sequence[Path]) -> dict[str, RigConfig]:
         loaded[path.stem] = rig
     if len(paths) < 2:
         problems.append(f"expected two lighting systems or more to compare, found {len(paths)}")
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     return loaded
 
 
-def _system(name: str, output: DesignOutput, tolerances: JointTolerances | None, threads: int | None) -> SystemResult:
+def _system(
+    name: str, output: design.DesignOutput, tolerances: design.JointTolerances | None, threads: int | None
+) -> SystemResult:
     result = output.result
     share, grain, defects = _found(output)
     answered = [one for one in result.results if one.answers[0].nothing is None]
@@ -197,7 +257,7 @@ def _system(name: str, output: DesignOutput, tolerances: JointTolerances | None,
     )
 
 
-def _found(output: DesignOutput) -> tuple[float, float, Mapping[str, float]]:
+def _found(output: design.DesignOutput) -> tuple[float, float, Mapping[str, float]]:
     # share of the surface × defects, how far it may be off, and share of each kind
     result, document = output.result, output.document
     one = result.results[0]
@@ -213,7 +273,7 @@ def _found(output: DesignOutput) -> tuple[float, float, Mapping[str, float]]:
     return share or 0.0, one.grain, kinds
 
 
-def _reasons(result: DesignResult) -> dict[str, float]:
+def _reasons(result: design.DesignResult) -> dict[str, float]:
     if result.blind is None:
         return {}
     # the evidence of postures adds up in a plan; without one, each decides by itself
@@ -222,15 +282,17 @@ def _reasons(result: DesignResult) -> dict[str, float]:
     seen, shares = 0.0, dict[str, float]()
     for _, chosen, _ in parts:
         lost = chosen.by_reason()
-        seen += chosen.counted * (1.0 - lost.pop(BlindReason.CAMERA, 0.0))  # no light changes what the camera sees
+        # no light changes what the camera sees
+        seen += chosen.counted * (1.0 - lost.pop(design.BlindReason.CAMERA, 0.0))
         for code, share in lost.items():
-            reason = "saturated" if code >= BlindReason.SATURATED else blind_text(code, result.blind.lights)
+            saturated = code >= design.BlindReason.SATURATED
+            reason = "saturated" if saturated else design.blind_text(code, result.blind.lights)
             shares[reason] = shares.get(reason, 0.0) + share * chosen.counted
     shares = {reason: share / max(seen, 1e-9) for reason, share in shares.items()}
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
-def _moved(result: DesignResult) -> tuple[str, ...]:
+def _moved(result: design.DesignResult) -> tuple[str, ...]:
     # texts of the lights whose best place is another one
     answer = result.results[0].answers[0]
     if answer.nothing is not None:
@@ -238,16 +300,15 @@ def _moved(result: DesignResult) -> tuple[str, ...]:
     standing = zip(result.rig.lights, result.candidates.places, answer.found.best.candidates, strict=True)
     found: dict[str, None] = {}
     for light, places, k in standing:
-        if places[k] != place_of(light):
-            found[f"{light.entry_name} to {place_text(places[k])}"] = None
+        if places[k] != design.place_of(light):
+            found[f"{light.entry_name} to {design.place_text(places[k])}"] = None
     return tuple(found)
 
 
-def _pictures(result: DesignResult, threads: int | None) -> tuple[Picture, ...]:
-    best = result.results[0].answers[0]
-    lights = (
-        result.scene.lights if best.nothing is not None else result.candidates.panels_at(best.found.best.candidates)
-    )
+def _pictures(result: design.DesignResult, threads: int | None) -> tuple[Picture, ...]:
+    best, lights = result.results[0].answers[0], result.scene.lights
+    if best.nothing is None:
+        lights = result.candidates.panels_at(best.found.best.candidates)
     # the first channels of each light, in turns
     order = sorted(range(len(lights)), key=lambda i: (result.rig.lights[i].channel, i))[:PICTURES]
     scene = replace(result.scene, lights=tuple(lights[i] for i in sorted(order)))

@@ -1,7 +1,5 @@
 """What lighting systems show of a part and what they cost, as values, JSON and CSV."""
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,6 +8,7 @@ from typing import Any
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool, Float32
 from lightopt.design import OptimizeOptions, WidestTolerance
+from lightopt.images import csv_text
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -120,11 +119,10 @@ def _tolerance_dict(one: WidestTolerance | None) -> dict[str, Any] | None:
 def comparison_csv(comparison: LightingComparison) -> str:
     """The systems as a table, the best first."""
     kinds = list(dict.fromkeys(kind for one in comparison.systems for kind in one.defects))
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
     size = [f"size_{axis}_mm" for axis in "xyz"]
     widest = ["mounting_tolerance_deg", "pose_tolerance_deg"]
-    table.writerow(["system", "share", *kinds, "images", "seconds", *widest, *size, "footprint_mm", "pareto"])
+    head = ["system", "share", *kinds, "images", "seconds", *widest, *size, "footprint_mm", "pareto"]
+    rows: list[list[object]] = [[*head]]
     best = {one.name for one in comparison.best}
     for one in comparison.systems:
         shares = [f"{one.defects.get(kind, 0.0):.6f}" for kind in kinds]
@@ -132,5 +130,5 @@ def comparison_csv(comparison: LightingComparison) -> str:
         sides = [f"{side:.3f}" for side in one.size_mm]
         widest = ["" if tolerance is None else f"{tolerance.degrees:g}" for tolerance in (one.mounting, one.pose)]
         rest = [*widest, *sides, one.footprint_mm, int(one.name in best)]
-        table.writerow([one.name, f"{one.share:.6f}", *shares, one.images, seconds, *rest])
-    return text.getvalue()
+        rows.append([one.name, f"{one.share:.6f}", *shares, one.images, seconds, *rest])
+    return csv_text(rows)

@@ -3,6 +3,8 @@
 Library code raises them; only :mod:`lightopt.cli` turns them into messages and an exit status.
 """
 
+from collections.abc import Iterable
+
 _NOISE = 1e-9  # shares that differ by less are the same
 
 
@@ -77,6 +79,12 @@ def error_text(error: BaseException) -> str:
 
 class InputError(LightoptError):
     """The user's input (a file, an option, a folder) is wrong. Exit status 2."""
+
+
+def refuse(problems: Iterable[str]) -> None:
+    """Raise an :class:`InputError` with all problems, where there are any."""
+    if messages := tuple(problems):
+        raise InputError(*messages)
 
 
 class CheckFailed(LightoptError):  # noqa: N818  (the check failed, not the program)

@@ -18,7 +18,6 @@ from lightopt.design._files import (
     write_design as write_design,
 )
 from lightopt.design._joint_tolerances import JointTolerances as JointTolerances, design_tolerances as design_tolerances
-from lightopt.design._misalignment import PairAssessment as PairAssessment, Setup as Setup
 from lightopt.design._optimize import optimize as optimize
 from lightopt.design._problem import (
     CalibratedThreshold as CalibratedThreshold,
@@ -38,7 +37,6 @@ from lightopt.design._tolerances import (
     DEFAULT_TOLERANCE_TARGET as DEFAULT_TOLERANCE_TARGET,
     Tolerances as Tolerances,
     WidestTolerance as WidestTolerance,
-    analyse_tolerances as analyse_tolerances,
 )
 from lightopt.design.blind_spots._blind_spots import (
     BLIND_LIGHTS as BLIND_LIGHTS,
@@ -69,30 +67,18 @@ from lightopt.design.objectives._objective import (
     shares_of as shares_of,
 )
 from lightopt.design.objectives._registry import OBJECTIVES as OBJECTIVES
-from lightopt.design.postures._light_positions import place_lights as place_lights
 from lightopt.design.postures._plan_postures import TargetNotReached as TargetNotReached
-from lightopt.design.postures._posture_search import (
-    PostureChoice as PostureChoice,
-    PostureRequest as PostureRequest,
-    choose_postures as choose_postures,
-)
 from lightopt.design.responses._defect_hypotheses import (
     PlannedCatalogue as PlannedCatalogue,
     planned_catalogue as planned_catalogue,
 )
 from lightopt.design.responses._evidence import DetectionModel as DetectionModel
-from lightopt.design.responses._image_evaluator import (
-    DRAWN_PATCHES as DRAWN_PATCHES,
-    ImageEvaluator as ImageEvaluator,
-    drawn_patches as drawn_patches,
-    luminance_matrix as luminance_matrix,
-)
+from lightopt.design.responses._image_evaluator import luminance_matrix as luminance_matrix
 from lightopt.design.responses._luminance_matrix import (
     Levels as Levels,
     LevelThresholds as LevelThresholds,
     LuminanceMatrix as LuminanceMatrix,
     area_units as area_units,
 )
-from lightopt.design.responses._packed_bits import sum_of_images as sum_of_images, unpack_flags as unpack_flags
 from lightopt.design.search._curves import AXES as AXES, Curve as Curve
 from lightopt.design.search._exact_search import search as search

@@ -10,7 +10,7 @@ import numpy as np
 
 from lightopt.config import RANGE_KEYS, LightConfig, RigConfig
 from lightopt.core.arrays import Bool
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import InputError, counted, refuse
 from lightopt.design.search._combinations import CombinationSpace, Rows
 from lightopt.lights import PanelLight, outlines
 from lightopt.rendering import panels_in_part
@@ -237,8 +237,7 @@ def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence
             f"{rig.source.at('lights', index, key)}: no position of light {light.name} is left: it "
             f"{'; it '.join(reasons)}. Change its range or the size of its panel"
         )
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
 
 
 def panels_of(

@@ -8,11 +8,12 @@ from pathlib import Path
 from lightopt.config import RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.design._misalignment import Setup
-from lightopt.design._previous_result import PLANNED_PART_NAME, RIG_NAME
 from lightopt.design._problem import OptimizeOptions, PlanOptions
 from lightopt.design._tolerances import Tolerances
 from lightopt.images import posture_folder
 from lightopt.scene import travel_order, travel_s
+
+RIG_NAME, PLANNED_PART_NAME = "rig.optimized.yaml", "part.planned.yaml"
 
 HOME = Posture(0.0, 0.0)  # where the stage's way begins
 

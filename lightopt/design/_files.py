@@ -2,10 +2,15 @@
 
 Rig and part files are the user's own text with new angles and postures, comments kept. The report shows what is
 written, and result.json says that all is there: :func:`finish_design` writes these two.
+
+While a run writes its files, ``unfinished.json`` lists those that it will write, and those of a previous run that it
+removes; it goes when ``result.json`` is there. So a folder never has a ``result.json`` beside files that contradict
+it, and what an interrupted run left is known to the next one.
 """
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -17,21 +22,14 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig, copied_text, load_rig, with_list
 from lightopt.core.arrays import UInt8
 from lightopt.core.errors import InputError
+from lightopt.core.provenance import differences
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture, vector_of_rotation
 from lightopt.design._candidates import Place, panels_of, place_dict, place_of
-from lightopt.design._commands import decimal_text
-from lightopt.design._previous_result import (
-    PLANNED_PART_NAME,
-    REPORT_NAME,
-    RESULT_NAME,
-    RIG_NAME,
-    begin_writing,
-    end_writing,
-)
+from lightopt.design._commands import PLANNED_PART_NAME, RIG_NAME, decimal_text
 from lightopt.design._result import DesignResult, places_of
 from lightopt.design._result_json import ranking_csv, result_document
-from lightopt.design.blind_spots._files import BLIND_PNG, blind_files
+from lightopt.design.blind_spots._files import BLIND_NAMES, BLIND_PNG, blind_files
 from lightopt.images import (
     Overlap,
     find_overlaps,
@@ -39,6 +37,7 @@ from lightopt.images import (
     overlap_map_name,
     posture_folder,
     read_image_set,
+    remove_image_set,
     write_bytes_atomic,
     write_overlap_map,
     write_png,
@@ -46,13 +45,113 @@ from lightopt.images import (
 )
 from lightopt.rendering import PatchTable, RenderOptions, render_image_set
 
+RESULT_NAME = "result.json"
+REPORT_NAME = "report.html"
 RANKING_NAME = "ranking.csv"
 IMAGES_NAME = "images"
+UNFINISHED_NAME = "unfinished.json"
+
+# files that a result may list beside rigs, images and maps; with option `force` no others are removed
+_FURTHER_NAMES = (REPORT_NAME, PLANNED_PART_NAME, *BLIND_NAMES)
+
+_FORMATS = {RESULT_NAME: "lightopt-optimum/", UNFINISHED_NAME: "lightopt-unfinished/"}
 
 # a rig file with the new places, relative to the output folder; the postures that it is for, and its text
 RigFile = tuple[Path, tuple[Posture, ...], str]
-
 _Pictures = Mapping[Posture, UInt8]
+
+
+def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
+    """Raise an :class:`InputError` where a folder holds a result of other inputs, or one that cannot be read.
+
+    `provenance` is that of the run to come, or the part of it that is known already.
+    """
+    path = folder / RESULT_NAME
+    if not path.exists():
+        return
+    found = _read(path)
+    advice = "use option 'force' to replace it, or choose another output folder"
+    if found is None:
+        raise InputError(f"{path}: exists and is not a result of lightopt optimize; {advice}")
+    other = found.get("provenance")
+    if changes := differences(other if isinstance(other, dict) else {}, provenance, partly=True):
+        raise InputError(f"{path}: the result of another run ({changes}); {advice}")
+
+
+def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bool:
+    """List the files to come and, with `force`, remove result.json and then all that previous runs list.
+
+    Removed are rigs, overlap maps, reports and further files by their names, and image sets by their manifests, inside
+    the folder only; captured images, kept matrices and what no list names stay. `listed` is as in result.json.
+
+    Returns whether a report that is there is of a previous run.
+    """
+    previous = [found for name in _FORMATS if (found := _read(folder / name)) is not None]
+    lists = {key: [one for doc in (listed, *previous) for one in _entries(doc, key)] for key in listed}
+    document = {"format": "lightopt-unfinished/1", **lists}
+    write_text_atomic(folder / UNFINISHED_NAME, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    ours = any({"file": REPORT_NAME} in _entries(document, "files") for document in previous)
+    if not force:
+        return ours
+    _unlink(folder / RESULT_NAME)
+    for document in previous:
+        maps = [path for path in _paths(folder, document, "overlaps", "map") if path.match("overlap*.png")]
+        files = [path for path in _paths(folder, document, "files", "file") if path.name in _FURTHER_NAMES]
+        rigs = [path for path in _paths(folder, document, "rigs", "file") if path.name == RIG_NAME]
+        for path in (*maps, *files, *rigs):
+            _unlink(path)
+            _remove_if_empty(path.parent, folder)
+        for path in _paths(folder, document, "images", "folder"):
+            remove_image_set(path)
+            _remove_if_empty(path, folder)
+            _remove_if_empty(path.parent, folder)
+    return ours
+
+
+def end_writing(folder: Path) -> None:
+    """Remove the list of files to come: all files are complete, result.json too."""
+    _unlink(folder / UNFINISHED_NAME)
+
+
+def _paths(folder: Path, document: Mapping[str, Any], key: str, name: str) -> Iterator[Path]:
+    # what a list names, as far as it is inside the folder; a list can be damaged in any way
+    for entry in _entries(document, key):
+        given = entry.get(name)
+        if not isinstance(given, str):
+            continue
+        with suppress(OSError, ValueError, RuntimeError):  # NUL, loops of links
+            path = (folder / given).resolve()
+            if path.is_relative_to(folder.resolve()) and path != folder.resolve():
+                yield path
+
+
+def _entries(document: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
+    found = document.get(key)
+    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
+
+
+def _unlink(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be removed: {error.strerror or error}; remove it, or choose another output folder"
+        ) from error
+
+
+def _remove_if_empty(path: Path, folder: Path) -> None:
+    if path != folder.resolve():
+        with suppress(OSError):  # something else is in it, or it is gone
+            path.rmdir()
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    right = isinstance(found, dict) and str(found.get("format", "")).startswith(_FORMATS[path.name])
+    return found if right else None
 
 
 def check_editable(rig: RigConfig) -> None:
@@ -187,7 +286,7 @@ def finish_design(output: DesignOutput, report: str | None = None) -> None:
 
 
 def _further_files(result: DesignResult, blind_pictures: _Pictures) -> Iterator[tuple[str, str | bytes | UInt8]]:
-    """Names in the folder and contents; the names must be known to :mod:`lightopt.design._previous_result`."""
+    """Names in the folder and contents; the names must be known to :mod:`lightopt.design._files`."""
     if result.blind is not None and result.patches is not None:
         yield from blind_files(result.blind, result.patches.patches, result.scene.placement).items()
         for posture, picture in blind_pictures.items():

@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.run_context import RunContext
 from lightopt.design._candidates import Candidates, bodies_of, can_move
 from lightopt.design._commands import HOME, command_text, plan_commands
-from lightopt.design._files import check_editable, planned_part_text
+from lightopt.design._files import check_editable, planned_part_text, refuse_other_result
 from lightopt.design._misalignment import ObjectiveAssessment, PairAssessment, Setup
-from lightopt.design._previous_result import refuse_other_result
 from lightopt.design._problem import (
     DEFECT_OBJECTIVE,
     OptimizeOptions,
@@ -176,8 +175,7 @@ def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: Pl
             "option 'objectives': postures are chosen by the defects that they show: expected "
             f'{DEFECT_OBJECTIVE} first, found "{options.objectives[0]}"'
         )
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
 
 
 def _state_problem(

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from lightopt.config import PartConfig, RigConfig, input_hashes, points_problem
-from lightopt.core.errors import InputError
+from lightopt.core.errors import refuse
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.defects import DARK, DEFAULT_FALSE_ALARMS, false_alarms_problem
@@ -124,8 +124,7 @@ def check_options(options: OptimizeOptions, plan: PlanOptions) -> None:
             f"option 'allow_outside_px': expected a number of pixels, 0 or more, found {plan.allow_outside_px:g}"
         )
     problems += check_exposures(plan.exposures, plan.exposure_gain)
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
 
 
 def run_provenance(

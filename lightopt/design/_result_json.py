@@ -1,35 +1,23 @@
 """A design as JSON and CSV."""
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lightopt.core.arrays import Bool
+from lightopt.design import _result
 from lightopt.design._candidates import Candidates, Place, place_dict
 from lightopt.design._commands import Way
-from lightopt.design._result import (
-    OWN_SHARES_OF,
-    SHARES_OF,
-    ChosenPostures,
-    DesignResult,
-    ObjectiveResult,
-    PlanResult,
-    SetResult,
-    ToleranceResult,
-    places_of,
-)
 from lightopt.design.objectives._objective import NEAR_PER_MILLE
 from lightopt.design.postures._exposures import Brackets
 from lightopt.design.search._combinations import Ranked
-from lightopt.images import Overlap
+from lightopt.images import Overlap, csv_text
 
 # what the share of the initial light positions is of
 INITIAL_SHARE_OF = "the drawn patches, in postures chosen for these lights, at exposure 1"
 
 
 def result_document(
-    result: DesignResult, listed: Mapping[str, Sequence[Mapping[str, Any]]], overlaps: Sequence[Overlap]
+    result: _result.DesignResult, listed: Mapping[str, Sequence[Mapping[str, Any]]], overlaps: Sequence[Overlap]
 ) -> dict[str, Any]:
     """What result.json says; `listed` has its lists of files, `overlaps` go with those of overlap maps."""
     thresholds, choice = result.thresholds, result.all_candidates
@@ -72,7 +60,7 @@ def result_document(
     }
 
 
-def _initial_dict(result: SetResult) -> dict[str, Any] | None:
+def _initial_dict(result: _result.SetResult) -> dict[str, Any] | None:
     if result.initial_score is None:
         return None
     objective = result.answers[0].objective
@@ -81,7 +69,7 @@ def _initial_dict(result: SetResult) -> dict[str, Any] | None:
     return {"objective": objective.name, "score": result.initial_score, "share_of_inspectable_area": share}
 
 
-def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candidates) -> dict[str, Any]:
+def _answer_dict(answer: _result.ObjectiveResult, result: _result.SetResult, candidates: Candidates) -> dict[str, Any]:
     found = answer.found
     runner_up = found.runner_up
     combinations = {
@@ -101,7 +89,7 @@ def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candida
     share = answer.objective.share_of_whole(found.best.score, result.area)
 
     def lights_of(ranked: Ranked) -> list[dict[str, Any]]:
-        return _lights(candidates.names, places_of(candidates, ranked))
+        return _lights(candidates.names, _result.places_of(candidates, ranked))
 
     return {
         **facts,
@@ -127,13 +115,14 @@ def _lights(names: Sequence[str], places: Sequence[Place]) -> list[dict[str, Any
     return [{"light": name, **place_dict(place)} for name, place in zip(names, places, strict=True)]
 
 
-def plan_document(result: PlanResult) -> dict[str, Any]:
+def plan_document(result: _result.PlanResult) -> dict[str, Any]:
     """The sections of a plan in result.json; terminal and report show them."""
     sections: dict[str, Any] = {}
     if result.chosen is not None:
         sections["chosen_postures"] = _chosen_dict(result.chosen)
     if result.brackets is not None:
-        sections["exposures"] = _brackets_dict(result.brackets, SHARES_OF if result.chosen else OWN_SHARES_OF)
+        shares_of = _result.SHARES_OF if result.chosen else _result.OWN_SHARES_OF
+        sections["exposures"] = _brackets_dict(result.brackets, shares_of)
         if result.defects:
             sections["exposures"]["defects"] = dict(result.defects)
     if result.tolerances:
@@ -150,7 +139,7 @@ def _way_dict(way: Way) -> dict[str, Any]:
     return {"order_of_travel": [posture.as_dict() for posture in way.order], "travel_s": round(way.seconds, 3)}
 
 
-def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
+def _chosen_dict(chosen: _result.ChosenPostures) -> dict[str, Any]:
     cover = chosen.choice.cover
     total = max(1, cover.total)
     initial = None
@@ -168,7 +157,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "requested": chosen.plan.choose_postures,
         "target": chosen.plan.target,
         "share": round(cover.share, 6),
-        "shares_of": SHARES_OF,
+        "shares_of": _result.SHARES_OF,
         "optimum": "proven" if chosen.proven else "local",
         "bound": round(cover.bound_share, 6),
         "best_of_sets": cover.sets,
@@ -224,7 +213,7 @@ def _brackets_dict(brackets: Brackets, shares_of: str) -> dict[str, Any]:
     }
 
 
-def _tolerance_dict(one: ToleranceResult) -> dict[str, Any]:
+def _tolerance_dict(one: _result.ToleranceResult) -> dict[str, Any]:
     robustness = one.robustness
 
     def share(score: int) -> float:
@@ -250,22 +239,20 @@ def _tolerance_dict(one: ToleranceResult) -> dict[str, Any]:
     }
 
 
-def ranking_csv(results: tuple[SetResult, ...], candidates: Candidates) -> str:
+def ranking_csv(results: tuple[_result.SetResult, ...], candidates: Candidates) -> str:
     """The best combinations of each posture and objective, one a line."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
     keys = [
         f"{name}_{key}"
         for name, some in zip(candidates.names, candidates.places, strict=True)
         for key in place_dict(some[0])
     ]
-    table.writerow(["postures", "objective", "rank", "score", "usable_sum", *keys])
+    rows: list[list[object]] = [["postures", "objective", "rank", "score", "usable_sum", *keys]]
     for result in results:
         postures = " ".join(f"{p.elevation_deg:g},{p.rotation_deg:g}" for p in result.postures)
         for answer in result.answers:
             if answer.nothing is not None:
                 continue
             for rank, ranked in enumerate(answer.found.ranking, start=1):
-                flat = [f"{value:.9g}" for place in places_of(candidates, ranked) for value in place]
-                table.writerow([postures, answer.objective.name, rank, ranked.score, ranked.usable, *flat])
-    return text.getvalue()
+                flat = [f"{value:.9g}" for place in _result.places_of(candidates, ranked) for value in place]
+                rows.append([postures, answer.objective.name, rank, ranked.score, ranked.usable, *flat])
+    return csv_text(rows)

@@ -13,7 +13,11 @@ from lightopt.geometry._patches import (
     longest_edges as longest_edges,
     refine as refine,
 )
-from lightopt.geometry._topology import merge_rows as merge_rows, mesh_edges as mesh_edges
+from lightopt.geometry._topology import (
+    merge_rows as merge_rows,
+    mesh_edges as mesh_edges,
+    points_inside as points_inside,
+)
 from lightopt.geometry._triangle_mesh import (
     SurfaceFinder as SurfaceFinder,
     SurfacePlace as SurfacePlace,
@@ -23,4 +27,3 @@ from lightopt.geometry._triangle_mesh import (
     surface_place as surface_place,
     transformed as transformed,
 )
-from lightopt.geometry._winding import points_inside as points_inside

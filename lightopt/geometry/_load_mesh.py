@@ -14,9 +14,8 @@ from lightopt.geometry._mesh_formats import RawMesh, check_budget, read_glb, rea
 from lightopt.geometry._normals import carried_normals, smooth_normals
 from lightopt.geometry._patches import longest_edges
 from lightopt.geometry._step import read_step
-from lightopt.geometry._topology import merge_rows
+from lightopt.geometry._topology import merge_rows, repair_winding
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_crosses
-from lightopt.geometry._winding import repair_winding
 
 _log = logging.getLogger("lightopt.geometry")
 

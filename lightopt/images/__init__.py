@@ -1,6 +1,7 @@
 """Images on disk: EXR, PNG and the sets that rendering and capturing share. The one home of OpenImageIO."""
 
 from lightopt.images._atomic import (
+    csv_text as csv_text,
     make_folder as make_folder,
     remove_file as remove_file,
     write_bytes_atomic as write_bytes_atomic,

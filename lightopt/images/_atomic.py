@@ -1,10 +1,12 @@
 """Writing files whole or not at all (temporary name, flush, fsync, rename); making folders and removing files."""
 
 import contextlib
+import csv
+import io
 import os
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +114,13 @@ def _is_compressible(array: NDArray[Any]) -> bool:
     begin = max(0, array.size - _SAMPLE) // 2
     sample = array.reshape(-1)[begin : begin + _SAMPLE].tobytes()
     return len(zlib.compress(sample, 1)) < _WORTHWHILE * len(sample)
+
+
+def csv_text(rows: Iterable[Sequence[object]]) -> str:
+    """Rows as the text of a CSV file."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def make_folder(folder: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NoReturn
 
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import Posture
 from lightopt.images._file_names import inside_problem
 
@@ -185,13 +185,11 @@ def _no_constant(name: str) -> NoReturn:
 def parse_manifest(data: object, *, path: str | Path) -> Manifest:
     """Make a :class:`Manifest` of a JSON value; InputError with one message per problem."""
     top = _Fields(path, data)
-    if top.problems:
-        raise InputError(*top.problems)
+    refuse(top.problems)
     if top.text("format") not in (_FORMAT, ""):
         raise InputError(f"{path}: format: expected {_FORMAT}, found {top.data['format']!r}")
     manifest = _manifest(top)
-    if top.problems:
-        raise InputError(*top.problems)
+    refuse(top.problems)
     return manifest
 
 

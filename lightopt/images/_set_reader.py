@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float32, UInt8
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.images._file_names import MANIFEST_NAME
 from lightopt.images._image_files import read_exr, read_png
@@ -118,8 +118,7 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
         )
     image_set = ImageSet(folder=manifest_path.parent, manifest=read_manifest(manifest_path))
     listed = image_set.manifest.listed_files if verify else ()
-    if problems := [text for name, digest in listed if (text := _file_problem(image_set.path(name), digest))]:
-        raise InputError(*problems)
+    refuse([text for name, digest in listed if (text := _file_problem(image_set.path(name), digest))])
     return image_set
 
 

@@ -14,7 +14,6 @@ from lightopt.inspection._files import (
 from lightopt.inspection._inspect import (
     InspectedSet as InspectedSet,
     inspect_batch as inspect_batch,
-    inspect_registered as inspect_registered,
     inspect_set as inspect_set,
 )
 from lightopt.inspection._options import InspectOptions as InspectOptions
@@ -32,20 +31,13 @@ from lightopt.inspection._results import (
     judge as judge,
     rejections as rejections,
 )
-from lightopt.inspection.calibration._calibrate import (
-    calibrate as calibrate,
-    calibrate_registered as calibrate_registered,
-    require_good_sets as require_good_sets,
-)
+from lightopt.inspection.calibration._calibrate import calibrate as calibrate, require_good_sets as require_good_sets
 from lightopt.inspection.calibration._calibration import (
-    CalibratedPosture as CalibratedPosture,
     Calibration as Calibration,
     CalibrationFolder as CalibrationFolder,
     least_rate as least_rate,
     read_calibration as read_calibration,
-    sets_needed as sets_needed,
 )
-from lightopt.inspection.calibration._systematic import subtract_systematic as subtract_systematic
 from lightopt.inspection.detection._coverage import (
     CONTRASTS as CONTRASTS,
     REFERENCE_CONTRAST as REFERENCE_CONTRAST,
@@ -58,36 +50,14 @@ from lightopt.inspection.detection._defects import (
     FoundDefect as FoundDefect,
     Kind as Kind,
 )
-from lightopt.inspection.detection._deviation import Deviations as Deviations, deviations as deviations
-from lightopt.inspection.detection._matched_filter import TEMPLATES as TEMPLATES, score_templates as score_templates
-from lightopt.inspection.detection._regions import find_regions as find_regions, split_regions as split_regions
-from lightopt.inspection.detection._registry import DETECTORS as DETECTORS
-from lightopt.inspection.detection._residual_score import score_deviations as score_deviations, threshold as threshold
 from lightopt.inspection.evaluation._evaluation import (
     SetEvaluation as SetEvaluation,
-    area_under_roc as area_under_roc,
-    defect_size as defect_size,
     evaluate_set as evaluate_set,
-    fit_detection_curve as fit_detection_curve,
-    region_hits as region_hits,
     summarise as summarise,
+    truth_sources as truth_sources,
 )
-from lightopt.inspection.evaluation._ground_truth import truth_sources as truth_sources
-from lightopt.inspection.fusion._gradient_fusion import FUSIONS as FUSIONS, pixel_weights as pixel_weights
-from lightopt.inspection.fusion._poisson import poisson_grid as poisson_grid
-from lightopt.inspection.fusion._synthetic_image import (
-    SyntheticImage as SyntheticImage,
-    fuse_images as fuse_images,
-    synthetic_image as synthetic_image,
-)
-from lightopt.inspection.prediction._posture_view import PostureView as PostureView, posture_view as posture_view
+from lightopt.inspection.fusion._synthetic_image import SyntheticImage as SyntheticImage
+from lightopt.inspection.prediction._posture_view import PostureView as PostureView
 from lightopt.inspection.prediction._predict import predict as predict
 from lightopt.inspection.prediction._prediction_cache import PredictionCache as PredictionCache
 from lightopt.inspection.prediction._reference import REFERENCES as REFERENCES
-from lightopt.inspection.prediction._registered_set import (
-    RegisteredSet as RegisteredSet,
-    nominal_pixels as nominal_pixels,
-    nominal_scene as nominal_scene,
-    register_part as register_part,
-    register_set as register_set,
-)

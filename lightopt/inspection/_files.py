@@ -1,7 +1,5 @@
 """The files of an inspection: defects as JSON, CSV and PLY, synthetic images (also as grey pictures) and scores."""
 
-import csv
-import io
 import json
 import math
 from collections.abc import Generator, Mapping, Sequence
@@ -17,7 +15,7 @@ from lightopt.core.arrays import Bool, Float32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.estimate.registration import Placement
-from lightopt.images import ImageSet, ResultFolder, make_folder, posture_folder, write_exr, write_png
+from lightopt.images import ImageSet, ResultFolder, csv_text, make_folder, posture_folder, write_exr, write_png
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict
 from lightopt.inspection.calibration._calibration import Calibration
@@ -144,12 +142,10 @@ def truth_text(summary: Mapping[str, Any]) -> str:
 
 
 def _table(result: InspectionResult, verdict: Verdict) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    rows: list[list[object]] = [[*COLUMNS]]
     for defect in result.defects:
         best = defect.best
-        writer.writerow(
+        rows.append(
             [
                 defect.number,
                 best.kind,
@@ -163,7 +159,7 @@ def _table(result: InspectionResult, verdict: Verdict) -> str:
                 *(f"{x:.2f}" for x in best.centre_px),
             ]
         )
-    return text.getvalue()
+    return csv_text(rows)
 
 
 def _points(result: InspectionResult) -> str:

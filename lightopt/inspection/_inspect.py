@@ -6,7 +6,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.errors import InputError, counted, percent
+from lightopt.core.errors import InputError, counted, percent, refuse
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import DARK_SPREAD, refuse_mismatch
@@ -30,8 +30,7 @@ from lightopt.inspection.detection._regions import find_regions, measure_regions
 from lightopt.inspection.detection._registry import DETECTORS, RESIDUAL
 from lightopt.inspection.detection._residual_score import threshold
 from lightopt.inspection.detection._texture import texture_threshold, whiten_texture
-from lightopt.inspection.evaluation._evaluation import SetEvaluation, evaluate_set
-from lightopt.inspection.evaluation._ground_truth import TruthSource
+from lightopt.inspection.evaluation._evaluation import SetEvaluation, TruthSource, evaluate_set
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._posture_view import PostureView, some_pixels
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
@@ -134,8 +133,7 @@ def inspect_batch(
 
 
 def _require_valid(rig: RigConfig, part: PartConfig, options: InspectOptions, calibration: Calibration | None) -> None:
-    if problems := options.problems():
-        raise InputError(*problems)
+    refuse(options.problems())
     if calibration is None and options.reference == "good-parts":
         raise InputError(
             "option 'reference': good-parts needs a calibration that was made from good parts with the same reference; "

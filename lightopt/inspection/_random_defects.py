@@ -16,7 +16,7 @@ import numpy as np
 
 from lightopt.config import PartConfig, RigConfig, copied_text, input_hashes, with_list
 from lightopt.core.arrays import Bool, Int32
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.provenance import differences, provenance
 from lightopt.core.run_context import RunContext
 from lightopt.defects import CatalogueEntry, PlacedDefect, radial_place, surface_coordinates, tangent_direction
@@ -78,8 +78,7 @@ def place_random_defects(
         problems.append(f"count: expected 1 to {MOST_DEFECTS} defects, found {count}")
     if seed < 0:
         problems.append(f"seed: expected 0 or more, found {seed}")
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     catalogue = build_catalogue(part)
     scene = build_scene(rig, part, defects=False)
     within = np.random.default_rng([seed, 1]).random((count, 2)).tolist()

@@ -6,8 +6,8 @@ faces that light. Hence the surface's BRDF is
 
     f = (R_d + R_s / (cosθ_i cosθ_o) · exp(−δ²/(2σ²))) / (π·W)
 
-and its albedo, where it is seen along its normal, (R_d + (1/π) ∫ R_s exp(−δ²/(2σ²)) · 4 cosδ dω_H) / W. Other lobes take
-the place of the Gaussian one, with their factors for the directions of light and view.
+and its albedo, where it is seen along its normal, (R_d + (1/π) ∫ R_s exp(−δ²/(2σ²)) · 4 cosδ dω_H) / W. Other lobes
+take the place of the Gaussian one, with their factors for the directions of light and view.
 """
 
 import math

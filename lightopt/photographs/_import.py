@@ -1,7 +1,8 @@
 """From a folder of photographs, a table of lights and a calibration to a rig, a part and an image set."""
 
+import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -9,38 +10,110 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.config import load_part, load_rig
+from lightopt import images
+from lightopt.config import load_part, load_rig, standing_at
 from lightopt.core.arrays import Bool, UInt8
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.core.run_context import RunContext
-from lightopt.core.transforms import rotation_x
+from lightopt.core.transforms import rotation_x, vector_of_rotation
 from lightopt.core.units import MM_PER_UNIT
-from lightopt.images import (
-    ImageEntry,
-    ImageSetWriter,
-    Manifest,
-    PhotographFormat,
-    make_folder,
-    photograph_format,
-    read_photograph,
-    write_bytes_atomic,
-)
 from lightopt.photographs._calibration import Intrinsics, Pose, read_intrinsics, read_pose
-from lightopt.photographs._file_texts import part_text, rig_text
 from lightopt.photographs._light_table import TableRow, read_light_table
 from lightopt.photographs._part import PhotographedPart, mesh_part, read_mask, sphere_in_mask, sphere_part
 from lightopt.rendering import cast_rays_at, set_manifest, trace_pixels
 from lightopt.scene import Scene, build_scene
 
-Turn = Literal["x180", "x90", "x-90"]
+_FAR_MM = 1e6  # a distant light: its direction differs by less than 0.06° over a part of 1 m
 
+Turn = Literal["x180", "x90", "x-90"]
 _DOWN = np.diag([1.0, -1.0, -1.0])  # axes of a camera that looks straight down with the world's X to the right
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)  # ITU-R BT.709-6, section 3.2
 _SRGB_BITS = 12  # of linear levels of 8-bit sRGB samples: enough that no two become one
 _LOW = 2**14  # levels of 16 bits that all stay below this are probably of fewer bits
 _LEAST_OVERLAP = 0.9  # of mask and part; less says that calibration, units or placement are wrong
+
+
+def rig_text(
+    name: str, rows: Sequence[TableRow], intrinsics: Intrinsics, pose: Pose, *, size: tuple[int, int], bits: int
+) -> str:
+    """Rig file of photographs of a size [px] and of so many bits."""
+    lights = list({row.light: row for row in rows}.values())
+    near = [float(np.linalg.norm(row.place)) for row in lights if row.near]
+    mean = sum(near) / max(len(near), 1)
+    reference = f"  reference_distance_mm: {mean:.9g} # of near lights: the mean of their distances\n" if near else ""
+    distortion = ", ".join(f"{name}: {value:.9g}" for name, value in intrinsics.distortion.items())
+    return f"""# Written by lightopt import. Lengths in mm, angles in degrees, Z up.
+
+format: lightopt-rig/1
+name: {_quoted(name)}
+
+camera:
+  pose:
+    position_mm: {_list(pose.position)}
+    rotation_vector_deg: {_list(np.degrees(vector_of_rotation(pose.rotation)))}
+  resolution_px: [{size[0]}, {size[1]}]
+  pixel_size_um: 3.45           # assumed; images do not depend on it
+  focal_px: {_list(intrinsics.focal)}
+  principal_point_px: {_list(intrinsics.principal_point)} # the first pixel's centre is at 0.5, 0.5
+  distortion: {{{distortion}}}
+  sensor:                       # its noise is not known; --write-noise of the fits adds it
+    bit_depth: {bits}
+
+light_source:
+  size_mm: [1, 1]
+  points: 1                     # size not known: single points; give size_mm and auto if it is
+  falloff: none                 # of distant lights: brightness does not depend on the distance
+{reference}
+lights:                         # gain is the column intensity, 1 without it
+{chr(10).join(map(_light, lights))}
+"""
+
+
+def _light(row: TableRow) -> str:
+    at = standing_at([float(v) for v in row.place * (1.0 if row.near else _FAR_MM)])
+    at["distance_mm"] = at["distance_mm"] if row.near else _FAR_MM
+    place = ", ".join(f"{key}: {value:.9g}" for key, value in at.items())
+    falloff = ", falloff: inverse_square" if row.near else ""
+    return f'  - {{name: "{row.light}", {place}, gain: {row.intensity:.9g}{falloff}}}'
+
+
+def part_text(part: PhotographedPart, rows: Sequence[TableRow]) -> str:
+    postures = [
+        f"  - {{elevation_deg: {p.elevation_deg:.9g}, rotation_deg: {p.rotation_deg:.9g}}}"
+        for p in dict.fromkeys(row.posture for row in rows)
+    ]
+    return f"""# Written by lightopt import.
+
+format: lightopt-part/1
+name: {_quoted(part.name)}
+
+mesh:
+  file: {_quoted(part.file)}
+{f"  units: {part.units}" if part.units else ""}
+
+placement:
+  anchor: as_modelled
+  rotate_deg: {_list(part.rotate_deg)}
+  translate_mm: {_list(part.translate_mm)}
+
+postures:
+{chr(10).join(postures)}
+
+reflectance:                    # not known yet: fit-diffuse and fit-specular find it
+  R_d: 50
+  R_s: 1000
+  sigma_rad: 0.05
+"""
+
+
+def _list(values: Iterable[float]) -> str:
+    return "[" + ", ".join(f"{round(float(v), 9) + 0.0:.12g}" for v in values) + "]"
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +151,7 @@ class ImportOptions:
 class ImportedSet:
     """What :func:`import_photographs` wrote."""
 
-    manifest: Manifest
+    manifest: images.Manifest
     size: tuple[int, int]
     overlap: float | None  # intersection over union of mask and part; None without a mask
 
@@ -105,19 +178,21 @@ def import_photographs(
     _refuse_below(pose, rows, options)
     bits = _SRGB_BITS if options.gamma == "srgb" and shape.bits == 8 else options.bits or shape.bits
 
-    make_folder(out)
+    images.make_folder(out)
     size = (shape.width, shape.height)
     rig_yaml = rig_text(folder.resolve().name, rows, intrinsics, pose, size=size, bits=bits)
     files = {"rig.yaml": rig_yaml.encode(), "part.yaml": part_text(part, rows).encode()}
     if part.content is not None:
         files[part.file] = part.content
     for name, content in files.items():
-        write_bytes_atomic(out / name, content, overwrite=force)
+        images.write_bytes_atomic(out / name, content, overwrite=force)
     rig_config, part_config = load_rig(out / "rig.yaml"), load_part(out / "part.yaml")
     scene = build_scene(rig_config, part_config)
     facts = _facts(folder, table, rows, options)
     header = set_manifest("captured", rig_config, part_config, scene, options=facts)
-    writer = ImageSetWriter(out, header, force=force, plan=[(row.light, row.posture, row.exposure) for row in rows])
+    writer = images.ImageSetWriter(
+        out, header, force=force, plan=[(row.light, row.posture, row.exposure) for row in rows]
+    )
     _warn_of_photographs(folder, rows, shape, options, run)
     overlap = None if mask is None else _overlap(scene, mask)
     if overlap is not None and overlap < _LEAST_OVERLAP:
@@ -125,13 +200,13 @@ def import_photographs(
     lights = {light.name: light for light in rig_config.lights}
     highest = 0
     for number, row in enumerate(rows):
-        samples = read_photograph(folder / row.image)
+        samples = images.read_photograph(folder / row.image)
         highest = max(highest, int(samples.max()))
         full = 2 ** (options.bits or shape.bits) - 1
         levels = _grey_levels(samples, full=full, srgb=options.gamma == "srgb", bits=bits)
         if mask is not None:
             levels[~mask] = 0
-        entry = ImageEntry(
+        entry = images.ImageEntry(
             light=row.light,
             light_elevation_deg=lights[row.light].elevation_deg,
             light_azimuth_deg=lights[row.light].azimuth_deg,
@@ -147,12 +222,12 @@ def import_photographs(
     return ImportedSet(manifest=writer.manifest, size=size, overlap=overlap)
 
 
-def _common_format(folder: Path, rows: Sequence[TableRow], options: ImportOptions) -> PhotographFormat:
+def _common_format(folder: Path, rows: Sequence[TableRow], options: ImportOptions) -> images.PhotographFormat:
     problems: list[str] = []
-    first: PhotographFormat | None = None
+    first: images.PhotographFormat | None = None
     for row in rows:
         try:
-            shape = photograph_format(folder / row.image)
+            shape = images.photograph_format(folder / row.image)
         except InputError as error:
             problems += [f"{row.where}: {message}" for message in error.messages]
             continue
@@ -164,13 +239,13 @@ def _common_format(folder: Path, rows: Sequence[TableRow], options: ImportOption
     if options.bits is not None:
         if first.bits != 16 or options.bits not in (10, 12, 14, 16):
             raise InputError(f"option 'bits': expected 10, 12 or 14, of images stored in 16 bits, found {options.bits}")
-        highest = max(int(read_photograph(folder / row.image).max()) for row in rows)
+        highest = max(int(images.read_photograph(folder / row.image).max()) for row in rows)
         if highest >= 2**options.bits:
             raise InputError(f"option 'bits': found levels up to {highest}, more than {options.bits} bits have")
     return first
 
 
-def _intrinsics(path: Path, shape: PhotographFormat) -> Intrinsics:
+def _intrinsics(path: Path, shape: images.PhotographFormat) -> Intrinsics:
     found = read_intrinsics(path)
     if found.size not in (None, (shape.width, shape.height)):
         calibrated = f"{found.size[0]} × {found.size[1]} px"
@@ -180,7 +255,7 @@ def _intrinsics(path: Path, shape: PhotographFormat) -> Intrinsics:
     return found
 
 
-def _mask(path: Path, shape: PhotographFormat, rows: Sequence[TableRow]) -> Bool:
+def _mask(path: Path, shape: images.PhotographFormat, rows: Sequence[TableRow]) -> Bool:
     mask = read_mask(path)
     if mask.shape != (shape.height, shape.width):
         raise InputError(f"{path}: {mask.shape[1]} × {mask.shape[0]} px, but the photographs have {shape}")
@@ -222,12 +297,11 @@ def _refuse_below(pose: Pose, rows: Sequence[TableRow], options: ImportOptions) 
         problems.append(f"{rows[0].where}: all lights are below Z = 0; {advice}")
     else:
         problems += [f'{row.where}: light "{row.light}" is below the part, at Z ≤ 0; remove its row' for row in low]
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
 
 
 def _warn_of_photographs(
-    folder: Path, rows: Sequence[TableRow], shape: PhotographFormat, options: ImportOptions, run: RunContext
+    folder: Path, rows: Sequence[TableRow], shape: images.PhotographFormat, options: ImportOptions, run: RunContext
 ) -> None:
     named = {row.image for row in rows} | ({options.mask.name} if options.mask else set())
     others = [p.name for p in sorted(folder.iterdir()) if p.suffix.lower() in _SUFFIXES and p.name not in named]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lightopt.core.arrays import Float64
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import Posture
 
 _DIRECTION, _POSITION = ("x", "y", "z"), ("x_mm", "y_mm", "z_mm")
@@ -65,8 +65,7 @@ def read_light_table(path: Path) -> tuple[TableRow, ...]:
     problems += _contradictions(rows)
     if not rows and not problems:
         problems.append(f"{path}: expected a row per photograph, found none")
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     return tuple(rows)
 
 
@@ -101,8 +100,7 @@ def _row(where: str, cells: Mapping[str, str]) -> TableRow:
             f"{where}: expected a direction of length 1, found {length:.4g}; positions in mm belong in x_mm, y_mm, z_mm"
         )
     exposure, intensity, tilt, rotation = (number(name) for name in _DEFAULTS)
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     place = place if near else place / length
     return TableRow(where, cells["image"], light, place, near, exposure, intensity, Posture(tilt, rotation))
 

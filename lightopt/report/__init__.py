@@ -9,9 +9,8 @@ from lightopt.report._calibration import (
     calibration_lines as calibration_lines,
     calibration_report as calibration_report,
 )
-from lightopt.report._charts import chart as chart
 from lightopt.report._contact_sheet import add_contact_sheets as add_contact_sheets, contact_sheet as contact_sheet
-from lightopt.report._drawing import figure_image as figure_image, fixed_style as fixed_style
+from lightopt.report._drawing import chart as chart, figure_image as figure_image, fixed_style as fixed_style
 from lightopt.report._fit_pictures import fit_chart as fit_chart, residual_picture as residual_picture
 from lightopt.report._images import png_bytes as png_bytes
 from lightopt.report._page import (

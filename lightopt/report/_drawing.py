@@ -1,4 +1,4 @@
-"""Drawing with matplotlib, in pixels and always in one style and font: the same drawing gives the same bytes.
+"""Drawings and charts by matplotlib, in pixels and always in one style and font: the same drawing gives the same bytes.
 
 matplotlib takes long to import, so each function imports what it uses.
 """
@@ -21,6 +21,8 @@ from lightopt.core.arrays import Float64, UInt8
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -34,6 +36,21 @@ _MATH = "$\\mathdefault{"
 
 Points = Float64  # places on the picture [px], x to the right and y down, shape (n, 2)
 Box = tuple[float, float, float, float]  # left, top, right, bottom [px]
+
+# distances from a label to its anchor that are tried [px], each in so many directions
+_RADII = (6, 12, 20, 30, 44, 62, 85, 115, 155, 210, 280, 370, 480, 620, 800)
+_DIRECTIONS = 24
+_SPACE = 4  # least distance of two labels [px]
+_LEADER = 34  # from this distance on a thin line leads from the anchor to the label [px]
+
+# what a label wholly on lines, or on the side opposite to the preferred one, costs in px of distance
+_INK_COST, _SIDE_COST = 450.0, 16.0
+LINE, MARK, SHADE = "#1f5fbf", "#c2410c", "#c2410c33"
+
+# Okabe and Ito (2008)
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+WIDTH, PANEL_HEIGHT, TITLE_HEIGHT = 900, 350, 90  # of a chart and of one panel with its ticks [px]
+TITLE_SIZE, TEXT_SIZE = 19, 14  # [px]
 
 
 @contextmanager
@@ -238,16 +255,6 @@ class Drawing:
         artist.draw(self._canvas.get_renderer())
 
 
-# distances from a label to its anchor that are tried [px], each in so many directions
-_RADII = (6, 12, 20, 30, 44, 62, 85, 115, 155, 210, 280, 370, 480, 620, 800)
-_DIRECTIONS = 24
-_SPACE = 4  # least distance of two labels [px]
-_LEADER = 34  # from this distance on a thin line leads from the anchor to the label [px]
-
-# what a label wholly on lines, or on the side opposite to the preferred one, costs in px of distance
-_INK_COST, _SIDE_COST = 450.0, 16.0
-
-
 def _ink(picture: UInt8) -> Float64:
     # how much is drawn at each pixel, 0 to 1; pale areas are as good as paper
     red, green, blue = np.moveaxis(picture[..., :3], 2, 0)
@@ -278,3 +285,63 @@ def _best_box(label: Label, size: float, sums: Float64, bounds: Box, taken: Sequ
         cost += _SIDE_COST * (0.5 - 0.5 * (ux * label.away[0] + uy * label.away[1]) / length)
     best = np.unravel_index(np.argmin(np.where(free, cost, np.inf)), free.shape)
     return float(left[best]), float(top[best]), float(right[best]), float(bottom[best])
+
+
+def chart(
+    *, title: str, x_label: str, labels: Sequence[str], log_x: bool = False, log_y: Sequence[bool] = ()
+) -> tuple[Figure, list[Axes]]:
+    """Panels to draw into, from top to bottom, each with a label that says what its values are.
+
+    Call it within :func:`lightopt.report.fixed_style`.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    size = WIDTH / DPI, (TITLE_HEIGHT + len(labels) * PANEL_HEIGHT) / DPI
+    figure = Figure(figsize=size, dpi=DPI, layout=ConstrainedLayoutEngine(w_pad=0.2, h_pad=0.15))
+    heading = printable(fit_text(title, TITLE_SIZE, WIDTH - 60))
+    figure.suptitle(heading, x=0.03, ha="left", color=INK, fontsize=TITLE_SIZE * POINT)
+    panels: list[Axes] = list(figure.subplots(len(labels), 1, sharex=True, squeeze=False)[:, 0])
+    for i, (panel, label) in enumerate(zip(panels, labels, strict=True)):
+        name = printable(fit_text(label, TEXT_SIZE, WIDTH - 130))
+        panel.set_title(name, loc="left", color=SOFT, fontsize=TEXT_SIZE * POINT)
+        panel.grid(color=FAINT, linewidth=POINT)
+        panel.set_axisbelow(True)
+        panel.tick_params(which="both", length=0, labelsize=TEXT_SIZE * POINT, labelcolor=SOFT)
+        panel.spines[:].set_visible(False)
+        if log_x:
+            panel.set_xscale("log")
+            _label_decades(panel.xaxis)
+        if i < len(log_y) and log_y[i]:
+            panel.set_yscale("log")
+            _label_decades(panel.yaxis)
+    panels[-1].set_xlabel(x_label, color=INK, fontsize=TEXT_SIZE * POINT)
+    return figure, panels
+
+
+def name_lines(panel: Axes) -> None:
+    """Name the lines of a panel that have labels, to its right."""
+    panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=TEXT_SIZE * POINT)
+
+
+def label_whole_numbers(axis: Axis) -> None:
+    """Ticks at whole numbers only."""
+    from matplotlib.ticker import MaxNLocator
+
+    axis.set_major_locator(MaxNLocator("auto", integer=True))
+
+
+def _label_decades(axis: Axis) -> None:
+    """Ticks at the decades of a logarithmic axis, or at 1, 2 and 5 of each, or evenly spaced where it is short."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+    class Decades(LogLocator):
+        def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
+            if vmax < 3.0 * vmin:
+                return MaxNLocator(nbins=8, steps=[1, 2, 5, 10]).tick_values(vmin, vmax)
+            self.set_params(subs=(1.0, 2.0, 5.0) if vmax < 30.0 * vmin else (1.0,))
+            return super().tick_values(vmin, vmax)
+
+    axis.set_major_locator(Decades())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())  # ticks have no length: what is laid out and drawn of them is nothing

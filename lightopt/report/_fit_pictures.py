@@ -11,8 +11,17 @@ from PIL import Image
 
 from lightopt.core.arrays import Float32
 from lightopt.images.comparison import diverging
-from lightopt.report._charts import LINE, MARK, SHADE, chart, label_whole_numbers
-from lightopt.report._drawing import SOFT, Drawing, figure_image, fixed_style
+from lightopt.report._drawing import (
+    LINE,
+    MARK,
+    SHADE,
+    SOFT,
+    Drawing,
+    chart,
+    figure_image,
+    fixed_style,
+    label_whole_numbers,
+)
 from lightopt.report._images import write_picture
 
 if TYPE_CHECKING:

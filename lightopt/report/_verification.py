@@ -13,8 +13,7 @@ from PIL import Image
 from lightopt.core.arrays import Float32
 from lightopt.estimate.verification import Finding, LightComparison, Verification
 from lightopt.images.comparison import diverging
-from lightopt.report._charts import COLOURS, MARK, chart, label_whole_numbers, name_lines
-from lightopt.report._drawing import figure_image, fixed_style
+from lightopt.report._drawing import COLOURS, MARK, chart, figure_image, fixed_style, label_whole_numbers, name_lines
 from lightopt.report._images import png_bytes, shrunk, write_picture
 from lightopt.report._page import Answer, Facts, Gallery, Note, Page, Picture, Section, Table, Warnings, page_html
 

@@ -17,8 +17,7 @@ from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSet, ResultFolder, posture_folder, write_exr, write_png
 from lightopt.rendering import cast_rays_at, render_posture, trace_pixels
 from lightopt.scene import Scene, build_scene
-from lightopt.series._deflectometry import slope_map
-from lightopt.series._stripes import Stripes, absolute_place, demodulate, phase_gradient, phase_noise
+from lightopt.series._stripes import Stripes, absolute_place, demodulate, phase_gradient, phase_noise, slope_map
 
 DERIVED_FOLDER = "derived"
 LEAST_SIGNAL = 5.0  # in standard deviations of its noise: phases, ratios and the like of less are unknown

@@ -16,7 +16,8 @@ from faulty_bench import set_fault, with_faults
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError
 from lightopt.images import ImageEntry, ImageSet, read_exr, read_image_set, read_png
-from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, start_bench
+from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices
+from lightopt.rig.capture._wiring import start_bench
 from lightopt.rig.simulated import BenchProcess
 
 __all__ = ["OPTIONS", "Outcome", "Steps", "alike", "differences", "kill_sometime", "suffer", "undisturbed"]

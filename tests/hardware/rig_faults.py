@@ -30,7 +30,8 @@ from faulty_bench import set_fault, with_faults
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError, InputError, LightoptError
 from lightopt.images import read_image_set
-from lightopt.rig.capture import CapturePlan, Devices, capture, connect_devices, start_bench
+from lightopt.rig.capture import CapturePlan, Devices, capture, connect_devices
+from lightopt.rig.capture._wiring import start_bench
 from lightopt.rig.simulated import BenchProcess, BenchTruth
 
 __all__ = ["RigCase", "Seen", "gige_rig", "main", "rig_cases", "table", "undergo"]

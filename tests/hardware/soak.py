@@ -24,7 +24,8 @@ from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import HardwareError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, start_bench
+from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices
+from lightopt.rig.capture._wiring import start_bench
 from lightopt.rig.simulated import BenchProcess
 
 __all__ = ["Soaked", "main", "soak"]

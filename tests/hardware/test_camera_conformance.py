@@ -15,8 +15,9 @@ from fault_cases import make_rig
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture import CaptureOptions, capture, connect_devices, start_bench, wiring_of
+from lightopt.rig.capture import CaptureOptions, capture, connect_devices, wiring_of
 from lightopt.rig.capture._software_cameras import FolderCamera, VirtualCamera
+from lightopt.rig.capture._wiring import start_bench
 from lightopt.rig.devices import Camera, CameraSettings, open_camera
 
 KINDS = ("virtual", "folder", "aravis", "aravis-free", "genicam")

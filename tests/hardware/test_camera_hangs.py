@@ -20,8 +20,9 @@ from rig_faults import gige_rig
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError
 from lightopt.images import read_image_set
-from lightopt.rig.capture import start_bench, wiring_of
+from lightopt.rig.capture import wiring_of
 from lightopt.rig.capture._software_cameras import VirtualCamera
+from lightopt.rig.capture._wiring import start_bench
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="SIGSTOP is of POSIX")
 

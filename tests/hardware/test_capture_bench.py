@@ -19,15 +19,8 @@ from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.images import read_image_set, read_png
-from lightopt.rig.capture import (
-    CaptureOptions,
-    CapturePlan,
-    capture,
-    connect_devices,
-    make_plan,
-    start_bench,
-    wiring_of,
-)
+from lightopt.rig.capture import CaptureOptions, CapturePlan, capture, connect_devices, make_plan, wiring_of
+from lightopt.rig.capture._wiring import start_bench
 from lightopt.rig.simulated import BenchProcess, BenchTruth
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and pseudo-terminals are those of POSIX")

@@ -27,7 +27,7 @@ from lightopt.rig.devices import (
     LightController,
     LightSettings,
     PictureSettings,
-    _screen_process,
+    _light_display,
     all_off,
     check_screen_library,
 )
@@ -284,7 +284,7 @@ def test_a_window_that_does_not_start(tmp_path, window):
 
 
 def test_without_the_library(monkeypatch):
-    monkeypatch.setattr(_screen_process, "find_spec", lambda _: None)
+    monkeypatch.setattr(_light_display, "find_spec", lambda _: None)
     with pytest.raises(InputError, match=r"needs pygame-ce; install it: pip install 'lightopt\[screen\]'"):
         check_screen_library()
 

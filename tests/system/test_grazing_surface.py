@@ -16,15 +16,14 @@ from lightopt.core.transforms import Posture
 from lightopt.design import (
     OBJECTIVES,
     DetectionModel,
-    ImageEvaluator,
     LevelThresholds,
     area_units,
-    drawn_patches,
     find_candidates,
     luminance_matrix,
     planned_catalogue,
     search,
 )
+from lightopt.design.responses._image_evaluator import ImageEvaluator, drawn_patches
 from lightopt.rendering import GRAZING_DEG, build_patches, cast_rays_at
 from lightopt.scene import build_catalogue, build_scene
 

@@ -15,16 +15,11 @@ from lightopt import load_part, load_rig
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import read_exr, read_image_set
-from lightopt.inspection import (
-    FUSIONS,
-    InspectOptions,
-    SyntheticImage,
-    area_under_roc,
-    fuse_images,
-    inspect_set,
-    pixel_weights,
-    score_templates,
-)
+from lightopt.inspection import InspectOptions, SyntheticImage, inspect_set
+from lightopt.inspection.detection._matched_filter import score_templates
+from lightopt.inspection.evaluation._evaluation import area_under_roc
+from lightopt.inspection.fusion._gradient_fusion import FUSIONS, pixel_weights
+from lightopt.inspection.fusion._synthetic_image import fuse_images
 from lightopt.rendering import RenderOptions, render_image_set
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

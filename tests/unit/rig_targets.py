@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from lightopt.core.transforms import Posture
-from lightopt.estimate.rig_calibration._ball_fit import BallView, MirroredPanel, posed_panel
-from lightopt.estimate.rig_calibration._mirror_ball import mirrored_image
+from lightopt.estimate.rig_calibration._ball_fit import BallView, MirroredPanel, mirrored_image, posed_panel
 from lightopt.lights import panel_corners, place_light
 from lightopt.scene import Stage, place_camera, project
 

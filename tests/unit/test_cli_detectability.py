@@ -16,8 +16,9 @@ from lightopt import build_scene
 from lightopt.cli._main import run
 from lightopt.config import load_part, load_rig
 from lightopt.core.transforms import Posture
-from lightopt.design import BlindReason, ImageEvaluator, blind_text
+from lightopt.design import BlindReason, blind_text
 from lightopt.design._problem import images_that_decide
+from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.images import read_png
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import build_lights

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from lightopt.core.errors import InputError
-from lightopt.design import place_lights, sum_of_images
 from lightopt.design.objectives import _scores_by_units as unit_sums
 from lightopt.design.objectives._scores_by_units import combination_sums
-from lightopt.design.responses._packed_bits import PairWeights
+from lightopt.design.postures._light_positions import place_lights
+from lightopt.design.responses._packed_bits import PairWeights, sum_of_images
 from lightopt.design.search._combinations import CombinationSpace
 
 POSTURES = 2

@@ -28,8 +28,8 @@ from lightopt.design.responses._evidence_sums import (
     greatest_within,
 )
 from lightopt.design.responses._packed_bits import narrow_words, pack_flags, widen_octets
-from lightopt.inspection import threshold
 from lightopt.inspection.detection._registry import DETECTORS
+from lightopt.inspection.detection._residual_score import threshold
 from lightopt.optics import Sensor
 
 SENSOR = Sensor(bit_depth=8, read_noise_levels=0.8, electrons_per_level=60)

@@ -12,8 +12,7 @@ from reference._search import all_combinations, coverage_value, paper_value
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import WorkCounter
 from lightopt.design import OBJECTIVES, LevelThresholds, LuminanceMatrix, area_units, search
-from lightopt.design.objectives._coverage import run_scores
-from lightopt.design.objectives._scores_by_packed_bits import bit_scores
+from lightopt.design.objectives._coverage import bit_scores, run_scores
 from lightopt.design.search._combinations import CombinationSpace, NearBest
 from lightopt.optics import Sensor
 

@@ -12,10 +12,9 @@ from hypothesis import given, strategies as st
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from lightopt.core.transforms import Posture
-from lightopt.design import sum_of_images
 from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
 from lightopt.design.postures._exposures import CandidateExposure, select_exposures
-from lightopt.design.responses._packed_bits import PairWeights, add_counts
+from lightopt.design.responses._packed_bits import PairWeights, add_counts, sum_of_images
 
 
 def random_case(seed, *, postures=7, images=3, patches=9, trials=70, k=2, units=1):

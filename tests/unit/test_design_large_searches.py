@@ -294,8 +294,7 @@ def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
     for module, names in {
         "_paper": ("BLOCK_LEVELS", "LEAST_PATCHES"),
         "_scores_by_extreme_levels": ("TASK_LEVELS", "WALK_LEVELS"),
-        "_scores_by_packed_bits": ("BLOCK_LEVELS", "LEAST_PATCHES", "TASK_WORDS"),
-        "_coverage": ("CHUNK_PATCHES", "CHUNK_BOXES"),
+        "_coverage": ("CHUNK_PATCHES", "CHUNK_BOXES", "BLOCK_LEVELS", "LEAST_PATCHES", "TASK_WORDS"),
     }.items():
         for name in names:
             monkeypatch.setattr(f"lightopt.design.objectives.{module}.{name}", 50)

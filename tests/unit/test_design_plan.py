@@ -17,28 +17,23 @@ from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.design import (
     OBJECTIVES,
     DetectionModel,
-    ImageEvaluator,
     LevelThresholds,
-    PairAssessment,
-    PostureRequest,
-    Setup,
     Tolerances,
-    analyse_tolerances,
     area_units,
-    choose_postures,
-    drawn_patches,
     find_candidates,
     luminance_matrix,
     planned_catalogue,
 )
-from lightopt.design._misalignment import ObjectiveAssessment
+from lightopt.design._misalignment import ObjectiveAssessment, PairAssessment, Setup
+from lightopt.design._tolerances import analyse_tolerances
 from lightopt.design.blind_spots._blind_spots import planned_visibility
 from lightopt.design.postures import _light_positions as placing, _posture_search as turning
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._plan_postures import target_not_reached
+from lightopt.design.postures._posture_search import PostureRequest, choose_postures
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, PatchEvidence, spare_units
-from lightopt.design.responses._image_evaluator import ImageCache
+from lightopt.design.responses._image_evaluator import ImageCache, ImageEvaluator, drawn_patches
 from lightopt.geometry import face_normals
 from lightopt.rendering import build_patches, camera_visibility, cast_rays_at, hidden_by
 from lightopt.scene import build_catalogue, build_lights, build_scene, obstructions, view_from_part

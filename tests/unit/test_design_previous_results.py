@@ -16,7 +16,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import versions
 from lightopt.core.transforms import Posture
 from lightopt.design import LuminanceMatrix, OptimizeOptions
-from lightopt.design._previous_result import begin_writing
+from lightopt.design._files import begin_writing
 from lightopt.design.responses import _posture_matrices as _matrices
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest
 

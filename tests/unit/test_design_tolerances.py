@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from lightopt.core.errors import InputError
-from lightopt.design import Tolerances, analyse_tolerances
+from lightopt.design import Tolerances
 from lightopt.design._joint_tolerances import FEW_RUNGS, joint_tolerances
+from lightopt.design._tolerances import analyse_tolerances
 
 NAMES = ("left", "right", "top")
 

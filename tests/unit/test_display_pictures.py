@@ -19,7 +19,7 @@ from lightopt.rig.devices import PictureSettings
 from lightopt.rig.devices._light_display import screen_levels
 from lightopt.rig.simulated._firmware import SeenPicture
 from lightopt.rig.simulated._light_screen import ScreenFirmware
-from lightopt.rig.simulated._seen_picture import as_channels
+from lightopt.rig.simulated._optics import as_channels
 from lightopt.scene import display_picture
 from lightopt.scene._lights import _pattern
 

@@ -10,10 +10,12 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import read_observations
 from lightopt.images import read_image_set
-from lightopt.inspection import deviations, posture_view, predict, score_deviations
+from lightopt.inspection import predict
 from lightopt.inspection._image_blocks import filter_tile, gaussian_taps
 from lightopt.inspection.detection._coverage import REFERENCE_DISC_PX, SurfaceState, measure_coverage
-from lightopt.inspection.detection._residual_score import disc_gain
+from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.detection._residual_score import disc_gain, score_deviations
+from lightopt.inspection.prediction._posture_view import posture_view
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 
 FLAT = Posture(0.0, 0.0)

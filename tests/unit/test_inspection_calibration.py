@@ -12,9 +12,11 @@ import pytest
 
 from lightopt.cli._main import run
 from lightopt.images import read_image_set
-from lightopt.inspection import Deviations, least_rate, score_deviations, sets_needed
-from lightopt.inspection.calibration._calibration import tolerance_limit
+from lightopt.inspection import least_rate
+from lightopt.inspection.calibration._calibration import sets_needed, tolerance_limit
 from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_systematic
+from lightopt.inspection.detection._deviation import Deviations
+from lightopt.inspection.detection._residual_score import score_deviations
 
 # --- rates
 

@@ -18,16 +18,7 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.defects import BUILT_IN_CATALOGUE, SIZES, defect_hypotheses, expected_change, rest_of_images
 from lightopt.images import read_exr, read_image_set
-from lightopt.inspection import (
-    Deviations,
-    InspectOptions,
-    calibrate,
-    inspect_set,
-    nominal_scene,
-    posture_view,
-    predict,
-    threshold,
-)
+from lightopt.inspection import InspectOptions, calibrate, inspect_set, predict
 from lightopt.inspection.detection import _catalogue_score
 from lightopt.inspection.detection._catalogue_score import (
     _Candidates,
@@ -36,8 +27,12 @@ from lightopt.inspection.detection._catalogue_score import (
     explain_deviations,
     reduced_deviations,
 )
+from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._named_defects import join_explained
+from lightopt.inspection.detection._residual_score import threshold
+from lightopt.inspection.prediction._posture_view import posture_view
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
+from lightopt.inspection.prediction._registered_set import nominal_scene
 from lightopt.inspection.prediction._template_bank import CODES, LEAST_EXPECTED, template_bank
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 from lightopt.scene import build_catalogue

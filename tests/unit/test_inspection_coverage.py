@@ -7,9 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lightopt.inspection import CONTRASTS, Deviations, SurfaceCoverage, score_deviations
+from lightopt.inspection import CONTRASTS, SurfaceCoverage
 from lightopt.inspection.detection._coverage import SurfaceState, measure_coverage
-from lightopt.inspection.detection._deviation import DARK
+from lightopt.inspection.detection._deviation import DARK, Deviations
+from lightopt.inspection.detection._residual_score import score_deviations
 
 SIDE, STEP = 360, 24
 LEVEL, SCALE, HIGH = 100.0, 2.0, 6.5

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from lightopt.inspection import FUSIONS, fuse_images, pixel_weights
+from lightopt.inspection.fusion._gradient_fusion import FUSIONS, pixel_weights
+from lightopt.inspection.fusion._synthetic_image import fuse_images
 
 ROWS, COLUMNS = 70, 90
 Y, X = np.mgrid[:ROWS, :COLUMNS].astype(np.float32)

@@ -13,7 +13,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.images import ImageSet, SourceFile, read_image_set
 from lightopt.inspection import InspectOptions, inspect_set
-from lightopt.inspection.evaluation._ground_truth import true_labels, truth_source
+from lightopt.inspection.evaluation._evaluation import true_labels, truth_source
 from lightopt.rendering import RenderOptions, render_image_set
 from lightopt.scene import place_defects
 

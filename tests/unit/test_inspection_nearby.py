@@ -12,13 +12,14 @@ from lightopt import load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.images import read_image_set
-from lightopt.inspection import PredictionCache, nominal_scene, predict
+from lightopt.inspection import PredictionCache, predict
 from lightopt.inspection.prediction._nearby_placement import (
     difference_steps,
     placement_derivatives,
     shift_prediction,
     shifted_scene,
 )
+from lightopt.inspection.prediction._registered_set import nominal_scene
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
 
 TILTED = Posture(-10.0, 170.0)

@@ -8,7 +8,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import spsolve
 
 from lightopt.core.errors import LightoptError
-from lightopt.inspection import poisson_grid
+from lightopt.inspection.fusion._poisson import poisson_grid
 
 
 def picture(rows, columns, seed=0):

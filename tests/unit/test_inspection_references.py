@@ -17,17 +17,16 @@ from lightopt.core.transforms import Posture
 from lightopt.defects import SCALES_PX
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.images import read_image_set, read_png, write_png
-from lightopt.inspection import (
-    Deviations,
-    InspectOptions,
-    PostureView,
-    PredictionCache,
-    inspect_set,
+from lightopt.inspection import InspectOptions, PostureView, PredictionCache, inspect_set
+from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_mean
+from lightopt.inspection.detection._deviation import Deviations
+from lightopt.inspection.detection._residual_score import (
+    deviation_of_score,
+    rank_scores,
     score_deviations,
+    smoothed_deviations,
     threshold,
 )
-from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_mean
-from lightopt.inspection.detection._residual_score import deviation_of_score, rank_scores, smoothed_deviations
 from lightopt.inspection.detection._texture import EDGE_PX, texture_threshold, whiten_texture
 from lightopt.inspection.prediction._neighbourhood import _POWERS, RIDGE, _LocalFit, neighbourhood_view
 from lightopt.inspection.prediction._posture_view import Photometry

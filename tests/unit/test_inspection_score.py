@@ -13,20 +13,19 @@ from lightopt.config import InspectionConfig
 from lightopt.core.transforms import Posture
 from lightopt.defects import SCALES_PX
 from lightopt.estimate.registration import Placement
-from lightopt.inspection import (
-    Deviations,
-    InspectionResult,
-    SurfaceCoverage,
-    find_regions,
-    judge,
+from lightopt.inspection import InspectionResult, SurfaceCoverage, judge
+from lightopt.inspection.detection._defects import Detection, merge_detections
+from lightopt.inspection.detection._deviation import Deviations
+from lightopt.inspection.detection._matched_filter import templates
+from lightopt.inspection.detection._regions import box_sums, core_pixels, find_regions, split_regions
+from lightopt.inspection.detection._residual_score import (
+    STRONGEST_Z,
+    noise_gain,
+    rank_probability,
     score_deviations,
-    split_regions,
+    smoothed_deviations,
     threshold,
 )
-from lightopt.inspection.detection._defects import Detection, merge_detections
-from lightopt.inspection.detection._matched_filter import templates
-from lightopt.inspection.detection._regions import box_sums, core_pixels
-from lightopt.inspection.detection._residual_score import STRONGEST_Z, noise_gain, rank_probability, smoothed_deviations
 
 
 def noise(lights, rows=200, columns=240, *, seed=0, holes=False):

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightopt.inspection import area_under_roc, fit_detection_curve
-from lightopt.inspection.evaluation._evaluation import region_hits
+from lightopt.inspection.evaluation._evaluation import area_under_roc, fit_detection_curve, region_hits
 
 
 def test_the_area_counts_pairs_and_ties_by_half():

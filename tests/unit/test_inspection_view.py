@@ -14,8 +14,10 @@ from lightopt import build_scene, load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, refuse_mismatch
-from lightopt.inspection import InspectOptions, deviations, posture_view, predict
+from lightopt.inspection import InspectOptions, predict
 from lightopt.inspection._inspect import inspection_warnings
+from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.prediction._posture_view import posture_view
 from lightopt.rendering import cast_rays_at, render_posture
 
 FLAT = Posture(0.0, 0.0)

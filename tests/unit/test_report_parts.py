@@ -12,12 +12,12 @@ from PIL import Image
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import direction
 from lightopt.design import LegendRow
-from lightopt.report._charts import chart
 from lightopt.report._drawing import (
     Drawing,
     Label,
     _best_box,
     _ink,
+    chart,
     figure_image,
     fit_text,
     fixed_style,

@@ -13,9 +13,15 @@ from rig_targets import CAMERA, LIGHTS, POSTURES, RADIUS, STAGE
 from scipy.optimize import minimize
 
 from lightopt.core.errors import InputError
-from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, MirroredPanel, fit_ball
+from lightopt.estimate.rig_calibration._ball_fit import (
+    PANEL_PARAMETERS,
+    MirroredPanel,
+    fit_ball,
+    mirror_points,
+    mirrored_image,
+    outline_distances,
+)
 from lightopt.estimate.rig_calibration._ball_images import measure_ball
-from lightopt.estimate.rig_calibration._mirror_ball import mirror_points, mirrored_image, outline_distances
 from lightopt.geometry import TriangleMesh
 from lightopt.lights import panel_corners
 from lightopt.optics import Reflectance, Sensor, expose

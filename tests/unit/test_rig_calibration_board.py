@@ -12,8 +12,8 @@ from hidden_rig import NOMINAL, POSTURES, hidden_rig, picture, true_stage, turn
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration import Board, BoardView, fit_board
+from lightopt.estimate.rig_calibration._board_images import read_corners
 from lightopt.estimate.rig_calibration._board_model import NAMES, Origin, predict, sightings
-from lightopt.estimate.rig_calibration._corner_lists import read_corners
 from lightopt.scene import project
 
 

@@ -13,7 +13,7 @@ from rig_targets import CAMERA, LIGHTS, STAGE
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._ball_fit import posed_panel
-from lightopt.estimate.rig_calibration._plate_fit import Plate, fit_plate, irradiance, plate_cells
+from lightopt.estimate.rig_calibration._plate_fit import Plate, _cosines, _irradiance, fit_plate, plate_cells
 from lightopt.geometry import TriangleMesh
 from lightopt.optics import Reflectance, Sensor
 from lightopt.rendering import render
@@ -26,6 +26,12 @@ SHAPE = (CAMERA.height, CAMERA.width)
 # what the ball leaves open of each panel: range and the ball's centre move all, the rest each alone
 OUTWARD = np.array([light.outward for light in LIGHTS])
 KNOWN = 32
+
+
+def irradiance(light, points, normal, *, exponent, kappa=0.0):
+    """Level of a Lambertian surface with R_d = 1 under a panel with gain 1."""
+    cosines = _cosines([light], np.zeros(len(points), np.intp), points, np.broadcast_to(normal, points.shape))
+    return _irradiance(*cosines, exponent=exponent, kappa=kappa)[0]
 
 
 def geometry_covariance():

@@ -14,8 +14,9 @@ from verified import images_of, observed, parameters_of, rig_with, small_scene
 
 from lightopt.config import load_rig
 from lightopt.core.errors import InputError
-from lightopt.estimate.verification import VerifyLimits, append_history, plan_limits, verify_observations
-from lightopt.estimate.verification._calibrated import calibrated_deviations
+from lightopt.estimate.verification import VerifyLimits, append_history, plan_limits
+from lightopt.estimate.verification._parameters import calibrated_deviations
+from lightopt.estimate.verification._verify import verify_observations
 from lightopt.optics import clipped_mean
 from lightopt.scene import project, view_from_part
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from verified import images_of, observed, parameters_of, rig_with, small_scene
 
-from lightopt.estimate.verification import verify_observations
+from lightopt.estimate.verification._verify import verify_observations
 
 pytestmark = pytest.mark.nightly
 

@@ -15,7 +15,8 @@ from lightopt.defects import SCALES_PX, Waviness, clipped_variance
 from lightopt.images import read_image_set, read_png
 from lightopt.inspection import InspectOptions, inspect_set, predict
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
-from lightopt.rig.capture import CaptureOptions, capture, connect_devices, start_bench, wiring_of
+from lightopt.rig.capture import CaptureOptions, capture, connect_devices, wiring_of
+from lightopt.rig.capture._wiring import start_bench
 from lightopt.rig.simulated import BenchTruth
 from lightopt.scene import build_scene
 

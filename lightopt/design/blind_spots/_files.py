@@ -3,24 +3,16 @@
 Their colours and legend are the same in pictures, ``blind.csv``, ``blind.ply`` and report.
 """
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from lightopt.core.arrays import UInt8
-from lightopt.design.blind_spots._blind_spots import (
-    BLIND_LIGHTS,
-    BlindReason,
-    BlindSpots,
-    BlindSpotSummary,
-    blind_text,
-    reason_names,
-)
+from lightopt.design.blind_spots import _blind_spots
 from lightopt.design.objectives._objective import share_text
 from lightopt.geometry import Patches
+from lightopt.images import csv_text
 from lightopt.scene import Placement
 
 Colour = tuple[int, int, int]  # red, green and blue, 0 to 255
@@ -33,7 +25,7 @@ class BlindClass:
     :attr:`BlindReason.SATURATED` stands for every light.
     """
 
-    code: BlindReason
+    code: _blind_spots.BlindReason
     some_seen: bool
     label: str
     colour: Colour
@@ -53,19 +45,19 @@ class LegendRow:
 
 # Okabe and Ito, Color Universal Design (2008): apart with any colour vision; in the order of the legend
 _COLOURS = {
-    BlindReason.SEEN: (86, 180, 233),
-    BlindReason.CONTRAST: (240, 228, 66),
-    BlindReason.SATURATED: (213, 94, 0),
-    BlindReason.SHADOWED: (11, 60, 93),
-    BlindReason.GRAZING: (204, 121, 167),
-    BlindReason.CAMERA: (201, 206, 214),
+    _blind_spots.BlindReason.SEEN: (86, 180, 233),
+    _blind_spots.BlindReason.CONTRAST: (240, 228, 66),
+    _blind_spots.BlindReason.SATURATED: (213, 94, 0),
+    _blind_spots.BlindReason.SHADOWED: (11, 60, 93),
+    _blind_spots.BlindReason.GRAZING: (204, 121, 167),
+    _blind_spots.BlindReason.CAMERA: (201, 206, 214),
 }
-_ONE_CLASS = (BlindReason.SEEN, BlindReason.GRAZING, BlindReason.CAMERA)
+_ONE_CLASS = (_blind_spots.BlindReason.SEEN, _blind_spots.BlindReason.GRAZING, _blind_spots.BlindReason.CAMERA)
 
 
-def _classes_of(code: BlindReason, colour: Colour) -> tuple[BlindClass, ...]:
-    label = blind_text(code, ["a light"])
-    none_seen = BlindClass(code=code, some_seen=code == BlindReason.SEEN, label=label, colour=colour)
+def _classes_of(code: _blind_spots.BlindReason, colour: Colour) -> tuple[BlindClass, ...]:
+    label = _blind_spots.blind_text(code, ["a light"])
+    none_seen = BlindClass(code=code, some_seen=code == _blind_spots.BlindReason.SEEN, label=label, colour=colour)
     if code in _ONE_CLASS:
         return (none_seen,)
     red, green, blue = ((channel + 255) // 2 for channel in colour)
@@ -79,32 +71,32 @@ BLIND_CLASSES = tuple(one for code, colour in _COLOURS.items() for one in _class
 
 def blind_class(code: int) -> BlindClass:
     """The class of a code where no defect is seen, or where all are."""
-    return next(one for one in BLIND_CLASSES if one.code == min(code, BlindReason.SATURATED))
+    return next(one for one in BLIND_CLASSES if one.code == min(code, _blind_spots.BlindReason.SATURATED))
 
 
-def blind_classes(spots: BlindSpots) -> UInt8:
+def blind_classes(spots: _blind_spots.BlindSpots) -> UInt8:
     """Class of each patch, indices into :data:`BLIND_CLASSES`, shape (n,)."""
-    codes, some = np.minimum(spots.codes, BlindReason.SATURATED), spots.share > 0.0
+    codes, some = np.minimum(spots.codes, _blind_spots.BlindReason.SATURATED), spots.share > 0.0
     classes = np.zeros(len(codes), np.uint8)
     for index, one in enumerate(BLIND_CLASSES):
         classes[(codes == one.code) & ((some == one.some_seen) | (one.code in _ONE_CLASS))] = index
     return classes
 
 
-def blind_colours(spots: BlindSpots) -> UInt8:
+def blind_colours(spots: _blind_spots.BlindSpots) -> UInt8:
     """Colour of each patch, shape (n, 3)."""
     return np.array([one.colour for one in BLIND_CLASSES], np.uint8)[blind_classes(spots)]
 
 
-def blind_legend(spots: BlindSpots) -> tuple[LegendRow, ...]:
+def blind_legend(spots: _blind_spots.BlindSpots) -> tuple[LegendRow, ...]:
     """What is seen, and every reason that occurs, with the colours that stand for it."""
-    shares = dict.fromkeys(BlindReason, 0.0)
-    shares[BlindReason.SEEN], shares[BlindReason.GRAZING] = spots.seen, spots.left_out
+    shares = dict.fromkeys(_blind_spots.BlindReason, 0.0)
+    shares[_blind_spots.BlindReason.SEEN], shares[_blind_spots.BlindReason.GRAZING] = spots.seen, spots.left_out
     for code, share in spots.by_reason().items():
-        shares[BlindReason(min(code, BlindReason.SATURATED))] += share
+        shares[_blind_spots.BlindReason(min(code, _blind_spots.BlindReason.SATURATED))] += share
     rows: list[LegendRow] = []
     for code in _COLOURS:
-        if shares[code] > 0.0 or code == BlindReason.SEEN:
+        if shares[code] > 0.0 or code == _blind_spots.BlindReason.SEEN:
             colours = tuple(one.colour for one in BLIND_CLASSES if one.code == code)
             rows.append(LegendRow(blind_class(code).label, share_text(shares[code], spots.grain), colours))
     return tuple(rows)
@@ -113,34 +105,34 @@ def blind_legend(spots: BlindSpots) -> tuple[LegendRow, ...]:
 BLIND_CSV, BLIND_PLY, BLIND_PNG = BLIND_NAMES = "blind.csv", "blind.ply", "blind.png"
 
 
-def blind_files(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> Mapping[str, str | bytes]:
+def blind_files(
+    summary: _blind_spots.BlindSpotSummary, patches: Patches, placement: Placement
+) -> Mapping[str, str | bytes]:
     """``blind.csv`` and ``blind.ply``; `placement` is that of the mesh file in the part's frame."""
     return {BLIND_CSV: _csv(summary), BLIND_PLY: _ply(summary, patches, placement)}
 
 
-def _csv(summary: BlindSpotSummary) -> str:
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["postures", "lights", "what", "share", "share_of", "area_mm2", "colour"])
-    names = dict(reason_names(summary.lights))
+def _csv(summary: _blind_spots.BlindSpotSummary) -> str:
+    table: list[list[object]] = [["postures", "lights", "what", "share", "share_of", "area_mm2", "colour"]]
+    names = dict(_blind_spots.reason_names(summary.lights))
     surface = float(summary.parts[0][1].areas.sum())
     counted, whole = "surface x defects without what is left out", "surface"
     for posture, chosen, possible in summary.parts:
         where = "all" if posture is None else f"{posture.elevation_deg:g},{posture.rotation_deg:g}"
-        for lights, spots in zip(BLIND_LIGHTS, (chosen, possible), strict=True):
+        for lights, spots in zip(_blind_spots.BLIND_LIGHTS, (chosen, possible), strict=True):
             rows = [
                 (code, share, counted, share * spots.counted)
-                for code, share in {int(BlindReason.SEEN): spots.seen, **spots.by_reason()}.items()
+                for code, share in {int(_blind_spots.BlindReason.SEEN): spots.seen, **spots.by_reason()}.items()
             ]
             if spots.left_out:
-                rows.append((int(BlindReason.GRAZING), spots.left_out, whole, spots.left_out * surface))
+                rows.append((int(_blind_spots.BlindReason.GRAZING), spots.left_out, whole, spots.left_out * surface))
             for code, share, of, area in rows:
                 colour = "#{:02x}{:02x}{:02x}".format(*blind_class(code).colour)
-                table.writerow([where, lights, names[code], f"{share:.6f}", of, f"{area:.6g}", colour])
-    return text.getvalue()
+                table.append([where, lights, names[code], f"{share:.6f}", of, f"{area:.6g}", colour])
+    return csv_text(table)
 
 
-def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> bytes:
+def _ply(summary: _blind_spots.BlindSpotSummary, patches: Patches, placement: Placement) -> bytes:
     _, chosen, possible = summary.parts[0]
     # corners in the coordinates of the mesh file: x_file = Rᵀ·(x − t)
     vertices = (patches.vertices - placement.translation) @ placement.rotation
@@ -152,7 +144,7 @@ def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> b
         "comment reachable and reachable_code: each light where it shows the defect, whatever the others",
         "comment seen, reachable: weighted share of the defects, 0 to 1",
         *(f"comment colour {' '.join(map(str, one.colour))}: {one.label}" for one in BLIND_CLASSES),
-        *(f"comment code {code}: {name}" for code, name in reason_names(summary.lights)),
+        *(f"comment code {code}: {name}" for code, name in _blind_spots.reason_names(summary.lights)),
         f"element vertex {len(vertices)}",
         *(f"property float {axis}" for axis in "xyz"),
         f"element face {len(patches)}",

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from lightopt.core.errors import InputError
+from lightopt.core.errors import refuse
 from lightopt.design.objectives._coverage import COVERAGE
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
@@ -25,6 +25,5 @@ def objectives_named(
     ]
     if len(set(names)) < len(names):
         problems.append("option 'objectives': the same objective was given twice")
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     return tuple(OBJECTIVES.get(name) or detectability() for name in names) or tuple(OBJECTIVES.values())

@@ -14,14 +14,7 @@ from lightopt.design._candidates import Candidates, place_of
 from lightopt.design._commands import way_through
 from lightopt.design._problem import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, candidates_of, detection_model_of
 from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, places_of
-from lightopt.design.blind_spots._blind_spots import (
-    BlindReason,
-    DefectVisibility,
-    blind_spots,
-    blind_text,
-    by_light,
-    defect_visibility,
-)
+from lightopt.design.blind_spots import _blind_spots
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import share_text
 from lightopt.design.postures._joint_choice import choose_with_exposures
@@ -177,7 +170,7 @@ def _message(target: float, choice: PostureChoice, evaluator: ImageEvaluator, le
         )
     lost = _lost(choice, evaluator, least)
     # more light helps where there is too little of it
-    dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
+    dim = lost.get(_blind_spots.BlindReason.CONTRAST, 0.0) + lost.get(_blind_spots.BlindReason.SHADOWED, 0.0)
     longer = max(evaluator.exposures) <= 1.0 and dim > 0.5 * sum(lost.values())
     hint = "Longer exposures may show some of it: add them, such as option 'exposures' 1,4,16. " * longer
     lights = "the best lights found (others may show more)" if choice.iterations else "the present light positions"
@@ -196,21 +189,23 @@ def _message(target: float, choice: PostureChoice, evaluator: ImageEvaluator, le
 def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[int, float]:
     # surface × defects by reason, over all candidate postures, under the chosen lights
     thresholds = LevelThresholds.of_sensor(evaluator.scene.sensor, shade_share=0.0)
-    seen: list[DefectVisibility] = []
+    seen: list[_blind_spots.DefectVisibility] = []
     for posture in evaluator.table.postures:
         matrices = evaluator.matrices(posture, [[panel] for panel in choice.panels], exposures=evaluator.exposures)
-        seen.append(defect_visibility(by_light(matrices), thresholds, least=least))
+        seen.append(_blind_spots.defect_visibility(_blind_spots.by_light(matrices), thresholds, least=least))
     # the shares are of the surface that the camera sees in one of them
     areas = np.zeros(len(evaluator.table.patches))
     areas[evaluator.patches] = evaluator.table.patches.areas[evaluator.patches]
-    return blind_spots(areas, seen).by_reason()
+    return _blind_spots.blind_spots(areas, seen).by_reason()
 
 
 def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
     whole = max(sum(lost.values()), 1e-12)
     names = [panel.name for panel in choice.panels]
     ordered = sorted(lost.items(), key=lambda item: (-item[1], item[0]))
-    return ", ".join(f"{percent(share / whole, 0)} {blind_text(code, names)}" for code, share in ordered if share > 0.0)
+    return ", ".join(
+        f"{percent(share / whole, 0)} {_blind_spots.blind_text(code, names)}" for code, share in ordered if share > 0.0
+    )
 
 
 def plan_postures(

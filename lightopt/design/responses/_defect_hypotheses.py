@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, reduce
 
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.defects import MAX_SLOPE, PLANNING_GRID, SHAPE_KINDS, CatalogueEntry, DefectHypotheses, defect_hypotheses
 
 MOST_HYPOTHESES = 1024  # more are refused: each costs a few bits per patch and position of a light
@@ -63,8 +63,7 @@ def _planned(catalogue: tuple[CatalogueEntry, ...]) -> PlannedCatalogue:
         for entry in catalogue
         if entry.shape.kind in SHAPE_KINDS and not 0.0 < entry.shape.slope <= MAX_SLOPE
     ]
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     entries = (one for entry in catalogue for one in entry.in_sizes_and_slopes())
     found = PlannedCatalogue(entries=tuple(defect_hypotheses(one, PLANNING_GRID) for one in entries))
     if len(found.defects) > MOST_HYPOTHESES:

@@ -28,5 +28,9 @@ from lightopt.estimate.registration._placement import (
     part_file_placement as part_file_placement,
     place_part as place_part,
 )
-from lightopt.estimate.registration._refinement import DARK_SPREAD as DARK_SPREAD, GAIN_SPREAD as GAIN_SPREAD
+from lightopt.estimate.registration._refinement import (
+    DARK_SPREAD as DARK_SPREAD,
+    GAIN_SPREAD as GAIN_SPREAD,
+    random_pixels as random_pixels,
+)
 from lightopt.estimate.registration._registration import Registration as Registration, register as register

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool, Float32, Float64
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSet, dark_name, read_metadata, read_png
@@ -69,8 +69,7 @@ def read_observations(
         once.
     """
     problems = [*_manifest_problems(image_set, rig, part), *_light_problems(image_set.images, rig, image_set)]
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     width, height = rig.camera.resolution_px
     entries = image_set.images
     observations = tuple(

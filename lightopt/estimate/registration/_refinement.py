@@ -74,7 +74,7 @@ def choose_pixels(
     for posture in dict.fromkeys(o.posture for o in images):
         mine = [o for o in images if o.posture == posture]
         masks = mask_pixels(placed, posture, caster, threads=threads)
-        row, column = _random_pixels(masks.clean, budget)
+        row, column = random_pixels(masks.clean, budget)
         if len(row):
             inner.append(PixelSet.look_up(posture, row, column, mine, scene.sensor.black_level))
         if outline:
@@ -84,8 +84,8 @@ def choose_pixels(
     return inner, edges
 
 
-def _random_pixels(mask: Bool, most: int) -> tuple[Int32, Int32]:
-    # rows and columns of so many pixels of a mask, or of all where they are fewer
+def random_pixels(mask: Bool, most: int) -> tuple[Int32, Int32]:
+    """Rows and columns of so many pixels of a mask, the same each time, or of all where they are fewer."""
     index = np.flatnonzero(mask)
     if len(index) > most:
         index = np.sort(np.random.default_rng(0).choice(index, most, replace=False))
@@ -100,7 +100,7 @@ def _across_outline(hit: Bool) -> tuple[Int32, Int32]:
     wide: Bool = np.asarray(ndimage.binary_dilation(hit, iterations=reach), np.bool_)
     # the image's border is no outline
     narrow: Bool = np.asarray(ndimage.binary_erosion(hit, iterations=reach, border_value=1), np.bool_)
-    return _random_pixels(wide & ~narrow, OUTLINE_PIXELS)
+    return random_pixels(wide & ~narrow, OUTLINE_PIXELS)
 
 
 class RefinementProblem:

@@ -23,6 +23,7 @@ from lightopt.estimate.rig_calibration._charuco import (
     white_areas as white_areas,
 )
 from lightopt.estimate.rig_calibration._deviations import (
+    Measured as Measured,
     displaced as displaced,
     read_covariance as read_covariance,
     square_root as square_root,
@@ -32,5 +33,4 @@ from lightopt.estimate.rig_calibration._files import (
     figures as figures,
     write_calibration as write_calibration,
 )
-from lightopt.estimate.rig_calibration._measured import Measured as Measured
 from lightopt.estimate.rig_calibration._plan import plan_calibration as plan_calibration

@@ -16,7 +16,7 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from lightopt.core.arrays import Bool, Float64, Index
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._ball_fit import BallView, MirroredPanel
 from lightopt.optics import Sensor
@@ -70,8 +70,7 @@ def measure_ball(
             panels[name] = mirrored_panel(image, sensor, centre, 0.97 * radius_px, where=f"{name} at {posture}")
         except InputError as problem:  # noqa: PERF203  (every light's problem is reported)
             problems += problem.messages
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     return BallView(posture=posture, outline=outline, outline_error=error, panels=panels)
 
 

@@ -1,11 +1,17 @@
-"""Calibrate camera and stage axes from images of a board on the stage."""
+"""Calibrate camera and stage axes from images of a board on the stage, and judge what that is good for.
+
+Each view alone gives a homography and from it two poses of a plane, which mirror each other about the line of sight
+(Oberkampf et al. 1996, doi:10.1006/cviu.1996.0037). The nominal rig turns each into a pose on the stage. The one that
+explains all views best is the start.
+"""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
-from lightopt.core.arrays import Float64, read_only
+from lightopt.core.arrays import Bool, Float64, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._board import Board, BoardView
@@ -15,17 +21,27 @@ from lightopt.estimate.rig_calibration._board_model import (
     CAMERA_POSITION,
     LENS,
     NAMES,
+    Origin,
     Sightings,
+    predict,
     sightings,
     stage_of,
 )
-from lightopt.estimate.rig_calibration._board_start import start_from_views
-from lightopt.estimate.rig_calibration._joint_fit import OPTIONAL, Corners, JointFit, fit_jointly
-from lightopt.estimate.rig_calibration._measured import NORMAL_95
-from lightopt.estimate.rig_calibration._nominal import nominal_prior
-from lightopt.estimate.rig_calibration._postures import PostureGain, judge_postures
+from lightopt.estimate.rig_calibration._deviations import NORMAL_95
+from lightopt.estimate.rig_calibration._joint_fit import OPTIONAL, Corners, JointFit, Prior, fit_jointly, inverse
 from lightopt.scene import PinholeCamera, Stage
 
+_TILTS_DEG, _ROTATIONS_DEG = range(-45, 46, 15), range(0, 360, 30)
+_LEAST_SINE = 0.3  # of the angle at which the camera sees the board
+
+# How well the nominal rig is known beforehand, as standard deviations. What images do not determine stays near nominal;
+# against what they do determine this has no weight.
+# Shares are of the length itself, of the image's width and of the camera's distance.
+_FOCAL_SHARE, _PRINCIPAL_SHARE, _POSITION_SHARE = 0.05, 0.05, 0.05
+_ROTATION_DEG, _TILT_AXIS_DEG, _TILT_AXIS_MM = 5.0, 1.0, 5.0
+_LEAST_POINTS = 6
+_MOST_VIEWS = 24  # whose poses are tried
+_BEHIND_PX = 1e6  # error of a point that would be behind the camera
 _OBSERVED = 0.5  # a parameter is unobservable whose error is more than this share of what it was beforehand
 _LEAST_TILTED = np.radians(10.0)
 _QUANTITIES = {  # and their parameters; the camera's position is in its own axes
@@ -41,6 +57,160 @@ _QUANTITIES = {  # and their parameters; the camera's position is in its own axe
 }
 _OF_LENS = ("focal length", "distance", "principal point", "lens distortion")
 _FAULTY_SHARE, _FAULTY_RATIO = 0.5, 4.0  # outliers in a view; its median residual to that of all
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureGain:
+    """A posture to take next, and the standard error of predicted pixels with it [px]."""
+
+    posture: Posture
+    predicted_rms: float
+
+
+def judge_postures(
+    fit: JointFit, board: Board, taken: Float64, camera: PinholeCamera, postures: Sequence[Posture] | None
+) -> tuple[float, PostureGain | None]:
+    """Standard error of a pixel predicted for points of the board over all postures that show it [px], and the best.
+
+    taken: Readings of the views [rad], shape (K, 2)
+    """
+    if postures is None:
+        postures = [Posture(float(t), float(r)) for t, r in product(_TILTS_DEG, _ROTATIONS_DEG)]
+    points = np.arange(board.columns * board.rows)
+    outer = points.reshape(board.rows, board.columns)[[0, 0, -1, -1], [0, -1, -1, 0]]
+    outline = predict(fit.x, fit.angles, fit.origin, sightings(board, [outer] * len(taken), taken), slopes=False)[0]
+    readings = np.radians([[p.elevation_deg, p.rotation_deg] for p in postures])
+    seen = sightings(board, [points] * len(postures), readings)
+    pixels, by_x, by_angles = predict(fit.x, np.zeros_like(readings), fit.origin, seen)
+    shape = (len(postures), 2 * len(points), -1)
+    inside = np.all((pixels >= 0.0) & (pixels <= [camera.width, camera.height]), axis=1).reshape(len(postures), -1)
+    facing = _facing(pixels.reshape(*inside.shape, 2)[:, outer], outline.reshape(-1, 4, 2))
+    shown = np.flatnonzero(facing & inside.any(axis=1))
+    if not len(shown):
+        return float("nan"), None
+    rows = np.repeat(inside, 2, axis=1)[shown, :, None]  # points outside of the image do not count
+    by_free = by_x[:, :, fit.free].reshape(shape)[shown] * rows
+    by_angles = by_angles.reshape(*shape[:2], 2)[shown] * rows
+    spread = np.einsum("kni,knj->ij", by_free, by_free) / inside[shown].sum()
+    now = float(np.sqrt(np.sum(fit.of_free * spread)))
+    information = inverse(fit.of_free)
+    gains: list[PostureGain] = []
+    unit = fit.noise * fit.common
+    for number, slopes, own in zip(shown, by_free / unit, by_angles / unit, strict=True):
+        inner = own.T @ own + np.eye(2) / fit.angle_sd**2  # the new readings have errors, too
+        cross = own.T @ slopes
+        gained = slopes.T @ slopes - cross.T @ np.linalg.solve(inner, cross)
+        rms = float(np.sqrt(np.sum(inverse(information + gained) * spread)))
+        gains.append(PostureGain(posture=postures[int(number)], predicted_rms=rms))
+    return now, min(gains, key=lambda gain: gain.predicted_rms)
+
+
+def _facing(outline: Float64, in_views: Float64) -> Bool:
+    # postures at which the camera sees the face of the board that it saw in the views, not at a grazing angle;
+    # outlines are pixels of the board's four corners, shape (k, 4, 2)
+    def areas(corners: Float64) -> Float64:
+        a, b = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
+        return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+    found, known = areas(outline), areas(in_views)
+    sign = np.sign(np.median(known))
+    return sign * found >= _LEAST_SINE * max(np.max(sign * found), np.max(sign * known))
+
+
+def nominal_prior(board: Board, camera: PinholeCamera, stage: Stage, angle_error_deg: float) -> tuple[Prior, Origin]:
+    """What is known beforehand, and the nominal orientations, in the world moved so that the rotary axis is Z."""
+    aside = np.array([stage.pivot[0], stage.pivot[1], 0.0])
+    point, axis = stage.tilt_axis
+    mean, sd = np.zeros(len(NAMES)), np.full(len(NAMES), np.inf)
+    reach = _POSITION_SHARE * float(np.linalg.norm(camera.position - stage.pivot))
+    focal = camera.image_distance / camera.pixel_size
+    lens = camera.distortion
+    half = float(np.abs(board.points).max())
+    for names, value, spread in [
+        ("camera.rotation_x camera.rotation_y camera.rotation_z", 0.0, np.radians(_ROTATION_DEG)),
+        ("camera.position_x camera.position_y camera.position_z", camera.position - aside, reach),
+        ("camera.focal_px", focal, _FOCAL_SHARE * focal),
+        ("camera.principal_x_px camera.principal_y_px", camera.axis_px, _PRINCIPAL_SHARE * camera.width),
+        ("camera.aspect", camera.aspect, 0.01),
+        ("camera.k1", lens.k1, 0.5),
+        ("camera.k2", lens.k2, 5.0),
+        ("camera.p1", lens.p1, 0.05),
+        ("camera.p2", lens.p2, 0.05),
+        ("camera.k3", lens.k3, 50.0),
+        ("tilt_axis.elevation", np.arcsin(axis[2]), np.radians(_TILT_AXIS_DEG)),
+        ("tilt_axis.position_y tilt_axis.position_z", (point - aside)[1:], _TILT_AXIS_MM),
+        ("tilt_axis.scale", stage.tilt_scale, 0.005),
+        ("rotary_axis.scale", stage.rotary_scale, 0.005),
+        ("board.position_z", board.height, board.height_error),
+        ("board.scale", 0.0, board.pitch_error),
+        ("board.pitch_ratio", 0.0, 0.01),
+        ("board.bow_xx board.bow_xy board.bow_yy", 0.0, 0.02 * half),
+    ]:
+        at = [AT[name] for name in names.split()]
+        mean[at], sd[at] = value, spread
+    origin = Origin(np.array([camera.right, -camera.up, camera.forward]), np.eye(3))
+    return Prior(mean, sd, float(np.radians(angle_error_deg))), origin
+
+
+def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float64) -> tuple[Float64, Origin]:
+    """Parameters and orientations with the board in its place.
+
+    x, origin: Nominal; those of the board are not used
+    pixels: Shape (N, 2)
+    Raises InputError: No view has enough points that are not on a line
+    """
+    f, cx, cy, aspect = x[AT["camera.focal_px"] : AT["camera.k1"]]
+    rays = (pixels - [cx, cy]) / [f, f * aspect]
+    views = len(seen.readings)
+    best: tuple[float, Float64, Origin] | None = None
+    for view in np.unique(np.linspace(0, views - 1, min(views, _MOST_VIEWS)).astype(int)):
+        mine = seen.view == view
+        flat = seen.points[mine] - seen.points[mine].mean(axis=0) if mine.any() else np.zeros((0, 2))
+        if len(flat) < _LEAST_POINTS or np.linalg.matrix_rank(flat) < 2:
+            continue
+        for turned, shift in _plane_poses(seen.points[mine], rays[mine]):
+            lift, at_zero = stage_of(x).transform(Posture(*np.degrees(seen.readings[view])))
+            world = origin.camera.T
+            placed = Origin(origin.camera, lift.T @ world @ turned)
+            there = x.copy()
+            there[BOARD_POSITION] = lift.T @ (world @ shift + x[CAMERA_POSITION] - at_zero)
+            predicted, _, _ = predict(there, np.zeros((views, 2)), placed, seen, slopes=False)
+            error = np.nan_to_num(pixels - predicted, nan=_BEHIND_PX)
+            # the camera's direction shifts a view as a whole
+            for k in np.unique(seen.view):
+                error[seen.view == k] -= np.median(error[seen.view == k], axis=0)
+            cost = float(np.median(np.linalg.norm(error, axis=1)))
+            if best is None or cost < best[0]:
+                best = cost, there, placed
+    if best is None:
+        raise InputError(f"board: no image shows {_LEAST_POINTS} points that are not on a line")
+    return best[1], best[2]
+
+
+def _plane_poses(points: Float64, rays: Float64) -> list[tuple[Float64, Float64]]:
+    # rotations and translations of the board's frame into the camera's
+    rows = np.zeros((2 * len(points), 9))
+    centre, size = rays.mean(axis=0), max(float(rays.std()), 1e-12)
+    unit = float(points.std())
+    u, v = ((rays - centre) / size).T
+    flat = np.column_stack([points / unit, np.ones(len(points))])
+    rows[::2, :3], rows[::2, 6:] = flat, -u[:, None] * flat
+    rows[1::2, 3:6], rows[1::2, 6:] = flat, -v[:, None] * flat
+    h = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
+    h = (
+        np.array([[size, 0.0, centre[0]], [0.0, size, centre[1]], [0.0, 0.0, 1.0]])
+        @ h
+        @ np.diag([1.0 / unit, 1.0 / unit, 1.0])
+    )
+    h /= np.copysign(0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1])), h[2, 2])
+    axes, shift = h[:, :2], h[:, 2]
+    sight = shift / np.linalg.norm(shift)
+    poses: list[tuple[Float64, Float64]] = []
+    for a in (axes, axes - 2.0 * np.outer(sight, sight @ axes)):
+        left, _, right = np.linalg.svd(a, full_matrices=False)
+        flat_axes = left @ right  # nearest orthonormal pair
+        poses.append((np.column_stack([flat_axes, np.cross(flat_axes[:, 0], flat_axes[:, 1])]), shift))
+    return poses
 
 
 @dataclass(frozen=True)

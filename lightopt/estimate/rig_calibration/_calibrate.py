@@ -16,9 +16,8 @@ from lightopt.estimate.registration import Observation, read_observations
 from lightopt.estimate.rig_calibration._ball_fit import BallFit, BallView, fit_ball, panel_names
 from lightopt.estimate.rig_calibration._ball_images import measure_ball
 from lightopt.estimate.rig_calibration._board_fit import BoardFit, fit_board
-from lightopt.estimate.rig_calibration._board_images import BoardImage, find_corners
+from lightopt.estimate.rig_calibration._board_images import BoardImage, find_corners, read_corners
 from lightopt.estimate.rig_calibration._charuco import charuco_board
-from lightopt.estimate.rig_calibration._corner_lists import read_corners
 from lightopt.estimate.rig_calibration._deviations import displaced, square_root
 from lightopt.estimate.rig_calibration._photon_transfer import FramePair, PhotonTransfer, photon_transfer
 from lightopt.estimate.rig_calibration._plan import BALL, BOARD, PLATE, RIG_NAME, SENSOR, TARGETS_NAME

@@ -1,7 +1,9 @@
-"""What a calibrated rig may still be off: its covariance, and the rig displaced along it."""
+"""Measured values with their uncertainty; the covariance of a calibrated rig, and the rig displaced along it."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +12,23 @@ from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import rotation_from_vector
 from lightopt.scene import PinholeCamera, Stage
+
+NORMAL_95 = 1.959964  # standard errors to each side
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """A value, its standard error and the 95 % interval."""
+
+    value: float
+    error: float
+    interval_95: tuple[float, float]
+
+
+def measured(value: float, error: float, *, errors_95: float = NORMAL_95) -> Measured:
+    """A value whose interval is so many standard errors to each side."""
+    half = errors_95 * error
+    return Measured(value=value, error=error, interval_95=(value - half, value + half))
 
 
 def read_covariance(rig: RigConfig) -> tuple[tuple[str, ...], Float64]:

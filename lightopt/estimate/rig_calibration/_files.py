@@ -15,7 +15,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import vector_of_rotation
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS
 from lightopt.estimate.rig_calibration._calibrate import RigCalibration
-from lightopt.estimate.rig_calibration._measured import NORMAL_95, Measured
+from lightopt.estimate.rig_calibration._deviations import NORMAL_95, Measured
 from lightopt.estimate.rig_calibration._plan import RIG_NAME
 from lightopt.images import write_bytes_atomic, write_text_atomic
 from lightopt.lights import PanelLight

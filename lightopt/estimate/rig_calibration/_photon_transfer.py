@@ -19,8 +19,8 @@ from scipy.special import ndtr
 from scipy.stats import t as student
 
 from lightopt.core.arrays import Bool, Float64
-from lightopt.core.errors import InputError
-from lightopt.estimate.rig_calibration._measured import Measured, measured
+from lightopt.core.errors import InputError, refuse
+from lightopt.estimate.rig_calibration._deviations import Measured, measured
 
 LEAST_LEVELS = 6
 FITTED_SHARE = 0.7  # of saturation, up to which the variance is fitted (section 6.6)
@@ -229,8 +229,7 @@ def _check_frames(pairs: Sequence[FramePair], darks: Sequence[FramePair], top: i
             problems.append(
                 f"{name}: nearly all pixels are at level 0, which hides the noise: raise the camera's black level"
             )
-    if problems:
-        raise InputError(*(f"photon transfer: {problem}" for problem in problems))
+    refuse(f"photon transfer: {problem}" for problem in problems)
 
 
 def _check_pairs(pairs: Sequence[FramePair], lit: Float64, black: float) -> None:
@@ -255,5 +254,4 @@ def _check_pairs(pairs: Sequence[FramePair], lit: Float64, black: float) -> None
             )
         if problem:
             problems.append(f"photon transfer: pair at exposure {pair.exposure:g}: {problem}")
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)

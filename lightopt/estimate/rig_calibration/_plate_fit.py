@@ -15,10 +15,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from lightopt.core.arrays import Bool, Float64, Index
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, panel_names, posed_panel, unmoved
-from lightopt.estimate.rig_calibration._measured import Measured, measured
+from lightopt.estimate.rig_calibration._deviations import Measured, measured
 from lightopt.lights import PanelLight
 from lightopt.scene import PinholeCamera, Stage, pixel_directions
 
@@ -163,8 +163,7 @@ def fit_plate(
     Raises InputError: Where a light has no view
     """
     seen = {view.light for view in views}
-    if problems := [f"plate: {light.name} has no view of the plate" for light in lights if light.name not in seen]:
-        raise InputError(*problems)
+    refuse([f"plate: {light.name} has no view of the plate" for light in lights if light.name not in seen])
     given = all(light.inverse_square for light in lights)
     errors = (relative_error, level_error, lambert_error)
     kept, other = (_Problem(views, lights, panels_covariance, errors, falls) for falls in (given, not given))
@@ -316,18 +315,6 @@ class _Problem:
     def _of_panels(self, step: Float64) -> tuple[Float64, Float64, Float64]:
         panels = [posed_panel(light, own + step) for light, own in zip(self.lights, unmoved(self.lights), strict=True)]
         return _cosines(panels, self._owner, self._points, self._normals)
-
-
-def irradiance(light: PanelLight, points: Float64, normal: Float64, *, exponent: float, kappa: float = 0.0) -> Float64:
-    """Level of a Lambertian surface with R_d = 1 under a panel with gain 1, shape (k,).
-
-    points: World frame [mm], shape (k, 3)
-    normal: Of the surface, world frame, shape (3,)
-    exponent: n of the emission
-    kappa: κ of a surface that reflects as cosθ to the power 1 + κ of the angle of incidence
-    """
-    cosines = _cosines([light], np.zeros(len(points), np.intp), points, np.broadcast_to(normal, points.shape))
-    return _irradiance(*cosines, exponent=exponent, kappa=kappa)[0]
 
 
 def _cosines(

@@ -12,9 +12,5 @@ from lightopt.estimate.verification._files import (
 )
 from lightopt.estimate.verification._findings import Finding as Finding
 from lightopt.estimate.verification._lights import LightComparison as LightComparison
-from lightopt.estimate.verification._parameters import Parameters as Parameters, VerifyLimits as VerifyLimits
-from lightopt.estimate.verification._verify import (
-    Verification as Verification,
-    verify_observations as verify_observations,
-    verify_set as verify_set,
-)
+from lightopt.estimate.verification._parameters import VerifyLimits as VerifyLimits
+from lightopt.estimate.verification._verify import Verification as Verification, verify_set as verify_set

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from lightopt.core.arrays import Bool, Float32, Float64, Int32
+from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
@@ -141,15 +141,6 @@ class Work:
             (x, y, _), (u, v, _) = (project(p.view(self.coarse, posture, t).camera, some) for t in (a, b))
             most = max(most, float(np.nanmax(np.hypot(x - u, y - v))))
         return most
-
-
-def some_blocks(mask: Bool, most: int) -> tuple[Int32, Int32]:
-    """Rows and columns of so many blocks of a mask, at random but the same each time."""
-    index = np.flatnonzero(mask)
-    if len(index) > most:
-        index = np.sort(np.random.default_rng(0).choice(index, most, replace=False))
-    row, column = np.unravel_index(index, mask.shape)
-    return row.astype(np.int32), column.astype(np.int32)
 
 
 def blurred(image: Float32, width: float) -> Float32:

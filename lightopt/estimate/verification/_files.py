@@ -1,7 +1,6 @@
 """The files of a verification, and the table of all verifications of a rig over time."""
 
 import csv
-import io
 import json
 import math
 from datetime import datetime
@@ -13,7 +12,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.estimate.verification._parameters import VerifyLimits
 from lightopt.estimate.verification._verify import Verification
-from lightopt.images import ImageSet, ResultFolder, make_folder, write_text_atomic
+from lightopt.images import ImageSet, ResultFolder, csv_text, make_folder, write_text_atomic
 
 REPORT_NAME, HISTORY_NAME = "report.html", "history.csv"
 
@@ -85,13 +84,9 @@ def append_history(folder: Path, result: Verification, *, name: str, when: datet
     path = folder / HISTORY_NAME
     rows = _read_history(path) if path.exists() else []
     rows.append({key: "" if value is None else str(value) for key, value in row.items()})
-    text = io.StringIO()
     columns = list(dict.fromkeys(key for one in rows for key in one))
-    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
     make_folder(folder)
-    write_text_atomic(path, text.getvalue())
+    write_text_atomic(path, csv_text([columns, *([one.get(column, "") for column in columns] for one in rows)]))
     return rows
 
 

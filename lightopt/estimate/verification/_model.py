@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import PixelSet, light_at, sensor_scale
-from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction, Work, blurred, some_blocks
+from lightopt.estimate.registration import PixelSet, light_at, random_pixels, sensor_scale
+from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction, Work, blurred
 from lightopt.estimate.verification._parameters import SIGMA_STEP, Group
 from lightopt.optics import clipped_mean
 
@@ -62,7 +62,7 @@ class Model:
         columns: list[list[NDArray[Any]]] = []  # of each image
         for posture, prediction in predictions.items():
             mine = [n for n, image in enumerate(images) if image.source.posture == posture]
-            row, column = some_blocks(prediction.clean, budget)
+            row, column = random_pixels(prediction.clean, budget)
             if not len(row):
                 continue
             levels = np.stack([images[n].levels[row, column] for n in mine]).astype(np.float64)

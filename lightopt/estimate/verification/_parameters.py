@@ -11,12 +11,34 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from lightopt.config import RigConfig
 from lightopt.core.arrays import Float64
-from lightopt.core.errors import InputError
+from lightopt.core.errors import refuse
 from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.estimate.registration import Placement
+from lightopt.estimate.rig_calibration import displaced, read_covariance, square_root
 from lightopt.lights import PanelLight
-from lightopt.scene import PartView, PinholeCamera, Scene, view_from_part
+from lightopt.scene import PartView, PinholeCamera, Scene, Stage, project, view_from_part
+
+_DEG = math.pi / 180.0
+
+# kind: parameters, step of differences, prior, name of the limit; lengths in mm, angles in rad, shares, sensor levels
+_FAULTS = {
+    "exposure": (1, 0.0, 0.3, "exposure"),
+    "black": (1, 0.0, 10.0, "black"),
+    "part_shift": (3, 0.02, 1.0, "part_mm"),
+    "part_turn": (3, 0.03 * _DEG, 1.0 * _DEG, "part_deg"),
+    "camera_shift": (3, 0.05, 3.0, "camera_mm"),
+    "camera_turn": (3, 0.005 * _DEG, 0.3 * _DEG, "camera_deg"),
+    "gain": (1, 0.0, 0.3, "gain"),
+    "panel_shift": (3, 0.5, 15.0, "panel_mm"),
+    "panel_turn": (2, 0.3 * _DEG, 5.0 * _DEG, "panel_deg"),
+}
+_OF_LIGHTS = ("gain", "panel_shift", "panel_turn")
+NUISANCE = {"ln R_s": 0.03, "ln sigma": 0.03, "blur [px²]": 2.0}
+"""What a calibrated reflectance may still be off, and the focus, with the standard deviations. R_d is that of the part
+file, since a change of both coefficients is a change of the exposure."""
+SIGMA_STEP = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +65,7 @@ class VerifyLimits:
             for name, value in self.as_dict().items()
             if not 0.0 < value < math.inf
         ]
-        if problems:
-            raise InputError(*problems)
+        refuse(problems)
 
     def as_dict(self) -> dict[str, float]:
         return asdict(self)
@@ -69,29 +90,6 @@ class Group:
     def where(self) -> slice:
         """Its parameters."""
         return slice(self.first, self.first + self.size)
-
-
-_DEG = math.pi / 180.0
-
-# kind: parameters, step of differences, prior, name of the limit; lengths in mm, angles in rad, shares, sensor levels
-_FAULTS = {
-    "exposure": (1, 0.0, 0.3, "exposure"),
-    "black": (1, 0.0, 10.0, "black"),
-    "part_shift": (3, 0.02, 1.0, "part_mm"),
-    "part_turn": (3, 0.03 * _DEG, 1.0 * _DEG, "part_deg"),
-    "camera_shift": (3, 0.05, 3.0, "camera_mm"),
-    "camera_turn": (3, 0.005 * _DEG, 0.3 * _DEG, "camera_deg"),
-    "gain": (1, 0.0, 0.3, "gain"),
-    "panel_shift": (3, 0.5, 15.0, "panel_mm"),
-    "panel_turn": (2, 0.3 * _DEG, 5.0 * _DEG, "panel_deg"),
-}
-_OF_LIGHTS = ("gain", "panel_shift", "panel_turn")
-
-NUISANCE = {"ln R_s": 0.03, "ln sigma": 0.03, "blur [px²]": 2.0}
-"""What a calibrated reflectance may still be off, and the focus, with the standard deviations. R_d is that of the part
-file, since a change of both coefficients is a change of the exposure."""
-
-SIGMA_STEP = 0.01
 
 
 @dataclass(frozen=True)
@@ -184,3 +182,55 @@ def _moved_panel(light: PanelLight, shift: Float64, turn: Float64) -> PanelLight
         outward=outward,
         reference_distance=reference,
     )
+
+
+def calibrated_deviations(rig: RigConfig, scene: Scene, p: Parameters) -> Float64:
+    """Independent deviations of one standard deviation each, as columns, shape (K, D); none for a rig as designed.
+
+    Raises InputError: The covariance that the rig file names cannot be read
+    """
+    names, covariance = read_covariance(rig)
+    at = {name: i for i, name in enumerate(names)}
+    own = [i for name, i in at.items() if name.startswith(("camera.", "tilt_axis.", "rotary_axis."))]
+    of_rig = [displaced(scene.camera, scene.stage, names, column) for column in _root_of(covariance, own).T]
+    to_faults = np.zeros((p.size, len(names)))
+    for light in scene.lights:
+        axes = np.stack([light.across, light.along, light.outward])
+        for k, axis in enumerate("xyz"):
+            if (i := at.get(f"{light.name} centre {axis} [mm]")) is not None:
+                to_faults[p.group("panel_shift", light.name).where, i] = axes[:, k]
+        for k, axis in enumerate(("across", "along")):
+            if (i := at.get(f"{light.name} rotation about {axis} [rad]")) is not None:
+                to_faults[p.group("panel_turn", light.name).first + k, i] = 1.0
+        if (i := at.get(f"{light.name} gain")) is not None:
+            to_faults[p.group("gain", light.name).where, i] = 1.0 / light.gain
+    columns = [_as_camera(scene, p, of_rig), square_root(to_faults @ covariance @ to_faults.T)]
+    return np.concatenate(columns, axis=1) if names else np.zeros((p.size, 0))
+
+
+def _root_of(covariance: Float64, some: list[int]) -> Float64:
+    # deviations of some of the values, shape (n, D)
+    found = np.zeros((len(covariance), len(some)))
+    found[some] = square_root(covariance[np.ix_(some, some)])
+    return found
+
+
+def _as_camera(scene: Scene, p: Parameters, rigs: list[tuple[PinholeCamera, Stage]]) -> Float64:
+    # The shift and turn of the camera that move the part's image as each rig does, shape (K, rigs). Lens and axes have
+    # no faults of their own, and over a part they act as a camera that has moved.
+    rows = [*range(p.size)[p.group("camera_shift").where], *range(p.size)[p.group("camera_turn").where]]
+    points = scene.mesh.vertices[:: max(1, len(scene.mesh.vertices) // 200)]
+
+    def image(world: Scene, theta: Float64) -> Float64:
+        cameras = [p.view(world, posture, theta).camera for posture in scene.postures]
+        return np.concatenate([np.ravel(project(camera, points)[:2]) for camera in cameras])
+
+    still, unit = image(scene, np.zeros(p.size)), np.array([g.step for g in p.groups if g.kind.startswith("camera")])
+    unit = np.repeat(unit, 3)
+    moves = np.array([image(scene, step * np.eye(p.size)[row]) - still for row, step in zip(rows, unit, strict=True)])
+    changes = [image(replace(scene, camera=camera, stage=stage), np.zeros(p.size)) - still for camera, stage in rigs]
+    found = np.zeros((p.size, len(rigs)))
+    if rigs:
+        seen = np.isfinite(still)
+        found[rows] = unit[:, None] * np.linalg.lstsq(moves[:, seen].T, np.array(changes)[:, seen].T, rcond=None)[0]
+    return found

@@ -14,7 +14,6 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, observed_postures, read_observations
-from lightopt.estimate.verification._calibrated import calibrated_deviations
 from lightopt.estimate.verification._coarse import Work
 from lightopt.estimate.verification._findings import (
     SURE,
@@ -26,12 +25,16 @@ from lightopt.estimate.verification._findings import (
     spot_findings,
     swap_findings,
 )
-from lightopt.estimate.verification._fit import fit_faults
-from lightopt.estimate.verification._lights import LightComparison, compare_image, compare_lights
-from lightopt.estimate.verification._parameters import Parameters, VerifyLimits
-from lightopt.estimate.verification._selection import alternatives
+from lightopt.estimate.verification._fit import alternatives, fit_faults
+from lightopt.estimate.verification._lights import (
+    LightComparison,
+    compare_image,
+    compare_lights,
+    exchanged_lights,
+    renamed,
+)
+from lightopt.estimate.verification._parameters import Parameters, VerifyLimits, calibrated_deviations
 from lightopt.estimate.verification._spots import find_spots
-from lightopt.estimate.verification._swaps import exchanged_lights, renamed
 from lightopt.images import ImageSet
 from lightopt.scene import Scene, build_scene
 

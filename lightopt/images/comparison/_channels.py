@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 
 # percentiles of |a − b| that are reported, by their key in reports
 PERCENTILES: Mapping[str, float] = MappingProxyType({"p50": 50, "p95": 95, "p99": 99, "p99_9": 99.9})
@@ -37,8 +37,7 @@ class ComparisonThresholds:
             top = 1.0 if name in ("max_share", "min_iou") else math.inf
             if value is not None and not (0 <= value <= top and math.isfinite(value)):
                 problems.append(f"threshold {name}: expected a number from 0 to {top:g}, found {value}")
-        if problems:
-            raise InputError(*problems)
+        refuse(problems)
 
 
 class Verdict:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageSet, posture_folder
@@ -96,8 +96,7 @@ def calibrate(
         the part's.
     """
     run = run or RunContext()
-    if problems := options.problems():
-        raise InputError(*problems)
+    refuse(options.problems())
 
     cache = PredictionCache()
     catalogue = build_catalogue(part) if DETECTORS[options.scored_by].uses_catalogue else ()

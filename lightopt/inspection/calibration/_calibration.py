@@ -18,7 +18,7 @@ import numpy as np
 from scipy import special
 
 from lightopt.config import RANGE_KEYS, PartConfig, RigConfig
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.provenance import computed_by, differences, file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.images import ResultFolder, posture_folder, read_exr, write_exr
@@ -100,8 +100,7 @@ class Calibration:
         ]
         if options.false_alarms < least_rate(len(self.sets)):
             problems.append(too_few_good_sets(len(self.sets), options.false_alarms, self.name))
-        if problems:
-            raise InputError(*problems)
+        refuse(problems)
 
     def of(self, posture: Posture, exposures: ExposuresByLight, *, where: str) -> CalibratedPosture:
         """What was learned of a posture that was taken in this way.

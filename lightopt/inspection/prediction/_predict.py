@@ -5,22 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lightopt import rendering
 from lightopt.core.arrays import Bool, Float32, Float64, Index
 from lightopt.core.transforms import Posture
 from lightopt.defects import Waviness, tangent_references
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
-from lightopt.rendering import (
-    PostureImages,
-    build_patches,
-    mask_pixels,
-    panel_to_shade,
-    patch_positions,
-    render_posture,
-    shade_variants,
-    surface_variants,
-    trace_pixels,
-)
 from lightopt.scene import Scene, lens_share, surface_footprint
 
 TRACE = 1e-6  # least R_d that is rendered: far below what a camera detects
@@ -54,7 +44,7 @@ class Prediction:
     waviness: of good parts; None for smooth ones.
     """
 
-    images: PostureImages
+    images: rendering.PostureImages
     clean: Bool
     grazing: Bool
     area: Float32
@@ -69,8 +59,8 @@ def predict(
     # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
     reflectance = replace(scene.reflectance, R_d=max(scene.reflectance.R_d, TRACE))
     lit = replace(scene, lights=chosen, reflectance=reflectance)
-    masks = mask_pixels(scene, posture, caster, threads=threads)
-    images = render_posture(lit, posture, caster=caster, layers=True, averaged=masks.clean, threads=threads)
+    masks = rendering.mask_pixels(scene, posture, caster, threads=threads)
+    images = rendering.render_posture(lit, posture, caster=caster, layers=True, averaged=masks.clean, threads=threads)
     return Prediction(
         images=images,
         clean=masks.clean & images.geometry.hit,
@@ -82,12 +72,12 @@ def predict(
 
 def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int | None) -> WavyLevels:
     assert scene.waviness is not None
-    pixels = trace_pixels(scene, posture, caster, threads=threads)
+    pixels = rendering.trace_pixels(scene, posture, caster, threads=threads)
     surface = pixels.surface
     axes = scene.placement.rotation
     references = tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
     slope, direction = scene.waviness.leans
-    variants = surface_variants(
+    variants = rendering.surface_variants(
         slope=slope, direction=direction, R_d_factor=np.ones(2), sigma_factor=np.ones(2), reflectance=scene.reflectance
     )
 
@@ -95,10 +85,10 @@ def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int
     passed = 1.0 if share is None else share
 
     def spread(panel: PanelLight) -> Float32:
-        shaded = shade_variants(
+        shaded = rendering.shade_variants(
             surface,
             references,
-            panel_to_shade(panel, caster),
+            rendering.panel_to_shade(panel, caster),
             variants,
             reflectance=scene.reflectance,
             caster=caster,
@@ -130,10 +120,10 @@ class SurfaceMap:
 
 def map_surface(scene: Scene, caster: RayCaster, *, threads: int | None = None) -> SurfaceMap:
     """Divide the surface into patches and find the pixel that sees each in each posture of `scene`."""
-    table = build_patches(scene, caster=caster, budget=PATCHES, threads=threads)
+    table = rendering.build_patches(scene, caster=caster, budget=PATCHES, threads=threads)
     seen: dict[Posture, tuple[Index, Index]] = {}
     for posture, visible, grazing in zip(table.postures, table.visible, table.grazing, strict=True):
         patch = np.flatnonzero(visible)
-        columns, rows = (np.floor(a[patch]).astype(np.intp) for a in patch_positions(table, scene, posture))
+        columns, rows = (np.floor(a[patch]).astype(np.intp) for a in rendering.patch_positions(table, scene, posture))
         seen[posture] = patch, np.where(grazing[patch], -1, rows * scene.camera.width + columns)
     return SurfaceMap(areas=table.patches.areas, seen=seen)

@@ -9,18 +9,7 @@ from lightopt.core.transforms import Posture
 from lightopt.defects import CatalogueEntry
 from lightopt.estimate.registration import Observation, Placement, Registration
 from lightopt.geometry import RayCaster
-from lightopt.inspection.prediction._nearby_placement import (
-    LOOSE,
-    TIGHT,
-    PixelSample,
-    PlacementDerivatives,
-    PlacementOffset,
-    difference_steps,
-    fit_placement_offset,
-    placement_derivatives,
-    sample_pixels,
-    shift_prediction,
-)
+from lightopt.inspection.prediction import _nearby_placement as nearby
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._predict import Prediction, SurfaceMap, map_surface, predict
 from lightopt.inspection.prediction._template_bank import TemplateBank, bank_bytes, template_bank
@@ -53,10 +42,10 @@ class PredictionCache:
     scene: Scene | None = None
     caster: RayCaster | None = None
     rendered: dict[Key, Prediction] = field(default_factory=dict)
-    derivatives: dict[Key, PlacementDerivatives] = field(default_factory=dict)
+    derivatives: dict[Key, nearby.PlacementDerivatives] = field(default_factory=dict)
     registration: Registration | None = None
     misfit: float | None = None
-    samples: dict[tuple[Key, str, bool], PixelSample] = field(default_factory=dict)
+    samples: dict[tuple[Key, str, bool], nearby.PixelSample] = field(default_factory=dict)
     surface_maps: dict[tuple[Posture, ...], SurfaceMap] = field(default_factory=dict)
     banks: dict[tuple[Key, ExposuresKey], TemplateBank] = field(default_factory=dict)
 
@@ -86,8 +75,8 @@ class PredictionCache:
     ) -> Prediction:
         """The prediction of a posture for a part slightly displaced from the previous one: :meth:`nearby_placement`."""
         key = posture, tuple(lights)
-        moved = offset * difference_steps(scene)
-        return shift_prediction(self.rendered[key], self.derivatives[key], moved, threads=threads)
+        moved = offset * nearby.difference_steps(scene)
+        return nearby.shift_prediction(self.rendered[key], self.derivatives[key], moved, threads=threads)
 
     def nearby_placement(
         self, nominal: Scene, observations: Sequence[Observation], *, threads: int | None = None
@@ -113,15 +102,15 @@ class PredictionCache:
             if 6 * 4 * pixels > MOST_BYTES:
                 return None
             found = self._fit(scene, observations, keys, moves=True, threads=threads)
-            if not found.near or found.misfit > LOOSE * self.misfit:
+            if not found.near or found.misfit > nearby.LOOSE * self.misfit:
                 return None
             for key in keys.values():
                 if key not in self.derivatives:
-                    self.derivatives[key] = placement_derivatives(
+                    self.derivatives[key] = nearby.placement_derivatives(
                         scene, self.placement, key[0], self.rendered[key], self._caster(scene), threads=threads
                     )
         found = self._fit(scene, observations, keys, moves=True, threads=threads)
-        if not found.near or found.misfit > TIGHT * self.misfit:
+        if not found.near or found.misfit > nearby.TIGHT * self.misfit:
             return None
         return scene, found.placement(scene, self.placement), found.offset
 
@@ -182,19 +171,19 @@ class PredictionCache:
         *,
         moves: bool,
         threads: int | None,
-    ) -> PlacementOffset:
+    ) -> nearby.PlacementOffset:
         assert self.placement is not None
         placement = self.placement
         asked = [(keys[o.posture], o.light, keys[o.posture] in self.derivatives) for o in observations]
         fresh = [mine for mine in dict.fromkeys(asked) if mine not in self.samples]
 
-        def sample(number: int) -> PixelSample:
+        def sample(number: int) -> nearby.PixelSample:
             key, light, _ = fresh[number]
-            return sample_pixels(scene, placement, self.rendered[key], self.derivatives.get(key), light)
+            return nearby.sample_pixels(scene, placement, self.rendered[key], self.derivatives.get(key), light)
 
         self.samples |= dict(zip(fresh, in_threads(sample, range(len(fresh)), threads), strict=True))
         samples = [self.samples[mine] for mine in asked]
-        return fit_placement_offset(scene, placement, observations, samples, moves=moves)
+        return nearby.fit_placement_offset(scene, placement, observations, samples, moves=moves)
 
 
 def observed_lights(scene: Scene, observations: Sequence[Observation]) -> tuple[str, ...]:

@@ -19,9 +19,8 @@ from lightopt.design import (
     places_of,
 )
 from lightopt.images import ImageEntry, ImageSet, read_image_set, read_png
-from lightopt.report._charts import COLOURS, chart, name_lines
 from lightopt.report._contact_sheet import degrees, entry_thumbnail, light_position, saturation_text
-from lightopt.report._drawing import figure_image, fixed_style, printable
+from lightopt.report._drawing import COLOURS, chart, figure_image, fixed_style, name_lines, printable
 from lightopt.report._images import png_bytes, shrunk
 from lightopt.report._page import Block, Gallery, Note, Picture, Table
 from lightopt.report._rig_drawing import rig_image

@@ -9,16 +9,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
+from lightopt import inspection
 from lightopt.core.arrays import Bool, Float64, Int32
-from lightopt.inspection import (
-    KIND_COLOURS,
-    FoundDefect,
-    GreyPicture,
-    InspectedPosture,
-    InspectionResult,
-    Kind,
-    grey_picture,
-)
 from lightopt.report._drawing import CAP_HEIGHT, font_file, hex_colour
 from lightopt.report._images import png_bytes, shrunk, write_picture
 from lightopt.report._page import Block, Gallery, Picture, SurfaceView
@@ -31,7 +23,7 @@ LABEL_SIZE, LABEL_GAP_PX = 15, 3
 LABEL_SHARE, LINE_SHARE = 1 / 43, 1 / 800
 
 # lighter, to be read on black
-LABEL_COLOURS: Final[Mapping[Kind, tuple[int, int, int]]] = {
+LABEL_COLOURS: Final[Mapping[inspection.Kind, tuple[int, int, int]]] = {
     "shape": (255, 120, 100),
     "stain": (130, 185, 255),
     "unknown": (255, 195, 70),
@@ -41,14 +33,14 @@ OVERLAY_PX, SMALL_PX = 1600, 480  # no side of a picture in the report is longer
 COLUMN_PX = 896  # a picture of smaller images is made larger by whole factors up to the width that the page gives it
 
 
-def defect_overlay(path: Path, posture: InspectedPosture, defects: Sequence[FoundDefect]) -> Path:
+def defect_overlay(path: Path, posture: inspection.InspectedPosture, defects: Sequence[inspection.FoundDefect]) -> Path:
     """Write the picture that :func:`overlay_image` makes as PNG, as large as the images, into a folder that exists."""
     return write_picture(path, overlay_image(posture, defects)[0])
 
 
 def overlay_image(
-    posture: InspectedPosture, defects: Sequence[FoundDefect], *, enlarge: int = 1
-) -> tuple[Image.Image, GreyPicture]:
+    posture: inspection.InspectedPosture, defects: Sequence[inspection.FoundDefect], *, enlarge: int = 1
+) -> tuple[Image.Image, inspection.GreyPicture]:
     """The posture's image without highlights, with the outlines and numbers of its defects; and what is beneath them.
 
     Red for shape, blue for stain, orange where neither could be determined, from whichever posture it was. Where no
@@ -59,13 +51,13 @@ def overlay_image(
         level, mask = posture.synthetic.level, posture.synthetic.mask
     else:
         level, mask = np.minimum(posture.view.level, posture.view.limit).min(axis=0), posture.view.part
-    shown = grey_picture(level, mask)
+    shown = inspection.grey_picture(level, mask)
     rgb = np.repeat(shown.grey[..., None], 3, axis=2)
     found = {id(detection): defect for defect in defects for detection in defect.detections}
     for index, detection in enumerate(posture.detections):
         region = posture.labels == index + 1
         inner: Bool = np.asarray(ndimage.binary_erosion(region), np.bool_)
-        rgb[region & ~inner] = KIND_COLOURS[found[id(detection)].best.kind]
+        rgb[region & ~inner] = inspection.KIND_COLOURS[found[id(detection)].best.kind]
     image = enlarged(Image.fromarray(rgb), enlarge)
     draw, line = ImageDraw.Draw(image), max(1, round(LINE_SHARE * image.width))
     size = max(LABEL_SIZE, round(LABEL_SHARE * image.width))
@@ -75,7 +67,9 @@ def overlay_image(
         left, top, right, bottom = (enlarge * side for side in detection.box_px)
         m = BOX_MARGIN_PX * enlarge
         kind, number = defect.best.kind, str(defect.number)
-        draw.rectangle([left - m, top - m, right + m - 1, bottom + m - 1], outline=KIND_COLOURS[kind], width=line)
+        draw.rectangle(
+            [left - m, top - m, right + m - 1, bottom + m - 1], outline=inspection.KIND_COLOURS[kind], width=line
+        )
         at = _label_place(image, font, number, (left - m, top - m, right + m))
         border: dict[str, Any] = {"stroke_width": max(2, size // 7), "stroke_fill": "#000000"}
         draw.text(at, number, font=font, anchor="ls", fill=LABEL_COLOURS[kind], **border)
@@ -98,7 +92,7 @@ def _label_place(
     return min(max(x, LABEL_GAP_PX), image.width - width), baseline
 
 
-def image_blocks(result: InspectionResult) -> list[Block]:
+def image_blocks(result: inspection.InspectionResult) -> list[Block]:
     """A picture of each posture, and of those that have one the image without highlights and its uncertainty."""
     blocks: list[Block] = []
     for posture in result.postures:
@@ -122,13 +116,13 @@ def image_blocks(result: InspectionResult) -> list[Block]:
     return blocks
 
 
-def _synthetic(posture: InspectedPosture) -> list[Picture | None]:
+def _synthetic(posture: inspection.InspectedPosture) -> list[Picture | None]:
     image = posture.synthetic
     if image is None:
         return []
     pictures: list[Picture | None] = []
     for what, level in (("without highlights", image.level), ("uncertainty", image.deviation)):
-        shown = grey_picture(level, image.mask)
+        shown = inspection.grey_picture(level, image.mask)
         picture = Image.fromarray(shown.grey).convert("RGB")
         png = _small(enlarged(picture, _times(picture.size, SMALL_PX)), SMALL_PX)
         pictures.append(Picture(png=png, alt=f"Posture {posture.view.posture}: {what}", caption=shown.legend))
@@ -146,7 +140,7 @@ def _small(image: Image.Image, limit: int) -> bytes:
 
 
 PART_COLOUR = "#c9ced6"
-WORDS: Final[Mapping[Kind, str]] = {"shape": "shape", "stain": "stain", "unknown": "unknown kind"}
+WORDS: Final[Mapping[inspection.Kind, str]] = {"shape": "shape", "stain": "stain", "unknown": "unknown kind"}
 
 # a ball's radius is at least this share of the part's size, so that the smallest defect is seen from afar
 LEAST_SHARE = 0.015
@@ -154,7 +148,7 @@ LEAST_SHARE = 0.015
 RINGS, SECTORS = 8, 12
 
 
-def marked_part(result: InspectionResult, name: str) -> SurfaceView:
+def marked_part(result: inspection.InspectionResult, name: str) -> SurfaceView:
     """The part as its file has it on the stage, to turn."""
     mesh, place = result.nominal.mesh, result.nominal.placement
     size = float(np.linalg.norm(mesh.vertices.max(axis=0) - mesh.vertices.min(axis=0)))
@@ -170,7 +164,7 @@ def marked_part(result: InspectionResult, name: str) -> SurfaceView:
         triangles.append(faces + np.int32(count))
         classes.append(np.full(len(faces), 1 + list(WORDS).index(defect.best.kind), np.uint8))
         count += len(ball)
-    kinds = [("the part", PART_COLOUR), *((WORDS[kind], hex_colour(KIND_COLOURS[kind])) for kind in WORDS)]
+    kinds = [("the part", PART_COLOUR), *((WORDS[kind], hex_colour(inspection.KIND_COLOURS[kind])) for kind in WORDS)]
     amounts = ["", *(str(sum(defect.best.kind == kind for defect in result.defects)) for kind in WORDS)]
     legend = surface_classes(kinds, amounts)
     layer = SurfaceLayer(name="defects", classes=legend, of_face=np.concatenate(classes))

@@ -3,24 +3,16 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lightopt import inspection
 from lightopt.core.errors import counted, percent
-from lightopt.inspection import (
-    REFERENCE_CONTRAST,
-    REFERENCE_DEFECT,
-    REFERENCES,
-    BatchRow,
-    InspectionResult,
-    InspectOptions,
-    Verdict,
-)
 from lightopt.report._page import Answer, Facts, Note, Page, Section, Table, Warnings, page_html
 from lightopt.report.inspection._pictures import image_blocks, marked_part
 from lightopt.report.inspection._tables import dark_text, defect_table, placement_text, surface_table, truth_blocks
 
 
 def inspection_report(
-    result: InspectionResult,
-    verdict: Verdict,
+    result: inspection.InspectionResult,
+    verdict: inspection.Verdict,
     *,
     part: str,
     rig: str,
@@ -47,26 +39,27 @@ def inspection_report(
     return page_html(Page(title=f"{verdict.word}: {part}", subtitle=subtitle, lead=lead, sections=sections))
 
 
-def _answer(result: InspectionResult, verdict: Verdict) -> Answer:
+def _answer(result: inspection.InspectionResult, verdict: inspection.Verdict) -> Answer:
     found = counted(len(result.defects), "defect") if result.defects else "no defects"
     missing = result.surface.missing / max(result.surface.seen, 1e-9)
     rest = f" {percent(missing)} of the visible surface has no images." if missing > 0.0 else ""
     return Answer(
         figure=verdict.word,
         text=f"{verdict.explanation}. {found.capitalize()} on the {percent(verdict.inspected)} of the visible surface "
-        f"that was inspected; {REFERENCE_DEFECT} is found on {percent(verdict.finds)}{dark_text(verdict)}.{rest}",
+        f"that was inspected; {inspection.REFERENCE_DEFECT} is found on {percent(verdict.finds)}"
+        f"{dark_text(verdict)}.{rest}",
     )
 
 
-def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, Any]) -> Facts:
+def _facts(result: inspection.InspectionResult, verdict: inspection.Verdict, provenance: Mapping[str, Any]) -> Facts:
     """Files, detector, limits, and what was found of the part's place and the brightness."""
     inputs: Mapping[str, Any] = provenance["inputs"]
     options: Mapping[str, Any] = provenance["options"]
     min_images: int = options["min_images"]
     fewer = any(len(p.view.lights) < min_images for p in result.postures)
     rate, limits = options["false_alarms"], verdict.limits
-    reference = REFERENCES[result.reference]
-    detector = InspectOptions(detector=options["detector"], reference=result.reference).scored_by
+    reference = inspection.REFERENCES[result.reference]
+    detector = inspection.InspectOptions(detector=options["detector"], reference=result.reference).scored_by
     alarms = f"{rate:g} " + (
         "of good parts with a false alarm in a posture" if "calibration" in inputs else "per posture"
     )
@@ -100,7 +93,7 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
 
 
 def batch_report(
-    rows: Sequence[BatchRow], *, part: str, rig: str, version: str, truth: Mapping[str, Any] | None
+    rows: Sequence[inspection.BatchRow], *, part: str, rig: str, version: str, truth: Mapping[str, Any] | None
 ) -> str:
     """The report of several parts as HTML: a row each, in the order of the sets.
 
@@ -109,14 +102,14 @@ def batch_report(
     """
     good = sum(row.verdict is not None and row.verdict.good for row in rows)
     refused = sum(row.verdict is None for row in rows)
-    finds = f"finds {100 * REFERENCE_CONTRAST:g} %"
+    finds = f"finds {100 * inspection.REFERENCE_CONTRAST:g} %"
     table = Table(
         header=["set", "verdict", "reasons", "defects", "that count", "inspected", finds, "only glints"],
         rows=[_cells(row) for row in rows],
         numbers_from=3,
         caption="A set's name leads to its own report. Inspected: share of the surface that the part's postures show. "
-        f"Finds: share of it where {REFERENCE_DEFECT} is found half of the time. Only glints: share of it that was "
-        "inspected, but is dark.",
+        f"Finds: share of it where {inspection.REFERENCE_DEFECT} is found half of the time. "
+        "Only glints: share of it that was inspected, but is dark.",
         links=[row.report for row in rows],
     )
     rest = f"; {counted(refused, 'set')} not inspected" if refused else ""
@@ -129,7 +122,7 @@ def batch_report(
     return page_html(Page(title=title, subtitle=subtitle, lead=lead, sections=sections))
 
 
-def _cells(row: BatchRow) -> list[str]:
+def _cells(row: inspection.BatchRow) -> list[str]:
     verdict = row.verdict
     if verdict is None:
         return [row.name, row.word, "; ".join(row.refused), *"-----"]

@@ -13,8 +13,7 @@ from lightopt.core.errors import percent
 from lightopt.estimate.registration import Placement
 from lightopt.inspection import CONTRASTS, InspectionResult, PostureCoverage, SurfaceCoverage, Verdict
 from lightopt.rendering import GRAZING_DEG
-from lightopt.report._charts import COLOURS, chart, name_lines
-from lightopt.report._drawing import SOFT, figure_image, fixed_style
+from lightopt.report._drawing import COLOURS, SOFT, chart, figure_image, fixed_style, name_lines
 from lightopt.report._images import png_bytes
 from lightopt.report._page import Block, Facts, Note, Picture, Table
 

@@ -31,4 +31,4 @@ from lightopt.rig.capture._manual_control import (
     snap_on_s as snap_on_s,
 )
 from lightopt.rig.capture._safe_devices import Devices as Devices
-from lightopt.rig.capture._wiring import start_bench as start_bench, wiring_of as wiring_of
+from lightopt.rig.capture._wiring import wiring_of as wiring_of

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from lightopt.core.errors import HardwareError, InputError
+from lightopt.core.errors import HardwareError, InputError, refuse
 from lightopt.core.transforms import Posture
 from lightopt.optics import Sensor
 from lightopt.rig.capture._capture_plan import CapturePlan
@@ -274,5 +274,4 @@ def _check_exposures(devices: Devices, plan: CapturePlan) -> None:
                 f"{held / plan.wiring.exposure_us:.6g}; choose exposures that it can hold, or another "
                 "camera.exposure_us in the rig"
             )
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)

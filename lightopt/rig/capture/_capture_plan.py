@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import counted, refuse
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring, wiring_of
 from lightopt.rig.simulated import EXPOSURE_RANGE_US
@@ -39,8 +39,7 @@ class CaptureOptions:
     seed: int | None = None  # of the virtual bench's noise, instead of the rig file's
 
     def __post_init__(self) -> None:
-        if problems := tuple(self._problems()):
-            raise InputError(*problems)
+        refuse(self._problems())
 
     def _problems(self) -> Iterator[str]:
         if not self.exposures:
@@ -220,8 +219,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
     exposures_of = {one: tuple(sorted(rig.exposures(one, options.exposures), reverse=True)) for one in known}
     exposures = tuple(sorted({e for name in lights for e in exposures_of.get(name, ())}, reverse=True))
     problems += exposure_problems(rig, wiring, exposures)
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     plan = CapturePlan(
         wiring=wiring,
         options=options,
@@ -240,8 +238,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
                 f"{rig.source.at('hardware', 'lights', name)}: would be on for {on_s:.3g} s without a break "
                 f"(settling and {taken}), longer than max_on_s {longest_s:g}; take fewer or shorter exposures"
             )
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     return plan
 
 

@@ -8,23 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt import images
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
-from lightopt.images import (
-    DARK_CHECKED_KEY,
-    MANIFEST_NAME,
-    ImageEntry,
-    ImageSetWriter,
-    dark_name,
-    make_folder,
-    read_manifest,
-    read_metadata,
-    read_png,
-    remove_file,
-    resumable_manifest,
-)
 from lightopt.rendering import set_manifest
 from lightopt.rig.capture._acquisition import AcquiredImage, Timing
 from lightopt.rig.capture._capture_plan import CapturePlan
@@ -40,10 +28,10 @@ def open_set(
     header = set_manifest("captured", rig, part, scene, options=plan.as_dict())
     if not (resume or force) and _lists_nothing(folder):
         try:  # of this plan: a killed run may have left a file that it did not list
-            resumable_manifest(folder, header)
+            images.resumable_manifest(folder, header)
         except InputError:
-            remove_file(folder / MANIFEST_NAME)
-    return CapturedSet(ImageSetWriter(folder, header, force=force, plan=plan.keys), scene, plan)
+            images.remove_file(folder / images.MANIFEST_NAME)
+    return CapturedSet(images.ImageSetWriter(folder, header, force=force, plan=plan.keys), scene, plan)
 
 
 def check_folder(
@@ -51,15 +39,15 @@ def check_folder(
 ) -> None:
     """Check whether a set could be begun or continued in a folder; errors as :func:`open_set`."""
     if folder.exists() and not folder.is_dir():
-        make_folder(folder)  # raises with the reason
+        images.make_folder(folder)  # raises with the reason
     _refuse_set(folder, resume=resume, force=force)
-    if resume and (folder / MANIFEST_NAME).exists():
+    if resume and (folder / images.MANIFEST_NAME).exists():
         scene = build_scene(rig, part, postures=plan.postures, defects=False)
-        resumable_manifest(folder, set_manifest("captured", rig, part, scene, options=plan.as_dict()))
+        images.resumable_manifest(folder, set_manifest("captured", rig, part, scene, options=plan.as_dict()))
 
 
 def _refuse_set(folder: Path, *, resume: bool, force: bool) -> None:
-    if (folder / MANIFEST_NAME).exists() and not (resume or force or _lists_nothing(folder)):
+    if (folder / images.MANIFEST_NAME).exists() and not (resume or force or _lists_nothing(folder)):
         raise InputError(
             f"{folder}: holds an image set; use option 'resume' to capture the missing images, option 'force' to "
             "replace the set, or choose another output folder"
@@ -69,7 +57,7 @@ def _refuse_set(folder: Path, *, resume: bool, force: bool) -> None:
 def _lists_nothing(folder: Path) -> bool:
     """Whether a capture was begun in a folder and ended before its first image."""
     try:
-        manifest = read_manifest(folder / MANIFEST_NAME)
+        manifest = images.read_manifest(folder / images.MANIFEST_NAME)
     except InputError:
         return False
     return manifest.kind == "captured" and not (manifest.images or manifest.files)
@@ -78,7 +66,7 @@ def _lists_nothing(folder: Path) -> bool:
 class CapturedSet:
     """The image set of a plan, partly on disk."""
 
-    def __init__(self, writer: ImageSetWriter, scene: Scene, plan: CapturePlan) -> None:
+    def __init__(self, writer: images.ImageSetWriter, scene: Scene, plan: CapturePlan) -> None:
         self.writer = writer
         self._scene = scene
         self._plan = plan
@@ -115,30 +103,30 @@ class CapturedSet:
 
     def record_dark_check(self, posture: Posture) -> None:
         """Record that a frame after the images of a posture showed that no light stayed on."""
-        self.writer.add_extra(DARK_CHECKED_KEY, [*self._dark_checks, posture.as_dict()])
+        self.writer.add_extra(images.DARK_CHECKED_KEY, [*self._dark_checks, posture.as_dict()])
 
     def discard(self, posture: Posture, lights: Iterable[str]) -> None:
         """Remove images of a posture, to take them again or because they are in doubt, and its final dark check."""
         others = [checked for checked in self._dark_checks if checked != posture.as_dict()]
-        changed = {DARK_CHECKED_KEY: others} if others != self._dark_checks else None
+        changed = {images.DARK_CHECKED_KEY: others} if others != self._dark_checks else None
         self.writer.drop(images=[(light, posture) for light in lights], extra=changed)
 
     @property
     def in_doubt(self) -> int:
         """Number of images on disk that no frame without light followed, so that they are taken again."""
-        images = self.writer.manifest.images if self._plan.options.check else ()
-        return sum(not self.dark_checked(entry.posture) for entry in images)
+        entries = self.writer.manifest.images if self._plan.options.check else ()
+        return sum(not self.dark_checked(entry.posture) for entry in entries)
 
     @property
     def _dark_checks(self) -> list[dict[str, float]]:
-        return list(self.writer.manifest.extra.get(DARK_CHECKED_KEY, ()))
+        return list(self.writer.manifest.extra.get(images.DARK_CHECKED_KEY, ()))
 
     def has_dark(self, posture: Posture, exposure: float) -> bool:
-        return self.writer.file_done(dark_name(posture, exposure))
+        return self.writer.file_done(images.dark_name(posture, exposure))
 
     def read_dark(self, posture: Posture, exposure: float) -> Float32:
         """A dark frame that is on disk [sensor level]."""
-        return read_png(self.writer.folder / dark_name(posture, exposure)).astype(np.float32)
+        return images.read_png(self.writer.folder / images.dark_name(posture, exposure)).astype(np.float32)
 
     def add_dark(self, acquired: AcquiredImage) -> None:
         facts = {
@@ -148,7 +136,7 @@ class CapturedSet:
             "mean_level": float(acquired.image.mean.mean(dtype=np.float64)),
             "capture": _facts(acquired),
         }
-        name = dark_name(acquired.posture, acquired.exposure)
+        name = images.dark_name(acquired.posture, acquired.exposure)
         self.writer.drop(files=[name])
         self.writer.add_levels(name, acquired.image.png, metadata=facts)
 
@@ -156,12 +144,12 @@ class CapturedSet:
         assert acquired.light is not None
         angles = self._angles[acquired.light]
         extra = {"capture": _facts(acquired)}
-        entry = ImageEntry(acquired.light, *angles, acquired.posture, acquired.exposure, extra=extra)
+        entry = images.ImageEntry(acquired.light, *angles, acquired.posture, acquired.exposure, extra=extra)
         self.writer.add_image(entry, png=acquired.image.png)
 
     def read_levels(self, light: str, posture: Posture, exposure: float) -> NDArray[Any]:
         """An image that is on disk [sensor level]."""
-        return read_png(self._png(light, posture, exposure))
+        return images.read_png(self._png(light, posture, exposure))
 
     def _png(self, light: str, posture: Posture, exposure: float) -> Path:
         entry = next(e for e in self.writer.manifest.images if e.key == (light, posture, exposure))
@@ -171,21 +159,21 @@ class CapturedSet:
         self, light: str, posture: Posture, captured: Mapping[float, ExposureImage], dark: Mapping[float, Float32]
     ) -> None:
         """Merge the exposures of a light, those of this run and those on disk, and write the linear image."""
-        images = [
+        taken = [
             captured[exposure] if exposure in captured else self._read_exposure(light, posture, exposure)
             for exposure in self._plan.exposures_of[light]
         ]
         frames: Sequence[Float32] | None = [dark[e] for e in self._plan.exposures_of[light]] if dark else None
         sensor, full_scale = self._scene.sensor, self._scene.reflectance.full_scale
-        channels = merge_exposures(images, sensor=sensor, full_scale=full_scale, dark=frames)
+        channels = merge_exposures(taken, sensor=sensor, full_scale=full_scale, dark=frames)
         self.writer.add_linear(light, posture, channels)
 
     def _read_exposure(self, light: str, posture: Posture, exposure: float) -> ExposureImage:
         path = self._png(light, posture, exposure)
-        facts: dict[str, Any] = read_metadata(path).get("capture", {})
+        facts: dict[str, Any] = images.read_metadata(path).get("capture", {})
         held = facts.get("exposure_us", {}).get("read", self._plan.exposure_us(exposure))
         frame = FrameMean(self._scene.sensor)
-        frame.add(read_png(path))
+        frame.add(images.read_png(path))
         return frame.image(held / self._plan.wiring.exposure_us)
 
 

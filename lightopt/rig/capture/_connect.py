@@ -6,27 +6,15 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.errors import InputError, LightoptError
+from lightopt.core.errors import InputError, LightoptError, refuse
 from lightopt.core.run_context import RunContext
+from lightopt.rig import devices
 from lightopt.rig.capture._capture_plan import CapturePlan
 from lightopt.rig.capture._lights_off import open_lights
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._software_cameras import FolderCamera, VirtualCamera
 from lightopt.rig.capture._wiring import STAGE, VIRTUAL, Wiring, bench_truth, stage_axes, start_bench
-from lightopt.rig.devices import (
-    Camera,
-    CameraSettings,
-    SerialLog,
-    Stage,
-    check_camera_driver,
-    check_program,
-    check_screen_library,
-    check_stage,
-    open_camera,
-    open_stage,
-    port_problem,
-)
 from lightopt.rig.simulated import CAMERA, BenchProcess, BenchTruth
 
 _log = logging.getLogger("lightopt.rig")
@@ -59,7 +47,7 @@ def connect_devices(
     replay = check_devices(rig, wiring, plan, camera=camera)
     with ExitStack() as stack:
         signals = stack.enter_context(EndSignals())
-        log = SerialLog(serial_log, warn=run.warn)
+        log = devices.SerialLog(serial_log, warn=run.warn)
         closing: list[Callable[[], None]] = [log.close]
         stack.callback(log.close)
         if bench is None and wiring.needs_bench:
@@ -92,10 +80,10 @@ def connect_devices(
                     raise (lights.error(error) if touch_lights else error) from error
                 unreachable[device] = error
 
-        stage: Stage | None = None
+        stage: devices.Stage | None = None
         if (config := wiring.hardware.stage) is not None:
             with naming_lights(STAGE):
-                stage = open_stage(
+                stage = devices.open_stage(
                     config.driver,
                     port=ports[STAGE] if config.port == VIRTUAL else config.port,
                     axes=stage_axes(rig, config),
@@ -103,7 +91,7 @@ def connect_devices(
                     **config.model_dump(include={"baud", "timeout_s", "home_timeout_s"}),
                 )
                 stack.callback(stage.close)
-        opened_camera: Camera | None = None
+        opened_camera: devices.Camera | None = None
         if camera:
             with naming_lights("camera"):
                 opened_camera = _open_rig_camera(rig, wiring, replay=replay, bench=bench, log=log)
@@ -112,7 +100,7 @@ def connect_devices(
         opened = {**lights.controllers, **{name: device for name, device in others.items() if device is not None}}
         _log.info("opened %s", ", ".join(opened))
         sources = [*opened.values(), log]
-        devices = Devices(
+        connected = Devices(
             wiring=wiring,
             controllers=lights.controllers,
             stage=stage,
@@ -125,9 +113,9 @@ def connect_devices(
         )
         if plan is not None and not plan.home:
             with naming_lights(STAGE):
-                devices.check_referenced()
+                connected.check_referenced()
         stack.pop_all()  # from here on the devices close themselves
-    return devices
+    return connected
 
 
 def check_devices(
@@ -139,7 +127,7 @@ def check_devices(
     driver = wiring.hardware.camera.driver
     if camera and driver in ("aravis", "genicam"):  # is its software installed?
         with _collected(problems, where=rig.source.at("hardware", "camera")):
-            check_camera_driver(driver, _producer(rig, wiring))
+            devices.check_camera_driver(driver, _producer(rig, wiring))
     if camera and driver == "folder":
         with _collected(problems):
             folder = rig.source.resolve(wiring.hardware.camera.folder or "")
@@ -152,19 +140,18 @@ def check_devices(
     named = [(("controllers", name), device.port) for name, device in wiring.hardware.controllers.items()]
     for place, port in (*named, *([] if stage is None else [(("stage",), stage.port)])):
         # a URL is only tried when it is opened
-        if port not in (None, VIRTUAL) and (problem := port_problem(port)) is not None:
+        if port not in (None, VIRTUAL) and (problem := devices.port_problem(port)) is not None:
             problems.append(f"{rig.source.at('hardware', *place, 'port')}: {problem}")
     for name, device in wiring.hardware.controllers.items():
         with _collected(problems, where=rig.source.at("hardware", "controllers", name)):
             if device.driver == "screen" and device.port is None:
-                check_screen_library()
+                devices.check_screen_library()
             if device.command is not None and device.port is None:
-                check_program(device.command[0], wiring.folder)
+                devices.check_program(device.command[0], wiring.folder)
     if stage is not None:
         with _collected(problems, where=rig.source.at("hardware", "stage")):
-            check_stage(stage.driver, stage_axes(rig, stage))
-    if problems:
-        raise InputError(*problems)
+            devices.check_stage(stage.driver, stage_axes(rig, stage))
+    refuse(problems)
     return replay
 
 
@@ -178,8 +165,8 @@ def _collected(problems: list[str], *, where: str = "") -> Generator[None]:
 
 
 def _open_rig_camera(
-    rig: RigConfig, wiring: Wiring, *, replay: FolderCamera | None, bench: BenchProcess | None, log: SerialLog
-) -> Camera:
+    rig: RigConfig, wiring: Wiring, *, replay: FolderCamera | None, bench: BenchProcess | None, log: devices.SerialLog
+) -> devices.Camera:
     if replay is not None:
         return replay
     config = wiring.hardware.camera
@@ -188,7 +175,7 @@ def _open_rig_camera(
         return VirtualCamera(bench)
     gige = bench if wiring.camera_is_gige else None
     producer = _producer(rig, wiring)
-    settings = CameraSettings(
+    settings = devices.CameraSettings(
         where=rig.source.at("hardware", "camera"),
         resolution_px=rig.camera.resolution_px,
         bit_depth=rig.camera.sensor.bit_depth,
@@ -197,7 +184,7 @@ def _open_rig_camera(
         **config.model_dump(exclude={"driver", "folder", "port", "producer"}),
     )
     wait_ready = None if gige is None else gige.prepare
-    return open_camera(config.driver, settings, on_event=log.note, wait_ready=wait_ready)
+    return devices.open_camera(config.driver, settings, on_event=log.note, wait_ready=wait_ready)
 
 
 def _producer(rig: RigConfig, wiring: Wiring) -> Path | None:

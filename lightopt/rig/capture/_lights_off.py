@@ -9,18 +9,9 @@ from pathlib import Path
 from lightopt.config import LightsOnly
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.core.run_context import RunContext
+from lightopt.rig import devices
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, start_lights, wiring_of
-from lightopt.rig.devices import (
-    LIGHT_DRIVERS,
-    LightController,
-    LightSettings,
-    LightsStillOnError,
-    PictureSettings,
-    SerialLog,
-    all_off,
-    run_in_parallel,
-)
 
 NONE_OF_THE_RIG = "none that the rig names"
 
@@ -29,7 +20,7 @@ NONE_OF_THE_RIG = "none that the rig names"
 class OpenedLights:
     """Controllers that answered, by name, and why others did not, or did not go dark."""
 
-    controllers: dict[str, LightController] = field(default_factory=dict[str, LightController])
+    controllers: dict[str, devices.LightController] = field(default_factory=dict[str, devices.LightController])
     problems: dict[str, LightoptError] = field(default_factory=dict[str, LightoptError])
     may_be_on: list[str] = field(default_factory=list[str])  # lights that may still be on
 
@@ -48,20 +39,20 @@ def open_lights(
     names: Iterable[str],
     *,
     ports: Mapping[str, str],  # of those that are simulated
-    log: SerialLog | None,
+    log: devices.SerialLog | None,
     darken: bool,  # False to query the controllers only
-    opened: Callable[[LightController], object],  # called with each before anything is sent to it, from its own thread
+    opened: Callable[[devices.LightController], object],  # called before anything is sent, from a thread of each
 ) -> OpenedLights:
     """Open controllers in parallel, each even if another fails, and darken each as it opens."""
 
-    def open_one(name: str) -> tuple[LightController | None, LightoptError | None]:
+    def open_one(name: str) -> tuple[devices.LightController | None, LightoptError | None]:
         port = ports.get(name) or wiring.hardware.controllers[name].port or ""
-        controller: LightController | None = None
+        controller: devices.LightController | None = None
         try:
             controller = open_controller(wiring, name, port=port, log=log)
             opened(controller)
             if darken:
-                all_off({name: controller})
+                devices.all_off({name: controller})
         except LightoptError as error:
             return controller, error
         except Exception as error:  # noqa: BLE001  (the others must go dark, and what may be on be named)
@@ -71,23 +62,23 @@ def open_lights(
         return controller, None
 
     result = OpenedLights()
-    for name, (controller, problem) in run_in_parallel({n: partial(open_one, n) for n in names}).items():
+    for name, (controller, problem) in devices.run_in_parallel({n: partial(open_one, n) for n in names}).items():
         if controller is not None:
             result.controllers[name] = controller
         if problem is not None:
             result.problems[name] = problem
             every = {name: range(1, wiring.hardware.controllers[name].channels + 1)}
-            found = problem.channels if isinstance(problem, LightsStillOnError) else every
+            found = problem.channels if isinstance(problem, devices.LightsStillOnError) else every
             result.may_be_on += lights_on(wiring, found)
     return result
 
 
-def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | None) -> LightController:
+def open_controller(wiring: Wiring, name: str, *, port: str, log: devices.SerialLog | None) -> devices.LightController:
     config = wiring.hardware.controllers[name]
-    picture: PictureSettings | None = None
+    picture: devices.PictureSettings | None = None
     if config.picture is not None:
-        picture = PictureSettings(**config.picture.model_dump(), pictures=wiring.pictures(name))
-    settings = LightSettings(
+        picture = devices.PictureSettings(**config.picture.model_dump(), pictures=wiring.pictures(name))
+    settings = devices.LightSettings(
         name=name,
         port=port,
         **config.model_dump(exclude={"driver", "port", "picture"}),
@@ -99,7 +90,7 @@ def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | No
             if channel.controller == name and channel.max_level is not None
         },
     )
-    return LIGHT_DRIVERS[config.driver](settings, log)
+    return devices.LIGHT_DRIVERS[config.driver](settings, log)
 
 
 def lights_on(wiring: Wiring, channels: Mapping[str, Iterable[int]]) -> list[str]:
@@ -134,7 +125,7 @@ def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunCo
     with ExitStack() as stack:
         signals = stack.enter_context(EndSignals())
         stack.enter_context(signals.shielded())  # Ctrl-C waits until every channel was tried
-        log = SerialLog(serial_log, warn=run.warn)
+        log = devices.SerialLog(serial_log, warn=run.warn)
         stack.callback(log.close)
         ports: dict[str, str] = {}
         for virtual in (False, True):  # what is real does not wait for what is not
@@ -176,7 +167,7 @@ def _wiring(lights: LightsOnly) -> Wiring:
     return Wiring(lights.hardware, given=True, exposure_us=VIRTUAL_EXPOSURE_US)
 
 
-def _cannot_read_back(controller: LightController) -> bool:
+def _cannot_read_back(controller: devices.LightController) -> bool:
     """Whether levels cannot be read back; where reading fails, darkening failed before and was reported."""
     try:
         return controller.read_level(1) is None

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from lightopt.config import ChannelConfig, ControllerConfig, RigConfig
-from lightopt.core.errors import InputError, LightoptError
+from lightopt.core.errors import InputError, LightoptError, refuse
 from lightopt.core.transforms import Posture
 from lightopt.images import write_png
 from lightopt.rig.capture._capture_plan import exposure_problems
@@ -65,8 +65,7 @@ def check_angles(rig: RigConfig, *, elevation: float | None, rotation: float | N
     """Check angles [°] against the stage's range; None is not checked. InputError with one message per angle."""
     requested = (("elevation", elevation), ("rotation", rotation))
     outside = (angle_outside_range(rig, name, angle) for name, angle in requested if angle is not None)
-    if problems := [problem for problem in outside if problem is not None]:
-        raise InputError(*problems)
+    refuse([problem for problem in outside if problem is not None])
 
 
 def check_on_time(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> None:
@@ -81,8 +80,7 @@ def check_on_time(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> 
 
 def check_exposure(wiring: Wiring, rig: RigConfig, exposure: float) -> None:
     """Refuse a relative exposure that the camera is known not to have (InputError); nothing is opened."""
-    if problems := tuple(exposure_problems(rig, wiring, (exposure,))):
-        raise InputError(*problems)
+    refuse(exposure_problems(rig, wiring, (exposure,)))
 
 
 def snap_on_s(wiring: Wiring, exposure: float) -> float:

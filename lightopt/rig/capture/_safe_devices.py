@@ -7,21 +7,11 @@ from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.core.transforms import Posture
+from lightopt.rig import devices
 from lightopt.rig.capture._lights_off import NONE_OF_THE_RIG, lights_on
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._watchdog import LightWatchdog
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring
-from lightopt.rig.devices import (
-    Camera,
-    Event,
-    Frame,
-    LightController,
-    LightsStillOnError,
-    Stage,
-    StageState,
-    all_off,
-    frame_limit_s,
-)
 
 
 class Devices:
@@ -36,10 +26,10 @@ class Devices:
         self,
         *,
         wiring: Wiring,
-        controllers: Mapping[str, LightController],
-        stage: Stage | None = None,
-        camera: Camera | None = None,
-        events: Callable[[], Sequence[Event]] = tuple,  # irregularities on the links so far
+        controllers: Mapping[str, devices.LightController],
+        stage: devices.Stage | None = None,
+        camera: devices.Camera | None = None,
+        events: Callable[[], Sequence[devices.Event]] = tuple,  # irregularities on the links so far
         closing: Sequence[Callable[[], None]] = (),  # called last, in order: the links' log, the virtual bench
         signals: EndSignals | None = None,  # already installed where devices were opened under their protection
         touch_lights: bool = True,  # False to query the devices only: lights that are on stay on
@@ -62,7 +52,7 @@ class Devices:
         self._left = False
 
     @property
-    def camera(self) -> Camera:
+    def camera(self) -> devices.Camera:
         """The camera; opened only where images are taken."""
         assert self._camera is not None
         return self._camera
@@ -142,9 +132,9 @@ class Devices:
         if problems := [p for name in self.wiring.levels(image) if (p := self._watchdog.pop_problem(name))]:
             raise HardwareError(*problems)
 
-    def grab(self, exposure_us: float, light: str | None) -> Frame:
+    def grab(self, exposure_us: float, light: str | None) -> devices.Frame:
         """Take a frame at the exposure time that the camera holds; waits no longer than the light may stay on."""
-        limit_s = frame_limit_s(exposure_us, self.wiring.hardware.timing.frame_timeout_s)
+        limit_s = devices.frame_limit_s(exposure_us, self.wiring.hardware.timing.frame_timeout_s)
         left_s = None if light is None else self.remaining_on_s(light)
         frame = self.camera.grab(timeout_s=limit_s if left_s is None else max(0.0, min(limit_s, left_s)))
         if light is not None:
@@ -161,8 +151,8 @@ class Devices:
         for channel in map(self.wiring.light, tuple(self._lit)):
             lit.setdefault(channel.controller, []).append(channel.channel)
         try:
-            all_off(self.controllers, lit=lit)
-        except LightsStillOnError as error:
+            devices.all_off(self.controllers, lit=lit)
+        except devices.LightsStillOnError as error:
             lights = lights_on(self.wiring, error.channels)
             return [*error.messages, f"lights that may still be on: {', '.join(lights) or NONE_OF_THE_RIG}"]
         except Exception as error:  # noqa: BLE001  (the stage must be stopped and all be closed, whatever this is)
@@ -195,7 +185,7 @@ class Devices:
             self.stage.home()
         self._homed = True
 
-    def move_to(self, posture: Posture) -> StageState:
+    def move_to(self, posture: Posture) -> devices.StageState:
         assert self.stage is not None
         if not self._homed:
             self.check_referenced()
@@ -245,9 +235,9 @@ class Devices:
 
     def _close(self) -> list[str]:
         """Close all, each even if another fails; returns messages about what failed."""
-        devices = (self._camera, self.stage, *self.controllers.values())
+        opened = (self._camera, self.stage, *self.controllers.values())
         problems: list[str] = []
-        for close in (*(device.close for device in devices if device is not None), *self._closing):
+        for close in (*(device.close for device in opened if device is not None), *self._closing):
             try:
                 close()
             except Exception as error:  # noqa: BLE001, PERF203  (whatever fails here, the rest must be closed, too)

@@ -22,7 +22,7 @@ from lightopt.config import (
     load_rig,
 )
 from lightopt.core.arrays import Float64
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.rig.devices import Axis
 from lightopt.rig.simulated import AxisWire, BenchProcess, BenchTruth, CameraSetup, LightWire
 from lightopt.scene import VIRTUAL_DEG_PER_S, display_picture
@@ -111,8 +111,7 @@ def wiring_of(rig: RigConfig) -> Wiring:
             displays={light.name: light for light in rig.channels if light.kind == "display"},
             folder=rig.source.resolve("."),
         )
-        if problems := list(_too_bright(rig, wiring)):
-            raise InputError(*problems)
+        refuse(_too_bright(rig, wiring))
         return wiring
     controllers: dict[str, ControllerConfig] = {}
     lights: dict[str, ChannelConfig] = {}
@@ -141,8 +140,7 @@ def _image_levels(rig: RigConfig, hardware: HardwareConfig) -> dict[str, dict[st
                     f"{hardware.lights[light].level} is {wanted:g}, and the controller has whole levels; choose a "
                     "weight that gives one, or another level of the light"
                 )
-    if problems:
-        raise InputError(*problems)
+    refuse(problems)
     return found
 
 

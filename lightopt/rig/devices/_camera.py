@@ -7,15 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from lightopt.core.errors import HardwareError, LightoptError
-from lightopt.rig.devices._camera_features import (
-    ExposureTime,
-    Levels,
-    levels_of,
-    set_gain,
-    set_image,
-    set_trigger,
-    switch_off_corrections,
-)
+from lightopt.rig.devices import _camera_features as features
 from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
 from lightopt.rig.devices._device import ATTEMPTS, Event, Identity, ReplyError, Retry, now
 
@@ -27,7 +19,7 @@ _NEAR = 0x1000  # numbers so near to the end and the beginning of the count are 
 class Frame:
     """A frame as the camera delivered it."""
 
-    levels: Levels  # right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above
+    levels: features.Levels  # right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above
     exposure_us: float  # exposure time [µs] as read back for this frame
     number: int | None  # the camera's own; None where it has none
     timestamp_ns: int | None = None  # the camera's own [ns]
@@ -121,11 +113,11 @@ class MachineCamera:
         self._retry = Retry(self, verb="taken")
         self._running = False
         try:
-            switch_off_corrections(sdk, settings)
-            self._format = set_image(sdk, settings)
-            self._gain = set_gain(sdk, settings)
-            self._exposure = ExposureTime(sdk, settings)
-            self.triggered = set_trigger(sdk, settings)
+            features.switch_off_corrections(sdk, settings)
+            self._format = features.set_image(sdk, settings)
+            self._gain = features.set_gain(sdk, settings)
+            self._exposure = features.ExposureTime(sdk, settings)
+            self.triggered = features.set_trigger(sdk, settings)
         except BaseException:
             sdk.close()
             raise
@@ -156,7 +148,7 @@ class MachineCamera:
         fit = int(timeout_s / max(1e-6, self._exposure.held_us / 1e6))
         each_s = timeout_s / min(max(1, fit), ATTEMPTS)  # an attempt without time for its exposure is none
         raw = self._retry.run(lambda: self._take(min(end, time.monotonic() + each_s)))
-        levels = levels_of(raw.data, self._format, width=raw.width, height=raw.height)
+        levels = features.levels_of(raw.data, self._format, width=raw.width, height=raw.height)
         return Frame(
             levels=levels,
             exposure_us=self._exposure.read_us(),

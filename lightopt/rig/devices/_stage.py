@@ -5,7 +5,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from lightopt.core.errors import HardwareError, InputError
+from lightopt.core.errors import HardwareError, refuse
 from lightopt.core.transforms import Posture
 from lightopt.rig.devices._device import Identity, ReplyError
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
@@ -82,8 +82,7 @@ class Stage:
                     f"stage axis {name}: {angle:g}° was requested, but hardware.stage has no {name} axis, "
                     "so it stands at 0°; nothing was moved"
                 )
-        if wrong:
-            raise InputError(*wrong)
+        refuse(wrong)
 
     def move_to(self, posture: Posture) -> StageState:
         """Move, wait and verify; InputError outside the limits with nothing sent, HardwareError once it is stopped."""

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from lightopt.core.errors import InputError
+from lightopt.core.errors import refuse
 from lightopt.rig.devices._device import Retry
 from lightopt.rig.devices._serial_link import SerialLink
 
@@ -39,8 +39,7 @@ class Axis:
 
     def target(self, angle_deg: float, *, step: float) -> float:
         """Nearest multiple of a `step` [device units] to an angle [°]; an InputError for one outside the range."""
-        if wrong := self.problems(angle_deg):
-            raise InputError(*wrong)
+        refuse(self.problems(angle_deg))
         return step * round(self.units_of(angle_deg) / step)
 
     def problems(self, angle_deg: float) -> list[str]:

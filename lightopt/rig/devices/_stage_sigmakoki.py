@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.rig.devices._device import ReplyError, printable
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
@@ -99,8 +99,7 @@ class _SigmakokiDialogue(Dialogue):
             for axis in axes
             if not slowest <= round(axis.speed_units()) <= fastest
         ]
-        if wrong:
-            raise InputError(*wrong)
+        refuse(wrong)
 
     def identify(self) -> dict[str, str]:
         line = self._retry.run(lambda: self.link.query(command("?:V"), end=END))

@@ -16,4 +16,3 @@ from lightopt.rig.simulated._bench_process import (
     CameraSetup as CameraSetup,
     LightWire as LightWire,
 )
-from lightopt.rig.simulated._camera_gige import GigeCamera as GigeCamera
