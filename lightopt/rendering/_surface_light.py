@@ -260,14 +260,15 @@ def _add_above_horizon(
 
 
 @kernel
-def lobe_reaches(p: Vector, n: Vector, v: Vector, e: Element, lobe: Lobe, most: float) -> bool:
+def lobe_reaches(p: Vector, n: Vector, v: Vector, e: Element, inverse: float, farthest: float) -> bool:
     """Whether the lobe of a point may not be negligible on an element: a quick test.
 
-    most: The lobe is negligible where it is less than e^−most of its height
+    inverse: 1/(2σ²) [rad⁻²]
+    farthest: δ²/(2σ²) from which the lobe is negligible
     """
     half, spread = half_vector_cone(p, v, e.centre, e.reach)
     nearest = max(0.0, length(minus(n, half)) - spread)
-    return (spread >= math.pi) | (nearest * nearest * lobe.inverse <= farthest_exponent(most, lobe))
+    return (spread >= math.pi) | (nearest * nearest * inverse <= farthest)
 
 
 @kernel
@@ -553,7 +554,8 @@ def _add_elements(
     found, limits = np.empty(terms), _most_exponents(normals, views, most, lobe)
     places, light, weights = all_diffuse_nodes(elements, pattern)
     p, n, v = np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE))
-    value, near, limit = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE, np.bool_), np.empty(_SIDE_BY_SIDE)
+    value, near = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE, np.bool_)
+    limit, farthest = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE)
     for first in range(0, len(points), _SIDE_BY_SIDE):
         count = min(_SIDE_BY_SIDE, len(points) - first)
         for j in range(count):
@@ -561,6 +563,7 @@ def _add_elements(
                 p[axis, j], n[axis, j] = points[first + j, axis], normals[first + j, axis]
                 v[axis, j] = views[first + j, axis]
             limit[j] = limits[first + j]
+            farthest[j] = farthest_exponent(limit[j], lobe)
         for m in range(len(elements)):
             e, own = element_at(elements, m), clear[m, first : first + count]
             if own.any():
@@ -578,7 +581,7 @@ def _add_elements(
             for j in range(count):
                 point, normal = column_at(p, j), column_at(n, j)
                 above = dot(normal, minus(e.centre, point)) > -e.reach
-                near[j] = above & lobe_reaches(point, normal, column_at(v, j), e, lobe, limit[j])
+                near[j] = above & lobe_reaches(point, normal, column_at(v, j), e, lobe.inverse, farthest[j])
             for j in range(count):
                 if near[j]:
                     i = first + j
