@@ -163,10 +163,10 @@ def _variant_sums(
     # group is summed, of which a channel has `shares`, shape (channels, groups, b)
     lean, R_d, R_s, inverse, most, form = variants
     sharpest, reach = inverse.max(), 0.0
-    farthest = np.empty(len(inverse))
+    ends = np.empty(len(inverse))
     for t in range(len(inverse)):
-        farthest[t] = farthest_exponent(most[t], lobe_of_width(form, inverse[t]))
-        reach = max(reach, math.sqrt(farthest[t] / inverse[t]))
+        ends[t] = farthest_exponent(most[t], lobe_of_width(form, inverse[t]))
+        reach = max(reach, math.sqrt(ends[t] / inverse[t]))
     terms, groups, count = len(pattern.terms), shares.shape[1], len(lean)
     found, whole = np.empty(terms), np.empty((terms, 3))
     nodes, shared, values = np.empty((4, MOST_SHARED**2)), np.empty((terms, MOST_SHARED**2)), np.empty(MOST_SHARED**2)
@@ -213,7 +213,7 @@ def _variant_sums(
                 lobe = lobe_of_width(form, inverse[t])
                 away = length(minus(turned, half))
                 nearest = max(0.0, away - spread)
-                if spread < math.pi and nearest * nearest * inverse[t] > farthest[t]:
+                if spread < math.pi and nearest * nearest * inverse[t] > ends[t]:
                     continue
                 if counts[0] == 0:
                     counts = _shared_counts(p, n, v, e, sharpest)

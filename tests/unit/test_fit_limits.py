@@ -20,6 +20,7 @@ from lightopt.estimate.reflectance._result import bounded, separate_region_warni
 from lightopt.estimate.reflectance._sigma_scan import peaks, profile_over_sigma
 from lightopt.estimate.reflectance._uncertainty import profile_regions
 from lightopt.estimate.reflectance._validation import Comparison, LeftOut, validation_warnings
+from lightopt.optics import SpecularModel
 
 
 class Landscape:
@@ -94,7 +95,9 @@ def test_fits_without_a_light_that_did_not_converge_are_counted_and_named():
     (said,) = validation_warnings(left_out, SimpleNamespace(max_level=255))
     assert "1 of the 2 fits without one light each did not converge (without two)" in said
     assert left_out[1].as_dict()["converged"] is False
-    result = FitResult(kind="specular", method="likelihood", points=4, values=(), fitted=(), left_out=left_out)
+    result = FitResult(
+        kind="specular", method="likelihood", model=SpecularModel(), points=4, values=(), fitted=(), left_out=left_out
+    )
     assert not result.converged
     assert replace(result, left_out=left_out[:1]).converged
 

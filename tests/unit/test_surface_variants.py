@@ -1,15 +1,20 @@
 """Many variants of many points at once, against the reflection model point by point."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from reference import specular
 
+from lightopt.config import RigConfig
 from lightopt.lights import PanelLight
 from lightopt.optics import Reflectance, SpecularModel
-from lightopt.rendering import SurfacePoints, shade_variants, surface_variants
+from lightopt.rendering import SurfacePoints, shade_variants, shade_variants_together, surface_variants
+from lightopt.rendering._converged_panel import converged_panel, shade_converged
+from lightopt.rendering._surface_light import shade_surface_lights
 from lightopt.rendering._surface_variants import NEGLIGIBLE_LEVEL
+from lightopt.scene import build_lights
 
 MODELS = {
     "torrance-sparrow": SpecularModel(),
@@ -113,3 +118,43 @@ def test_no_points_have_no_levels():
     found = shade_variants(surface.take(none), references[none], panel, variants, reflectance=reflectance, caster=None)
     assert found.varied.shape == (len(SLOPES), 0)
     assert len(found.good) == 0
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.1])
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("kind", ["panel", "ring"])
+def test_variants_of_whole_lights_are_the_light_on_other_surfaces(kind, model, sigma):
+    """A converged panel and a ring on leaning normals, against the light of the leaning surface itself."""
+    surface, references = surface_of(np.random.default_rng(5))
+    few = np.arange(0, POINTS, 5)
+    surface, references = surface.take(few), references[few]
+    reflectance = Reflectance(R_d=45.0, R_s=4000.0 * (0.05 / sigma) ** 2, sigma=sigma, model=MODELS[model])
+    if kind == "panel":
+        light = replace(panel_at(1.0, 0.4), points="auto")
+        light = converged_panel(light, centre=np.zeros(3), radius=25.0)
+    else:
+        camera = {"distance_mm": 500, "elevation_deg": 90, "resolution_px": [32, 24], "pixel_size_um": 220}
+        camera |= {"image_distance_mm": 50, "sensor": {"bit_depth": 8}}
+        ring = {"name": "ring", "kind": "ring", "distance_mm": 200, "elevation_deg": 90, "azimuth_deg": 270}
+        ring |= {"inner_radius_mm": 40, "outer_radius_mm": 70, "ring_tilt_deg": 20}
+        rig = {"format": "lightopt-rig/1", "name": "x", "camera": camera, "lights": [ring]}
+        (light,) = build_lights(RigConfig.model_validate(rig))
+    slope, direction = SLOPES[:4], DIRECTIONS[:4]
+    variants = surface_variants(
+        slope=slope, direction=direction, R_d_factor=np.ones(4), sigma_factor=np.ones(4), reflectance=reflectance
+    )
+    (found,) = shade_variants_together(surface, references, [light], variants, reflectance=reflectance, caster=None)
+    across = np.cross(surface.normals, references)
+    for t in range(4):
+        towards = math.cos(direction[t]) * references + math.sin(direction[t]) * across
+        turned = math.cos(slope[t]) * surface.normals + math.sin(slope[t]) * towards
+        leaning = replace(surface, normals=turned)
+        if kind == "panel":
+            sample, shape = 2 * np.arange(len(few)), (1, 2 * len(few))
+            how = {"sample": sample, "shape": shape, "reflectance": reflectance, "caster": None}
+            diffuse, specular_light, _ = shade_converged(leaning, light, **how)
+        else:
+            (diffuse,), (specular_light,) = shade_surface_lights(leaning, [light], reflectance=reflectance, caster=None)
+        expected = reflectance.R_d * diffuse + reflectance.R_s * specular_light
+        # a few points stand for a panel, and a few nodes for an element, to a few per cent of a lobe
+        assert np.allclose(found.varied[t], expected, rtol=0.02, atol=0.01 * expected.max())
