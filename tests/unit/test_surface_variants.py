@@ -157,4 +157,4 @@ def test_variants_of_whole_lights_are_the_light_on_other_surfaces(kind, model, s
             (diffuse,), (specular_light,) = shade_surface_lights(leaning, [light], reflectance=reflectance, caster=None)
         expected = reflectance.R_d * diffuse + reflectance.R_s * specular_light
         # a few points stand for a panel, and a few nodes for an element, to a few per cent of a lobe
-        assert np.allclose(found.varied[t], expected, rtol=0.02, atol=0.01 * expected.max())
+        assert np.allclose(found.varied[t], expected, rtol=0.03, atol=0.02 * expected.max())
