@@ -141,8 +141,8 @@ class ReflectanceConfig(Frozen):
     sigma_rad: _Sigma | None = Field(default=None, validate_default=True)
     """Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating. All models but ggx."""
     alpha: _Alpha | None = Field(default=None, validate_default=True)
-    """ggx: roughness α, the root mean square slope of a surface with such a lobe without its tails. About twice the σ
-    that fits the middle of the lobe."""
+    """ggx: roughness α of the microfacet model. It is about twice the σ that fits the middle of the lobe: 0.006 is
+    polished chrome, 0.1 satin plating."""
     R_s_wide: fields.Coefficient | None = Field(default=None, validate_default=True)
     """two-lobe: specular coefficient of the wide lobe, at most R_s [levels of full_scale]."""
     sigma_wide_rad: _Sigma | None = Field(default=None, validate_default=True)
@@ -169,9 +169,10 @@ class ReflectanceConfig(Frozen):
             return value
         wanted = _KEYS_OF_MODELS[model]
         if name in wanted and value is None:
-            raise fields.absent(f'missing key "{name}": model {model} needs {" and ".join(wanted)}', name)
+            meaning = str(cls.model_fields[name].description).replace("\n", " ")
+            raise fields.absent(f'missing key "{name}": {meaning} Model {model} needs it', name)
         if name not in wanted and value is not None:
-            raise complaint(f"model {model} has no such key; it has {' and '.join(wanted)}")
+            raise complaint(f"model {model} has no such key; it has {', '.join(wanted)}")
         narrow, wide = {"R_s_wide": ("R_s", False), "sigma_wide_rad": ("sigma_rad", True)}.get(name, ("", False))
         bound = info.data.get(narrow)
         if value is not None and bound is not None and (value <= bound if wide else value > bound):

@@ -456,6 +456,29 @@ def test_missing_keys_are_described(folder: Path) -> None:
     assert any(f.startswith('3: reflectance: missing key "sigma_rad": Width') for f in found)
 
 
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ("model: ggx", ['missing key "alpha"', "Model ggx needs it"]),
+        ("model: ggx, alpha: 0.1, sigma_rad: 0.05", ["sigma_rad: model ggx has no such key; it has alpha"]),
+        ("alpha: 0.1, sigma_rad: 0.05", ["alpha: model torrance-sparrow has no such key; it has sigma_rad"]),
+        ("model: two-lobe, sigma_rad: 0.05", ['missing key "R_s_wide"', 'missing key "sigma_wide_rad"']),
+        (
+            "model: two-lobe, sigma_rad: 0.1, R_s_wide: 200, sigma_wide_rad: 0.05",
+            ["at most R_s, 100", "more than sigma_rad"],
+        ),
+        ("model: phong, sigma_rad: 0.05", ["model", "ggx"]),
+        ("sigma_rad: 0.05, refractive_index: [2.0]", ["refractive_index", "[n, k]"]),
+        ("sigma_rad: 0.05, refractive_index: [2.0, -1.0]", ["refractive_index", "above 0"]),
+    ],
+)
+def test_models_have_keys_of_their_own(folder: Path, keys: str, words: list[str]) -> None:
+    text = f"format: lightopt-part/1\nname: x\nmesh: {{file: knob.stl, units: mm}}\nreflectance: {{R_d: 1, R_s: 100, {keys}}}\n"
+    found = errors(load_part, write(folder, text))
+    assert all(f.startswith("4: ") for f in found), found
+    assert all(any(word in f for f in found) for word in words), found
+
+
 # ---- files that are no configuration at all
 
 
