@@ -473,7 +473,8 @@ def test_missing_keys_are_described(folder: Path) -> None:
     ],
 )
 def test_models_have_keys_of_their_own(folder: Path, keys: str, words: list[str]) -> None:
-    text = f"format: lightopt-part/1\nname: x\nmesh: {{file: knob.stl, units: mm}}\nreflectance: {{R_d: 1, R_s: 100, {keys}}}\n"
+    mesh = "mesh: {file: knob.stl, units: mm}"
+    text = f"format: lightopt-part/1\nname: x\n{mesh}\nreflectance: {{R_d: 1, R_s: 100, {keys}}}\n"
     found = errors(load_part, write(folder, text))
     assert all(f.startswith("4: ") for f in found), found
     assert all(any(word in f for f in found) for word in words), found
