@@ -11,7 +11,7 @@ NOTED_SHARE, WARNED_SHARE = 0.01, 0.05  # of the surface in view
 
 
 def check_mirrored_part(checked: CheckedScene) -> Iterator[Finding]:
-    """Share of the surface in view that mirrors the part, in place of the lights and the dark box."""
+    """Share of the surface in view that mirrors the part, in place of the lights and the dark box; none if it is 0."""
     if checked.scene.reflectance.R_s == 0.0:
         return
     for index, sample in enumerate(checked.samples):
@@ -22,6 +22,8 @@ def check_mirrored_part(checked: CheckedScene) -> Iterator[Finding]:
         mirrored = 2.0 * np.einsum("ik,ik->i", some.normals, some.views)[:, None] * some.normals - some.views
         meets = checked.caster.next_hit(some.points, some.facets, mirrored) >= 0
         share = float(np.mean(meets & (np.einsum("ik,ik->i", mirrored, some.facets) > 0.0)))
+        if share == 0.0:
+            continue
         text = f"posture {sample.posture}: {percent(share)} of the surface in view mirrors the part itself"
         if share > NOTED_SHARE:
             text += (

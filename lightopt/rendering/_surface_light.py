@@ -69,6 +69,7 @@ MOST_R_S_SIGMA_2 = 1e3  # R_s·σ² of fits, where R_s is not known [grey level]
 NEGLIGIBLE_LEVEL = 0.02  # elements whose highlight is less are not divided [grey level]
 STEPS = 6  # Newton steps to where the lobe is brightest
 FAR_OFF = 1.5  # of the negligible exponent: where the quadratic form's least is more, so is the exponent
+FIRST_FAR_OFF = 4.0  # times that of the form at the middle of an element, which may bend much
 NEAR = 0.02  # of an element's sides: steps that are less end the search
 MOST_ENDS, _RINGS, TAIL_GROWTH = 24, 11, 3.2  # of the pieces that a side is taken in for a lobe with tails
 _TAIL_DIGITS = 5.0  # ½·ln of what a rule's error is divided by
@@ -311,7 +312,7 @@ def _nearest(
     s, t = 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)
     wide, high = area.s1 - area.s0, area.t1 - area.t0
     a = b = c = gs = gt = least = 0.0
-    for _ in range(STEPS):
+    for round_ in range(STEPS):
         q, along_s, along_t = element_place(e, s, t)
         hx, hy, jxs, jxt, jys, jyt = half_vector_map(p, n, v, q, along_s, along_t)
         a, b, c = (
@@ -323,7 +324,9 @@ def _nearest(
         least = inverse * (hx * hx + hy * hy)
         ns, nt = least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, area)
         ds, dt = ns - s, nt - t
-        if least + 2.0 * (gs * ds + gt * dt) + a * ds * ds + 2.0 * b * ds * dt + c * dt * dt > far:
+        if least + 2.0 * (gs * ds + gt * dt) + a * ds * ds + 2.0 * b * ds * dt + c * dt * dt > (
+            far if round_ else FIRST_FAR_OFF * far
+        ):
             return s, t, a, b, c, gs, gt, np.inf
         moved = max(abs(ds) / wide, abs(dt) / high)
         if moved < NEAR:
