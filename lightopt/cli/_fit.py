@@ -194,6 +194,8 @@ def _complete(kind: str, options: FitOptions, free: list[str] | None, points: st
         usual = PaperOptions().as_dict()
         changed = [flag(name) for name, value in options.paper.as_dict().items() if value != usual[name]]
         problems += [f"{name}: has no effect without --method paper" for name in changed]
+    elif options.model == "auto":
+        problems.append("--method paper: knows one Gaussian lobe; omit --model auto")
     elif free or options.joint or options.register:
         problems.append("--method paper: cannot be combined with --free, --joint or --register")
     elif options.write_noise:
@@ -286,10 +288,13 @@ def _show_points(result: FitResult) -> None:
 
 
 def _show_models(result: FitResult) -> None:
-    rows = [
-        [row.model, f"{row.rms:.3g}", f"{row.likelihood:.5f}", "selected" if row.model == result.model.name else ""]
-        for row in result.models
-    ]
+    rows: list[list[str]] = []
+    for row in result.models:
+        selected = "selected" if row.model == result.model.name else ""
+        if row.rms is None or row.likelihood is None:
+            rows.append([row.model, "-", "-", "not determined by these images"])
+        else:
+            rows.append([row.model, f"{row.rms:.3g}", f"{row.likelihood:.5f}", selected])
     show_table(["model", "left-out lights [sensor level rms]", "likelihood", ""], rows)
 
 

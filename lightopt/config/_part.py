@@ -148,8 +148,20 @@ class ReflectanceConfig(Frozen):
     sigma_wide_rad: _Sigma | None = Field(default=None, validate_default=True)
     """two-lobe: width of the wide lobe, more than sigma_rad [rad]."""
     refractive_index: Annotated[tuple[_Index, _Index], LIST, expecting("[n, k], two numbers above 0")] | None = None
-    """Complex refractive index [n, k] of a metal: its specular reflection grows towards grazing angles by Fresnel's
-    equations. If absent, it does not depend on the angle of incidence."""
+    """Complex refractive index [n, k] of a metal: its specular reflection follows Fresnel's equations, and grows at
+    grazing angles. If absent, it does not depend on the angle of incidence."""
+
+    @field_validator("refractive_index")
+    @classmethod
+    def _of_a_metal(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None:
+            n, k = value
+            share = ((n - 1.0) ** 2 + k * k) / ((n + 1.0) ** 2 + k * k)
+            if share < LEAST_METAL:
+                reflected = f"at least {LEAST_METAL:.0%} is reflected along the normal, found {share:.1%}"
+                raise complaint(f"expected an index by which {reflected}")
+        return value
+
     full_scale: fields.Positive = 255.0
     """Full scale in which R_d and R_s are expressed [levels]."""
     white_level: fields.Positive | None = None
@@ -179,6 +191,8 @@ class ReflectanceConfig(Frozen):
             raise complaint(f"expected {'more than' if wide else 'at most'} {narrow}, {bound:g}, found {value:g}")
         return value
 
+
+LEAST_METAL = 0.02  # share of light that is reflected along the normal: half of what glass does
 
 _KEYS_OF_MODELS = {
     "torrance-sparrow": ("sigma_rad",),

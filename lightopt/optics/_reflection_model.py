@@ -61,8 +61,7 @@ class SpecularModel:
     name: torrance-sparrow, one Gaussian lobe in δ; ggx, with masking by Smith; two-lobe, two Gaussian ones
     wide_share: R_s of the wide lobe, as a share of R_s; two-lobe only
     wide_ratio: σ of the wide lobe over σ; two-lobe only
-    refractive_index: n and k of the metal, by which Fresnel's factor grows towards grazing angles; None for no such
-        factor
+    refractive_index: n and k of the metal, for Fresnel's factor; None for no such factor
     """
 
     name: ModelName = "torrance-sparrow"
@@ -236,10 +235,16 @@ def conductor_reflectance(cosine: float, n: float, k: float) -> float:
 def farthest_exponent(most: float, lobe: Lobe) -> float:
     """δ²/(2σ²) from which a lobe is less than e^−most of its height, or more.
 
-    The square of δ's sine, on which GGX depends, is more than 4/π² of that of δ.
+    The square of δ's sine, on which GGX depends, is more than 4/π² of that of δ. A metal reflects as many times more at
+    grazing angles as it reflects less than all along its normal.
     """
+    if not lobe.plain:
+        most -= math.log(lobe.normal_reflectance)
     if lobe.ggx:
-        return (0.5 * math.pi) ** 2 * 2.0 * (math.exp(0.5 * min(most, MAX_LOBE_EXPONENT)) - 1.0)
+        narrowing = 1.0 - 2.0 / lobe.inverse  # 1 − α²
+        if narrowing <= 0.01:
+            return EVERYWHERE
+        return (0.5 * math.pi) ** 2 * 2.0 * (math.exp(0.5 * min(most, MAX_LOBE_EXPONENT)) - 1.0) / narrowing
     if lobe.wide_share > 0.0:
         # each of the two less than half of it
         wide = most + 0.7 + math.log(lobe.wide_share)

@@ -50,7 +50,8 @@ def bounced_bands(
     window: tuple[int, int, int, int],
     trace: _Trace,
     *,
-    supersample: int = 1,
+    supersample: int,
+    offset: Float64,
     threads: int | None = None,
 ) -> Iterator[Band]:
     """What the part's light on itself adds to the images of a posture, band by band.
@@ -58,14 +59,15 @@ def bounced_bands(
     window: Left, top, right and bottom of what is rendered [px]
     trace: Casts the camera's rays through a grid of columns and rows
     supersample: n² samples of a pixel, whose mean it shows
+    offset: Of the samples from where they are in their pixels, to the right and down [px], shape (2,)
     """
     n, (left, top, right, bottom) = supersample, window
-    columns = (np.arange(left * n, right * n) + 0.5) / n
+    columns = (np.arange(left * n, right * n) + 0.5) / n + offset[0]
     step = max(1, BAND // n)
     for first in range(top, bottom, step):
         end = min(first + step, bottom)
         # with the row that the squares of the last rows reach to
-        rows = (np.arange(first * n, min(end, bottom - 1) * n + 1) + 0.5) / n
+        rows = (np.arange(first * n, min(end, bottom - 1) * n + 1) + 0.5) / n + offset[1]
         hits, surface = trace(columns, rows)
         at = np.full((len(rows), len(columns)), -1, np.int32)
         at.ravel()[hits.ray] = np.arange(len(surface), dtype=np.int32)

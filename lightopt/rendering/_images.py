@@ -267,7 +267,7 @@ def _run(job: _PostureJob, posture: Posture, threads: int | None, progress: Shar
         for image in job.images:
             assert image.inside is not None
             image.inside[:] -= image.level
-    if job.scene.bounces or job.scene.environment:
+    if job.images and (job.scene.bounces or job.scene.environment):
         job.add_bounces(threads)
     for number, level in direct_levels(view, job.scene.mesh, caster, threads=threads):
         job.images[number].level[:] += level
@@ -436,8 +436,16 @@ class _PostureJob:
             hits, surface = self._trace(columns, rows)
             return hits, self._wavy(surface)
 
-        camera = self.view.camera
-        for band in bounced_bands(light, camera, self.window, trace, supersample=self.supersample, threads=threads):
+        bands = bounced_bands(
+            light,
+            self.view.camera,
+            self.window,
+            trace,
+            supersample=self.supersample,
+            offset=self.offset,
+            threads=threads,
+        )
+        for band in bands:
             own = (slice(band.top, band.bottom), slice(band.left, band.left + band.diffuse.shape[2]))
             for image, diffuse, specular in zip(self.images, band.diffuse, band.specular, strict=True):
                 image.level[own] += diffuse + specular

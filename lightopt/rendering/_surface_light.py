@@ -44,6 +44,7 @@ from lightopt.optics import (
     wide_lobe,
 )
 from lightopt.rendering._panel_quadrature import (
+    NEGLIGIBLE_EXPONENT,
     NODES,
     WEIGHTS,
     Rectangle,
@@ -53,6 +54,7 @@ from lightopt.rendering._panel_quadrature import (
     lobe_window,
     node_count,
     peak,
+    tail_nodes,
 )
 from lightopt.rendering._pattern_weights import pattern_weights, picture_weights
 from lightopt.rendering._point_lights import facing_targets
@@ -558,7 +560,7 @@ def _add_elements(
     places, light, weights = all_diffuse_nodes(elements, pattern)
     p, n, v = np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE))
     value, near = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE, np.bool_)
-    limit, farthest = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE)
+    limit, farthest, sums = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE)
     for first in range(0, len(points), _SIDE_BY_SIDE):
         count = min(_SIDE_BY_SIDE, len(points) - first)
         for j in range(count):
@@ -585,6 +587,9 @@ def _add_elements(
                 point, normal = column_at(p, j), column_at(n, j)
                 above = dot(normal, minus(e.centre, point)) > -e.reach
                 near[j] = above & lobe_reaches(point, normal, column_at(v, j), e, lobe.inverse, farthest[j])
+            if not lobe.plain:
+                nodes = places[m], light[m], weights[m]
+                _add_smooth(p, n, v, near[:count], e, nodes, lobe, sums, specular[m, :, first:])
             for j in range(count):
                 if near[j]:
                     i = first + j
@@ -593,6 +598,62 @@ def _add_elements(
                     specular_of_element(*geometry, e, whole_element(e), pattern, lobe, limit[j], found)
                     for b in range(terms):
                         specular[m, b, i] = found[b]
+
+
+@kernel
+def _add_smooth(
+    p: Float64,
+    n: Float64,
+    v: Float64,
+    near: Bool,
+    e: Element,
+    nodes: tuple[Float64, Float64, Float64],
+    lobe: Lobe,
+    sums: Float64,
+    specular: Float64,
+) -> None:
+    # where the tails of a lobe, or the wider of two, are smooth all over an element, which is above the horizon: sets
+    # the light of these points from the nodes of diffuse light, and they are no longer `near`
+    places, light, weights = nodes
+    # of a pattern more than of an even element
+    enough = DIFFUSE_NODES + (len(weights) == 1)
+    index, number = np.empty(len(near), np.int64), 0
+    for j in range(len(near)):
+        point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
+        half, spread = half_vector_cone(point, view, e.centre, e.reach)
+        away = length(minus(normal, half))
+        smooth = near[j] and spread < 1.0 and dot(normal, minus(e.centre, point)) >= e.reach and dot(normal, view) > 0.0
+        if not smooth:
+            continue
+        if lobe.ggx:
+            few = tail_nodes(away - spread, away + spread, math.sqrt(2.0 / lobe.inverse)) <= enough
+        else:
+            beyond = max(0.0, away - spread) ** 2 * lobe.inverse > NEGLIGIBLE_EXPONENT
+            few = beyond and node_count(lobe.wide_inverse, lobe.wide_inverse * away, -min(spread, away), spread) <= 4
+        if few:
+            index[number] = j
+            number += 1
+    for k in range(len(places)):
+        q, shining = vector_at(places, k), vector_at(light, k)
+        for i in range(number):
+            j = index[i]
+            normal, view = column_at(n, j), column_at(v, j)
+            towards = minus(q, column_at(p, j))
+            r2 = dot(towards, towards)
+            r = math.sqrt(r2)
+            half = plus(scaled(towards, 1.0 / r), view)
+            size = math.sqrt(dot(half, half))
+            chord = minus(normal, scaled(half, 1.0 / size))
+            value = specular_lobe(dot(chord, chord), lobe) * light_factor(dot(normal, towards) / r, size, lobe)
+            sums[i] = value * max(0.0, -dot(shining, towards)) / (r2 * r)
+        for b in range(len(weights)):
+            for i in range(number):
+                specular[b, index[i]] += weights[b, k] * sums[i]
+    for i in range(number):
+        j = index[i]
+        for b in range(len(weights)):
+            specular[b, j] /= specular_divisor(dot(column_at(n, j), column_at(v, j)), lobe)
+        near[j] = False
 
 
 @kernel

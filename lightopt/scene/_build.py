@@ -74,7 +74,7 @@ def build_scene(
         camera=camera,
         lights=placed,
         mesh=mesh,
-        reflectance=_reflectance(part),
+        reflectance=_reflectance(part, seen=bounces > 0 or rig.environment.level > 0.0),
         sensor=build_sensor(rig.camera),
         stage=build_stage(rig),
         postures=chosen,
@@ -93,7 +93,8 @@ def build_scene(
     return replace(scene, warnings=warnings, defects=placed_defects, waviness=waviness)
 
 
-def _reflectance(part: PartConfig) -> Reflectance:
+def _reflectance(part: PartConfig, *, seen: bool) -> Reflectance:
+    # `seen`: whether the part shows itself or its surroundings, for which its white level counts
     own = part.reflectance
     model = SpecularModel(
         name=own.model,
@@ -104,8 +105,7 @@ def _reflectance(part: PartConfig) -> Reflectance:
     reflectance = Reflectance(
         R_d=own.R_d, R_s=own.R_s, sigma=own.sigma, full_scale=own.full_scale, model=model, white_level=own.white_level
     )
-    least = least_white_level(reflectance)
-    if own.white_level is not None and own.white_level < least:
+    if seen and own.white_level is not None and own.white_level < (least := least_white_level(reflectance)):
         raise InputError(
             f"{part.source.at('reflectance', 'white_level')}: expected at least {least:.4g}, found "
             f"{own.white_level:g}: with these coefficients the part would reflect more light than it gets"

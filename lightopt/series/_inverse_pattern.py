@@ -19,6 +19,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import rotation_x, rotation_y
 from lightopt.defects import SHAPE_KINDS, mark_surface
 from lightopt.lights import SurfaceLight, picture_light
+from lightopt.optics import farthest_exponent
 from lightopt.rendering import (
     PosturePixels,
     SurfacePoints,
@@ -33,7 +34,8 @@ MOST_CAMERA_PIXELS = 20_000  # that the picture is fitted to; of more, every sec
 TARGET_SHARE = 0.5  # mean of the target, as a share of the level under the display all on
 TARGET_CONTRAST = 0.5  # of the target's stripes in both directions together
 REFLECTING_SHARE = 0.9  # of the brightest level under the display all on: pixels with less see something else
-LOBE_SIGMAS = 6.0  # half the width of the lobe on the display, in its σ there
+LEAST_EXPONENT = 18.0  # of the lobe where it ends on the display, 6 σ of a Gaussian one
+MOST_HALF = math.radians(30.0)  # by which half vectors lean at most where a lobe has long tails
 DIFFUSE_BLOCKS = 8  # of the display along each side, of which the diffuse response is known
 ITERATIONS = 300
 
@@ -202,7 +204,9 @@ def _responses(surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, in
     # specular level of each camera pixel per display pixel: of those in reach of the lobe about the mirrored place
     u, v, distance = mirrored_places(surface, light)
     wide, high = light.size[0] / shape[1], light.size[1] / shape[0]
-    reach = 2.0 * distance * math.tan(LOBE_SIGMAS * scene.reflectance.sigma)
+    exponent = farthest_exponent(LEAST_EXPONENT, scene.reflectance.lobe)
+    half = min(math.sqrt(exponent / scene.reflectance.lobe.inverse), MOST_HALF)
+    reach = 2.0 * distance * math.tan(half)
     order = np.argsort(u)
     columns: list[Index] = []
     points: list[Index] = []

@@ -32,7 +32,7 @@ from lightopt.estimate.reflectance._noise import image_noise
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
 
 # widths of lobes that are tried [rad]: somewhat beyond the documented range, so that an edge is seen as one
-LEAST_SIGMA, MOST_SIGMA = 0.0007, 0.3
+LEAST_SIGMA, MOST_SIGMA, MOST_GGX_SIGMA = 0.0007, 0.3, 0.7
 
 NODES = 121
 # nodes of ln σ over that range, and how many of them an interpolation takes: its error is some 1e-6 of the lobe
@@ -61,9 +61,9 @@ _CHUNK = 65_536
 class SpecularTable:
     """Light per unit of R_s of some pixels over ln σ, worked out at nodes as they are needed."""
 
-    nodes = np.linspace(math.log(LEAST_SIGMA), math.log(MOST_SIGMA), NODES)  # ln σ
-
     def __init__(self, samples: Samples) -> None:
+        most = MOST_GGX_SIGMA if samples.model.name == "ggx" else MOST_SIGMA
+        self.nodes = np.linspace(math.log(LEAST_SIGMA), math.log(most), NODES)  # ln σ
         self._samples = samples
         self._columns: dict[int, Float64] = {}
         self._window: tuple[int, Float64] = (-1, np.zeros((0, 0)))

@@ -50,7 +50,7 @@ from lightopt.estimate.reflectance._validation import (
 )
 from lightopt.estimate.reflectance._wide_lobe import fit_wide_lobe
 from lightopt.images import ImageSet
-from lightopt.optics import ModelName
+from lightopt.optics import ModelName, Reflectance, farthest_exponent
 from lightopt.scene import coarse_points
 
 HIGHLIGHT_LEVEL = 0.1  # pixels that a highlight lights by less than this are diffuse only [grey level at exposure 1]
@@ -103,11 +103,12 @@ def fit_diffuse(
     plain, widening, found, quality = samples, max(WIDENINGS), whole, first_quality
     # the tails of GGX leave no pixel to diffuse light alone
     if samples.model.name != "ggx":
-        plain, widening = _diffuse_only(samples, whole.x)
+        plain, widening = _diffuse_only(samples, whole)
         held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
         found = fit_reflectance(plain, freed=replace(freed, specular=False), held=held, run=run)
         quality = assess_quality(plain, found)
-    first = [f"first fit, which locates the highlights: {text}" for text in convergence_warnings(whole)]
+    located = () if found is whole else convergence_warnings(whole)
+    first = [f"first fit, which locates the highlights: {text}" for text in located]
     warnings = [*setup.warnings, *first, *convergence_warnings(found)]
     warnings += poor_fit_warnings(found, quality, placed=placed)
     if widening < max(WIDENINGS):
@@ -119,7 +120,7 @@ def fit_diffuse(
     result = _result("diffuse", setup, plain, found, quality, (*values, *_unfitted(setup)), warnings)
     run.warn(*result.warnings)
     pixels, estimate = len(np.unique(found.criterion.samples.sample)), replace(found, scan=whole.scan)
-    return replace(result, highlight_fit=whole, pixels=pixels, estimate=estimate)
+    return replace(result, highlight_fit=None if found is whole else whole, pixels=pixels, estimate=estimate)
 
 
 def _unfitted(setup: FitSetup) -> tuple[FittedValue, FittedValue]:
@@ -175,8 +176,9 @@ def _choose_model(
     rig: RigConfig, part: PartConfig, image_set: ImageSet, options: FitOptions, run: RunContext
 ) -> tuple[FitOptions, tuple[ModelRow, ...]]:
     # the form of the lobe that predicts lights that are left out best; the simplest of those about as good
+    if options.method == "paper":
+        raise InputError("the paper's method knows one Gaussian lobe: there is no form of the lobe to choose")
     rows: list[ModelRow] = []
-    refused: InputError | None = None
     for model in MODELS:
         setup = prepare_fit(rig, part, image_set, (*options.points, None)[0], options, run, model=model)
         if len({o.light for o in setup.observations}) < 2:
@@ -188,14 +190,14 @@ def _choose_model(
             result, setup, samples = _fit_one(setup)
         except InputError as error:
             # a form that these images do not determine, such as two lobes of a surface that has one
-            refused = error
+            rows.append(ModelRow(model=model, refused=error.args[0]))
             continue
         assert result.estimate is not None
         rows.append(model_row(model, leave_lights_out(setup, samples, result.estimate), result.estimate))
-    if not rows:
-        raise refused or InputError("model auto: no form of the lobe fits these images")
-    least = min(row.rms for row in rows)
-    chosen = next(row.model for row in rows if row.rms <= MODEL_MARGIN * least)
+    least = min((row.rms for row in rows if row.rms is not None), default=None)
+    if least is None:
+        raise InputError(*(f"model {row.model}: {row.refused}" for row in rows))
+    chosen = next(row.model for row in rows if row.rms is not None and row.rms <= MODEL_MARGIN * least)
     return replace(options, model=chosen), tuple(rows)
 
 
@@ -213,7 +215,7 @@ def _fit_one(setup: FitSetup) -> tuple[FitResult, FitSetup, Samples]:
     found = fit_reflectance(samples, freed=options.freed, held=setup.held, run=setup.run)
     quality = assess_quality(samples, found)
     placed = refuse_unexplained_images(setup, samples, found, quality)
-    refuse_out_of_range(found, float(found.R_s * samples.specular(found.sigma).max()))
+    refuse_out_of_range(found, float(found.R_s * samples.specular(found.sigma).max()), samples.model)
     values = fitted_values(found, full_scale=reflectance.full_scale, model=samples.model, wide=wide)
     interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in setup.observations}
@@ -276,15 +278,18 @@ def _parameters(result: FitResult, setup: FitSetup) -> Float64:
     return x
 
 
-def _diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
+def _diffuse_only(samples: Samples, found: Estimate) -> tuple[Samples, float]:
     # the observations that a lobe wider than the one found leaves dark, and how much wider it was taken
-    peak = max(math.exp(x[LOG_R_S]), LEAST_R_S) * float(np.exp(np.max(np.abs(x[FIRST_GAIN:-2]))))
-    reach = math.sqrt(2.0 * math.log(max(peak / HIGHLIGHT_LEVEL, 1.0)))
+    x = found.x
+    peak = max(found.R_s, LEAST_R_S) * float(np.exp(np.max(np.abs(x[FIRST_GAIN:-2]))))
+    lobe = Reflectance(R_d=0.0, R_s=1.0, sigma=found.sigma, model=samples.model).lobe
+    # in σ
+    reach = math.sqrt(2.0 * farthest_exponent(math.log(max(peak / HIGHLIGHT_LEVEL, 1.0)), lobe))
     deflection = samples.deflection[samples.sample]
     lit = samples.diffuse[samples.sample] > 0.0
     unlit = deflection == np.pi
     for widening in WIDENINGS:
-        plain = lit & (deflection > widening * math.exp(x[LOG_SIGMA]) * reach)
+        plain = lit & (deflection > widening * found.sigma * reach)
         if np.count_nonzero(plain & ~samples.saturated) >= LEAST_PIXELS:
             return samples.select(plain | unlit), widening
     raise InputError(

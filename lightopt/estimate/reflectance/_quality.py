@@ -22,6 +22,7 @@ from lightopt.estimate.reflectance._likelihood import (
 )
 from lightopt.estimate.reflectance._noise import image_noise
 from lightopt.estimate.reflectance._samples import Samples
+from lightopt.optics import SpecularModel
 
 POOR_EPSILON = 0.02
 POOR_NOISE = 3.0
@@ -33,6 +34,7 @@ STRONG_CORRELATION = 0.95
 
 # widths of lobes that the model is meant for [rad]: Ward found these on real surfaces (paper, section 4.3)
 SIGMA_RANGE = 0.001, 0.2
+GGX_SIGMA_RANGE = 0.001, 0.5  # α up to 1, as part files allow
 
 MOST_R_S = 1e11  # beyond this, R_s runs away along the ridge [grey level]
 EDGE = 1.01  # a value within this factor of an edge is at it
@@ -193,23 +195,24 @@ def _rms(values: Float64) -> float:
     return math.sqrt(float(np.mean(values**2))) if len(values) else 0.0
 
 
-def refuse_out_of_range(found: Estimate, brightest: float) -> None:
+def refuse_out_of_range(found: Estimate, brightest: float, model: SpecularModel) -> None:
     """Refuse a `brightest` specular light [grey level] that determines nothing, and values that no real surface has."""
     if brightest < 1.0:
         raise InputError(
             "no highlight in any image: nothing determines R_s and σ. Add images under lights that the surface mirrors "
             "into the camera, or at a longer exposure"
         )
-    low, high = SIGMA_RANGE
+    low, high = SIGMA_RANGE if model.name != "ggx" else GGX_SIGMA_RANGE
+    width = f"{found.sigma:.3g} rad" if model.name != "ggx" else f"{found.sigma:.3g} rad (α {2.0 * found.sigma:.3g})"
     if found.sigma < low * EDGE:
         raise InputError(
-            f"σ: the best fit is at {found.sigma:.3g} rad, at or below the lower end {low:g} of the range: the "
+            f"σ: the best fit is at {width}, at or below the lower end {low:g} of the range: the "
             "highlights are as sharp as mirror images of the panels, so the images give no lower bound. Check the "
             "panels' sizes, the part's shape and its placement, or add images at a shorter exposure"
         )
     if found.sigma > high / EDGE:
         raise InputError(
-            f"σ: the best fit is at {found.sigma:.3g} rad, at or beyond the upper end {high:g} of the range: the "
+            f"σ: the best fit is at {width}, at or beyond the upper end {high:g} of the range: the "
             "images show no highlight, or a haze wider than any lobe of the model. Add images under lights that the "
             "surface mirrors into the camera, and check the part's shape and its placement"
         )

@@ -188,19 +188,23 @@ def predict_images(
 class ModelRow:
     """A form of the specular lobe that was tried, and how well it predicts the images of lights that were left out.
 
-    rms: Of all left-out images together [sensor level]
-    likelihood: Mean log-likelihood of a level of the fit to all images [nat]
+    rms: Of all left-out images together [sensor level]; None where the form was refused. Two lobes keep the share and
+        the ratio that all images have
+    likelihood: Mean log-likelihood of a level of the fit to all images [nat]; None where the form was refused
+    refused: Why these images do not determine the form; None where they do
     """
 
     model: ModelName
-    rms: float
-    likelihood: float
+    rms: float | None = None
+    likelihood: float | None = None
+    refused: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         return {
             "model": self.model,
-            "left_out_rms_sensor_levels": significant(self.rms, 5),
-            "mean_log_likelihood": significant(self.likelihood, 6),
+            "left_out_rms_sensor_levels": None if self.rms is None else significant(self.rms, 5),
+            "mean_log_likelihood": None if self.likelihood is None else significant(self.likelihood, 6),
+            "refused": self.refused,
         }
 
 

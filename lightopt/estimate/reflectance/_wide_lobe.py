@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from lightopt.core.arrays import Float64
+from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance._clipped_least_squares import (
     MOST_MISFIT,
@@ -29,11 +30,13 @@ from lightopt.optics import SpecularModel
 
 # starts of the search, as ln of the wide lobe's share and of its width over the narrow one's
 STARTS = tuple((math.log(share), math.log(ratio)) for share in (0.1, 0.01, 0.001) for ratio in (2.5, 6.0))
-LOW, HIGH = (math.log(1e-6), math.log(1.05)), (0.0, math.log(100.0))
+SHARES, RATIOS = (math.log(1e-6), 0.0), (math.log(1.05), math.log(100.0))  # as part files allow, in logarithms
+AT_END = 0.01  # of a range of logarithms: the search ended at its end
 STEP = 0.02  # of both logarithms, over which the criterion is bent
 MOST_STEPS = 120
 FINE = 3e-4  # of both logarithms: the simplex that ends the search
-MOST_DEVIATION = 10.0  # standard deviation of a logarithm that the images do not determine
+MOST_DEVIATION = 10.0  # standard deviation of a logarithm that bends nothing
+UNDETERMINED = 0.5  # standard deviation of a logarithm that the images do not determine
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,7 +97,18 @@ def fit_wide_lobe(samples: Samples, *, freed: FreeParameters, held: Float64 | No
     values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
     covariance = (vectors / np.maximum(values, MOST_DEVIATION**-2)) @ vectors.T
     report(1.0)
+    _refuse_undetermined(best, covariance)
     return WideLobe(model=profiles.model(best), covariance=covariance, slopes=slopes)
+
+
+def _refuse_undetermined(best: Float64, covariance: Float64) -> None:
+    ends = [low + AT_END >= at or at >= high - AT_END for at, (low, high) in zip(best, (SHARES, RATIOS), strict=True)]
+    if any(ends) or float(np.max(np.diag(covariance))) > UNDETERMINED**2:
+        raise InputError(
+            f"model two-lobe: the images do not determine a second, wider and lower lobe: its best R_s is "
+            f"{math.exp(best[0]):.3g} of that of the narrow one, its best width {math.exp(best[1]):.3g} times as much. "
+            "Fit torrance-sparrow or ggx, or add images at other exposures and under further lights"
+        )
 
 
 class _Profiles:
@@ -131,7 +145,7 @@ class _Profiles:
                 yield at, better
 
     def at(self, at: Float64, x: Float64) -> Maximum | None:
-        if not (LOW[0] <= at[0] <= LOW[1] and HIGH[0] <= at[1] <= HIGH[1]):
+        if not (SHARES[0] <= at[0] <= SHARES[1] and RATIOS[0] <= at[1] <= RATIOS[1]):
             return None
         some = replace(self._few, model=self.model(at))
         if self._describes:

@@ -185,7 +185,8 @@ def _physics(output: design.DesignOutput) -> list[tuple[str, str]]:
     use, edges = "not part of the score", ""
     if "false_alarms" in options:
         use, edges = "used for detectability only", " or at silhouettes and creases"
-    coefficients = f"R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
+    form = "" if reflectance.model.name == "torrance-sparrow" else f"{reflectance.model.name}, "
+    coefficients = f"{form}R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
     return [
         ("levels", levels),
         ("sensor noise", f"read noise {sensor.read_noise_levels:g} levels, {shot}; {use}"),
