@@ -264,7 +264,7 @@ def compare(kind: str, *, count: int, samples: int) -> Iterator[Row]:
         surface = chosen_points(peer, sigma, count)
         halves = [peer.at(surface, sigma, samples // 2, seed) for seed in (2, 3)]
         # of the two ways of specular light, the one with less noise
-        way = min((1, 2), key=lambda k: _rms(halves[0][k] - halves[1][k]))
+        way = min((1, 2), key=lambda k: root_mean_square(halves[0][k] - halves[1][k]))
         halves = [half[[0, way]] for half in halves]
         expected = 0.5 * (halves[0] + halves[1])
         reflectance = Reflectance(R_d=R_D, R_s=MIRROR / expected[1].max(), sigma=sigma)
@@ -272,12 +272,11 @@ def compare(kind: str, *, count: int, samples: int) -> Iterator[Row]:
         off = np.sum(share * (shaded(surface, light, reflectance) - expected), axis=0)
         noise = 0.5 * np.sum(share * (halves[0] - halves[1]), axis=0)
         lit = int(np.sum(expected[1] > 0.01 * expected[1].max()))
-        yield Row(
-            kind, finish, ("lobe", "emitter")[way - 1], len(surface), lit, float(off.mean()), _rms(off), _rms(noise)
-        )
+        figures = float(off.mean()), root_mean_square(off), root_mean_square(noise)
+        yield Row(kind, finish, ("lobe", "emitter")[way - 1], len(surface), lit, *figures)
 
 
-def _rms(values: Array) -> float:
+def root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from bounce_picture import bounce_picture
 from displaced_picture import displaced_picture
+from finishes_picture import finishes_picture
 from frames_drawing import frames_drawing
 from lens_picture import lens_picture
 from lighting_picture import lighting_picture
@@ -231,6 +232,7 @@ def main() -> None:
         inspection_picture(PICTURES / "inspection.png", out)
         statistic_picture(PICTURES / "statistic.png")
         displaced_picture(PICTURES / "displaced.png")
+        finishes_picture(PICTURES / "finishes.png")
         bounce_picture(PICTURES / "interreflection.png")
         lighting_picture(PICTURES / "lighting-systems.png")
         lens_picture(PICTURES / "lens.png")
