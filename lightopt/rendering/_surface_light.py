@@ -558,6 +558,8 @@ def _add_elements(
     terms = len(pattern.terms)
     found, limits = np.empty(terms), _most_exponents(normals, views, most, lobe)
     places, light, weights = all_diffuse_nodes(elements, pattern)
+    # more of those of a pattern are needed
+    enough = DIFFUSE_NODES + (terms == 1 and pattern.terms[0, 2] == 0.0)
     p, n, v = np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE))
     value, near = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE, np.bool_)
     limit, farthest, sums = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE)
@@ -589,7 +591,7 @@ def _add_elements(
                 near[j] = above & lobe_reaches(point, normal, column_at(v, j), e, lobe.inverse, farthest[j])
             if not lobe.plain:
                 nodes = places[m], light[m], weights[m]
-                _add_smooth(p, n, v, near[:count], e, nodes, lobe, sums, specular[m, :, first:])
+                _add_smooth(p, n, v, near[:count], e, nodes, enough, lobe, sums, specular[m, :, first:])
             for j in range(count):
                 if near[j]:
                     i = first + j
@@ -608,6 +610,7 @@ def _add_smooth(
     near: Bool,
     e: Element,
     nodes: tuple[Float64, Float64, Float64],
+    enough: int,
     lobe: Lobe,
     sums: Float64,
     specular: Float64,
@@ -615,8 +618,6 @@ def _add_smooth(
     # where the tails of a lobe, or the wider of two, are smooth all over an element, which is above the horizon: sets
     # the light of these points from the nodes of diffuse light, and they are no longer `near`
     places, light, weights = nodes
-    # of a pattern more than of an even element
-    enough = DIFFUSE_NODES + (len(weights) == 1)
     index, number = np.empty(len(near), np.int64), 0
     for j in range(len(near)):
         point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
