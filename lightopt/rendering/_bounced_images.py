@@ -67,7 +67,7 @@ def bounced_bands(
     for first in range(top, bottom, step):
         end = min(first + step, bottom)
         # with the row that the squares of the last rows reach to
-        rows = (np.arange(first * n, min(end, bottom - 1) * n + 1) + 0.5) / n + offset[1]
+        rows = (np.arange(first * n, min(end * n + 1, bottom * n)) + 0.5) / n + offset[1]
         hits, surface = trace(columns, rows)
         at = np.full((len(rows), len(columns)), -1, np.int32)
         at.ravel()[hits.ray] = np.arange(len(surface), dtype=np.int32)

@@ -198,7 +198,7 @@ class PartLight:
         if not bounces:
             return levels
         levels[0] = isolated_levels(surface, self.lights, self.reflectance, self.blocker, penumbrae=False)
-        if bounces > 1 or self.environment:
+        if surface.front.any() and (bounces > 1 or self.environment):
             front = surface.take(np.flatnonzero(surface.front))
             nodes, white = _cells(len(front), NESTED_CELLS), white_level(self.reflectance)
             for coefficient, rays in (

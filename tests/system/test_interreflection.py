@@ -19,11 +19,12 @@ from lightopt.geometry import TriangleMesh
 from lightopt.lights import panel_grid
 from lightopt.optics import MIN_COS_VIEW, Reflectance, white_level
 from lightopt.optics._albedo import DEFAULT_ALBEDO
-from lightopt.rendering import SurfacePoints, cast_rays_at
+from lightopt.rendering import SurfacePoints, cast_rays_at, render_posture
 from lightopt.rendering._interreflection import PartLight
 from lightopt.rig.capture._wiring import bench_truth
 from lightopt.rig.simulated._bench_process import BenchTruth
 from lightopt.rig.simulated._optics import BenchOptics
+from lightopt.scene import Lens
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MATTE = {"R_d": 100.0, "R_s": 0.0, "sigma": 0.05}
@@ -206,7 +207,7 @@ def test_a_part_that_reflects_more_than_it_gets_is_refused():
         }
     )
     with pytest.raises(InputError, match=r"white_level: expected at least 269.* found 100: .*more light than it gets"):
-        build_scene(CONFIGS / "rigs" / "four-panel.yaml", part)
+        build_scene(CONFIGS / "rigs" / "four-panel.yaml", part, bounces=1)
 
 
 @pytest.mark.parametrize("sigma", [0.003, 0.0475])
@@ -225,3 +226,20 @@ def test_the_virtual_bench_has_the_bounces_of_its_file():
         BenchOptics(scene, one).frame({"light1": 1.0}, scene.postures[0], exposure=1.0) for one in (BenchTruth(), truth)
     ]
     assert frames[1].mean() > frames[0].mean() + 1.0
+
+
+@pytest.mark.parametrize("environment", [0.0, 5.0])
+def test_a_small_lens_shows_the_light_that_a_pinhole_shows(environment):
+    """What bounces add, and the surroundings, through a lens of a hundredth of a millimetre."""
+    lamp = ref.Light(distance=330, elevation=40, azimuth=0, k=2)
+    scene = scene_from_mesh(CAMERA, [lamp], floor_and_wall(15.0, 20.0), reflectance=SATIN)
+    scene = replace(scene, bounces=1, environment=environment)
+    caster = cast_rays_at(scene)
+    lens = replace(scene, camera=replace(scene.camera, lens=Lens(aperture=0.01, focus=550.0)))
+    (pinhole,), (through,) = (
+        render_posture(one, one.postures[0], caster=caster, supersample=3).lights for one in (scene, lens)
+    )
+    bare = render_posture(replace(scene, bounces=0, environment=0.0), scene.postures[0], caster=caster).lights[0]
+    added, seen = (image.level.sum() - bare.level.sum() for image in (pinhole, through))
+    assert added > 0.01 * bare.level.sum()
+    assert seen == pytest.approx(added, rel=0.1)
