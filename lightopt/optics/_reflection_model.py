@@ -109,6 +109,13 @@ class Reflectance:
             normal_reflectance=conductor_reflectance(1.0, n, k) if n > 0.0 else 1.0,
         )
 
+    @property
+    def width_text(self) -> str:
+        """The lobe's width as part files give it, for messages."""
+        if self.model.name == "ggx":
+            return f"α = {2.0 * self.sigma:g} (σ = α/2)"
+        return f"σ = {self.sigma:g} rad"
+
     def with_sigma(self, sigma: float) -> Reflectance:
         """The same with a lobe of another width, as high as before."""
         return replace(self, sigma=sigma)

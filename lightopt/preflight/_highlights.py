@@ -22,6 +22,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64
 from lightopt.geometry import TriangleMesh, face_normals, mesh_edges
 from lightopt.lights import PanelLight, SurfaceLight
+from lightopt.optics import Reflectance
 from lightopt.preflight._findings import CheckedScene, Finding
 from lightopt.rendering import highlight_level
 from lightopt.scene import coarse_points, like_panels, point_spacing, points_advice
@@ -36,7 +37,6 @@ LEAST_BEND = 0.05  # edges where the normal turns by less than this share of σ 
 
 def check_points(checked: CheckedScene) -> Iterator[Finding]:
     """The panels' point lights against σ; like panels are reported together."""
-    sigma = checked.scene.reflectance.sigma
     for indices in like_panels(checked.scene.lights):
         if isinstance(checked.scene.lights[indices[0]], SurfaceLight):
             continue  # integrated whatever σ is
@@ -44,10 +44,11 @@ def check_points(checked: CheckedScene) -> Iterator[Finding]:
         names = ", ".join(checked.scene.lights[i].name for i in indices)
         own = checked.rig.lights[indices[0]].points is not None
         keys = ("lights", indices[0], "points") if own else ("light_source", "points")
-        yield _points(replace(light, name=names), sigma, checked.rig.source.at(*keys))
+        yield _points(replace(light, name=names), checked.scene.reflectance, checked.rig.source.at(*keys))
 
 
-def _points(light: PanelLight, sigma: float, where: str) -> Finding:
+def _points(light: PanelLight, reflectance: Reflectance, where: str) -> Finding:
+    sigma = reflectance.sigma
     found = point_spacing(light, sigma)
     if found is None:
         text = f"{light.name}: points: auto, the whole panel is integrated whatever σ is"
@@ -60,12 +61,12 @@ def _points(light: PanelLight, sigma: float, where: str) -> Finding:
         "saturated_area_error": found.area_error,
         "enough_points": found.enough,
     }
-    warning = coarse_points(light, sigma)
+    warning = coarse_points(light, reflectance)
     if warning is not None:
         return Finding("warning", "points", warning, where, values)
     points = "1 point stands for" if found.points == 1 else f"{found.points} points stand apart by"
     text = (
-        f"{light.name}: the panel's {points} {found.spacing:.3g} mm, the lobe of σ = {sigma:g} rad takes in "
+        f"{light.name}: the panel's {points} {found.spacing:.3g} mm, the lobe of {reflectance.width_text} takes in "
         f"{found.lobe:.3g} mm (2·distance·σ): overexposed areas about {100 * abs(found.area_error):.1f} % too "
         f"{'small' if found.area_error < 0.0 else 'large'}"
     )
@@ -146,7 +147,8 @@ def interpolation_errors(mesh: TriangleMesh, *, bent: float) -> NormalErrors | N
 
 def check_facets(checked: CheckedScene) -> Iterator[Finding]:
     """Whether the highlight shows the mesh's facets."""
-    sigma, mesh, source = checked.scene.reflectance.sigma, checked.scene.mesh, checked.part.source
+    reflectance, mesh, source = checked.scene.reflectance, checked.scene.mesh, checked.part.source
+    sigma, width = reflectance.sigma, f"{reflectance.width_text}, {_angle(reflectance.sigma)}"
     flat, bent, visible = mesh.normals is None, LEAST_BEND * sigma, VISIBLE_ERROR * sigma
     if flat:
         found = facet_angles(mesh, bent=bent, crease=math.radians(checked.part.mesh.crease_angle_deg))
@@ -154,14 +156,14 @@ def check_facets(checked: CheckedScene) -> Iterator[Finding]:
         found = interpolation_errors(mesh, bent=bent)
     if found is None:
         why = "no curved surface" if flat else f"normals turn by less than {LEAST_BEND:g}·σ along every edge"
-        text = f"{why}: no facets to show at σ = {sigma:g} rad"
+        text = f"{why}: no facets to show at {reflectance.width_text}"
         yield Finding("ok", "facets", text, source.at("mesh", "normals"))
         return
     if flat:
         wrong = found.median
         text = (
             f"shaded flat, with angles of {_angle(found.median)} between facets (median over curved surface; 90 % "
-            f"below {_angle(found.high)}) against σ = {sigma:g} rad ({_angle(sigma)})"
+            f"below {_angle(found.high)}) against a lobe of {width}"
         )
         advice = (
             f": highlights break up into facets. Use normals: smooth, a STEP file, or an export with facets at most "
@@ -172,7 +174,7 @@ def check_facets(checked: CheckedScene) -> Iterator[Finding]:
         text = (
             f"normals turn by {_angle(found.angle)} along an edge of {found.edge:.3g} mm (medians over curved "
             f"surface); interpolated, they are off by about {_angle(found.median)}, at 90 % of the edges by less than "
-            f"{_angle(found.high)}, against σ = {sigma:g} rad ({_angle(sigma)})"
+            f"{_angle(found.high)}, against a lobe of {width}"
         )
         advice = (
             f": highlights show the mesh's facets. Use a STEP file, an export with edges "

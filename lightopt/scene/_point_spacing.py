@@ -9,6 +9,7 @@ import numpy as np
 from lightopt.config import MOST_POINTS
 from lightopt.core.arrays import Float64
 from lightopt.lights import PanelLight
+from lightopt.optics import Reflectance
 
 COARSE_SHARE = 0.1
 """A saturated area that is off by more than this share causes a warning."""
@@ -80,9 +81,9 @@ def point_spacing(light: PanelLight, sigma: float) -> PointSpacing | None:
     )
 
 
-def coarse_points(light: PanelLight, sigma: float) -> str | None:
-    """A warning where a panel's points are too few for a lobe of width σ [rad], None where they are enough."""
-    found = point_spacing(light, sigma)
+def coarse_points(light: PanelLight, reflectance: Reflectance) -> str | None:
+    """A warning where a panel's points are too few for the middle of a lobe, None where they are enough."""
+    found = point_spacing(light, reflectance.sigma)
     if found is None or abs(found.area_error) <= COARSE_SHARE:
         return None
     share = 100.0 * abs(found.area_error)
@@ -93,8 +94,8 @@ def coarse_points(light: PanelLight, sigma: float) -> str | None:
     )
     points = "1 point stands for" if found.points == 1 else f"{found.points} points stand apart by"
     return (
-        f"{light.name}: the panel's {points} {found.spacing:.3g} mm, but a lobe of σ = {sigma:g} rad takes in only "
-        f"{found.lobe:.3g} mm (2·distance·σ): {error}. {points_advice(light, found.enough)}"
+        f"{light.name}: the panel's {points} {found.spacing:.3g} mm, but a lobe of {reflectance.width_text} takes in "
+        f"only {found.lobe:.3g} mm (2·distance·σ): {error}. {points_advice(light, found.enough)}"
     )
 
 
@@ -106,12 +107,12 @@ def like_panels(lights: Sequence[PanelLight]) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(indices) for indices in groups.values())
 
 
-def coarse_warnings(lights: Sequence[PanelLight], sigma: float) -> tuple[str, ...]:
+def coarse_warnings(lights: Sequence[PanelLight], reflectance: Reflectance) -> tuple[str, ...]:
     """:func:`coarse_points` of several panels, those alike in one message."""
     grouped = (
         replace(lights[indices[0]], name=", ".join(lights[i].name for i in indices)) for indices in like_panels(lights)
     )
-    return tuple(text for light in grouped if (text := coarse_points(light, sigma)) is not None)
+    return tuple(text for light in grouped if (text := coarse_points(light, reflectance)) is not None)
 
 
 def points_advice(light: PanelLight, enough: int) -> str:

@@ -10,7 +10,12 @@ import pytest
 from hypothesis import given, strategies as st
 
 from lightopt.lights import PanelLight, panel_grid, place_light
+from lightopt.optics import Reflectance, SpecularModel
 from lightopt.scene import coarse_points, point_spacing
+
+
+def of_width(sigma):
+    return Reflectance(R_d=45.0, R_s=1e4, sigma=sigma)
 
 
 def panel(points, *, size=(60.0, 60.0), distance=330.0, normalisation="mean") -> PanelLight:
@@ -75,7 +80,7 @@ def test_known_numbers():
 
 @pytest.mark.parametrize(("points", "sigma"), [("auto", 0.003), (4, 0.0475), (16, 0.0475), (144, 0.01), (1, 0.2)])
 def test_enough_points_are_not_warned_of(points, sigma):
-    assert coarse_points(panel(points), sigma) is None
+    assert coarse_points(panel(points), of_width(sigma)) is None
 
 
 def test_auto_has_no_spacing():
@@ -83,7 +88,7 @@ def test_auto_has_no_spacing():
 
 
 def test_warning_says_what_is_wrong_and_what_to_do():
-    text = coarse_points(panel(4), 0.01)
+    text = coarse_points(panel(4), of_width(0.01))
     for part in (
         "light1",
         "4 points",
@@ -98,15 +103,20 @@ def test_warning_says_what_is_wrong_and_what_to_do():
         assert part in text
 
 
+def test_the_width_is_named_as_in_the_part_file():
+    text = coarse_points(panel(4), replace(of_width(0.01), model=SpecularModel(name="ggx")))
+    assert "α = 0.02" in text
+
+
 def test_one_point_is_one_spot():
-    text = coarse_points(panel(1), 0.01)
+    text = coarse_points(panel(1), of_width(0.01))
     assert "1 point stands for 60 mm" in text
     assert "separate" not in text
 
 
 def test_advice_is_possible():
     # a rig file may not ask for so many points, nor for auto with sum
-    text = coarse_points(panel(4, normalisation="sum"), 1e-4)
+    text = coarse_points(panel(4, normalisation="sum"), of_width(1e-4))
     assert "separate spots" in text
     assert "points: auto with normalisation: mean" in text
     assert "or points:" not in text

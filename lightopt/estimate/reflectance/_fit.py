@@ -240,7 +240,7 @@ def _result(
     noise = measure_noise(samples, mean_levels(samples, found), describes=quality.describes)
     dark = fitted_dark(setup.scene, found) if options.dark else None
     panels = setup.scene.lights if kind == "specular" else ()
-    coarse = (coarse_points(light, found.sigma) for light in panels)
+    coarse = (coarse_points(light, setup.scene.reflectance.with_sigma(found.sigma)) for light in panels)
     more = (
         *(noise_warnings(noise) if options.write_noise else ()),
         *(text for text in coarse if text is not None),
