@@ -134,7 +134,7 @@ class Verdict:
             "finds_contrast": {f"{REFERENCE_CONTRAST:g}": round(self.finds, 5)},
             "only_glints": round(self.glints, 5),
             "reasons": list(self.reasons),
-            "limits": self.limits.model_dump(),
+            "limits": self.limits.model_dump(exclude={"bounces"}),
         }
 
 

@@ -74,7 +74,6 @@ FAR_OFF = 1.5  # of the negligible exponent: where the quadratic form's least is
 FIRST_FAR_OFF = 4.0  # times that of the form at the middle of an element, which may bend much
 NEAR = 0.02  # of an element's sides: steps that are less end the search
 MOST_ENDS, _RINGS, TAIL_GROWTH = 24, 11, 3.2  # of the pieces that a side is taken in for a lobe with tails
-_TAIL_DIGITS = 5.0  # ½·ln of what a rule's error is divided by
 _CROSSING_STEPS, _CROSSING_NEAR = 20, 1e-9  # of the search for the horizon, and how near it is, as a share of a side
 
 _SIDE_BY_SIDE = 512  # points whose numbers are in the processor's nearest cache together
@@ -391,9 +390,9 @@ def _add_tailed(
     count_s = _set_ends(centre_s, width_s, area.s0, area.s1, ends_s)
     count_t = _set_ends(centre_t, width_t, area.t0, area.t1, ends_t)
     for i in range(count_s):
-        nodes_s = _tail_count(ends_s[i], ends_s[i + 1], centre_s, width_s)
+        nodes_s = tail_nodes(ends_s[i] - centre_s, ends_s[i + 1] - centre_s, width_s)
         for j in range(count_t):
-            nodes_t = _tail_count(ends_t[j], ends_t[j + 1], centre_t, width_t)
+            nodes_t = tail_nodes(ends_t[j] - centre_t, ends_t[j + 1] - centre_t, width_t)
             window = Rectangle(ends_s[i], ends_s[i + 1], ends_t[j], ends_t[j + 1])
             _add_window(p, n, v, e, window, (nodes_s, nodes_t), pattern, lobe, 1.0, found)
 
@@ -412,16 +411,6 @@ def _set_ends(centre: float, width: float, low: float, high: float, ends: Float6
             ends[count] = end
     ends[count + 1] = high
     return count + 1
-
-
-@kernel
-def _tail_count(low: float, high: float, centre: float, width: float) -> int:
-    # nodes of a piece of a side
-    half = 0.5 * (high - low) / width
-    x, y = (0.5 * (low + high) - centre) / width / half, 1.0 / half
-    axis = 0.5 * (math.sqrt((x - 1.0) ** 2 + y * y) + math.sqrt((x + 1.0) ** 2 + y * y))
-    rate = math.log(axis + math.sqrt(axis * axis - 1.0))
-    return min(max(math.ceil(_TAIL_DIGITS / rate), LEAST_NODES), MOST_NODES)
 
 
 @kernel

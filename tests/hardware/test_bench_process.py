@@ -199,7 +199,7 @@ def test_faults_by_count_and_chance() -> None:
     with BenchProcess({"a": {"kind": "sa"}}) as bench:
 
         def lost(requested: int) -> list[int]:
-            link = SerialLink(bench.ports["a"], device="a", baud=19200, timeout_s=0.1)
+            link = SerialLink(bench.ports["a"], device="a", baud=19200, timeout_s=0.3)
             missing = [i for i in range(requested) if silent(link)]
             link.close()
             return missing

@@ -140,12 +140,12 @@ def test_a_profile_over_sigma_finds_every_peak_and_the_best_first():
 )  # fmt: skip
 def test_values_out_of_the_documented_range_are_refused(sigma, r_s, word):
     with pytest.raises(InputError, match=word):
-        refuse_out_of_range(SimpleNamespace(sigma=sigma, R_s=r_s), 1e3)
+        refuse_out_of_range(SimpleNamespace(sigma=sigma, R_s=r_s), 1e3, SpecularModel())
 
 
 def test_values_of_the_documented_range_are_not():
     for sigma in (0.0011, 0.05, 0.19):
-        refuse_out_of_range(SimpleNamespace(sigma=sigma, R_s=1e6), 1e3)
+        refuse_out_of_range(SimpleNamespace(sigma=sigma, R_s=1e6), 1e3, SpecularModel())
 
 
 def test_an_end_that_nothing_bounds_is_none():
