@@ -13,7 +13,7 @@ two independent halves. A light passes with |mean| ≤ 5e-4 and rms ≤ 1.2 × n
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -297,21 +297,33 @@ def table(rows: list[Row]) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """Compare, print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.light_kinds", description=__doc__)
-    parser.add_argument("--kinds", nargs="+", choices=CASES, default=list(CASES))
+    run(arguments, compare, name="light-kinds", description=__doc__, kinds=list(CASES))
+
+
+def run(
+    arguments: list[str] | None,
+    compared: Callable[..., Iterable[Row]],
+    *,
+    name: str,
+    description: str | None,
+    kinds: list[str],
+) -> None:
+    """Compare kinds of light with Mitsuba, print the table, and put it into its block of a page where that is asked."""
+    parser = argparse.ArgumentParser(prog=f"python -m benchmarks.{name.replace('-', '_')}", description=description)
+    parser.add_argument("--kinds", nargs="+", choices=CASES, default=kinds)
     parser.add_argument("--points", type=int, default=400, help="of the surface")
-    parser.add_argument("--samples", type=int, default=1 << 17, help="of both halves, per point")
+    parser.add_argument("--samples", type=int, default=1 << 17, help="of all parts, per point")
     parser.add_argument("--page", action="store_true", help="put the table into docs/validation/lighting.md")
     options = parser.parse_args(arguments)
     rows: list[Row] = []
     for kind in options.kinds:
-        for row in compare(kind, count=options.points, samples=options.samples):
+        for row in compared(kind, count=options.points, samples=options.samples):
             rows.append(row)
             print(row, flush=True)
     text = table(rows)
     print(f"\n{text}")
     if options.page:
-        replace_block("light-kinds", text, page="lighting.md")
+        replace_block(name, text, page="lighting.md")
 
 
 if __name__ == "__main__":

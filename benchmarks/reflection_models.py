@@ -9,25 +9,13 @@ eight parts of the samples: two halves are too few where some points have most o
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.inspection import replace_block
-from benchmarks.light_kinds import (
-    CASES,
-    MIRROR,
-    MitsubaLight,
-    Row,
-    built,
-    chosen_points,
-    root_mean_square,
-    shaded,
-    table,
-)
+from benchmarks.light_kinds import CASES, MIRROR, MitsubaLight, Row, built, chosen_points, root_mean_square, run, shaded
 from lightopt.config import LightConfig
 from lightopt.optics import Reflectance, SpecularModel
 from lightopt.rendering import SurfacePoints
@@ -124,21 +112,8 @@ def _row(
 
 def main(arguments: list[str] | None = None) -> None:
     """Compare, print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.reflection_models", description=__doc__)
-    parser.add_argument("--kinds", nargs="+", choices=CASES, default=["panel", "low_angle_ring", "dome"])
-    parser.add_argument("--points", type=int, default=400, help="of the surface")
-    parser.add_argument("--samples", type=int, default=1 << 17, help="of all parts, per point")
-    parser.add_argument("--page", action="store_true", help="put the table into docs/validation/lighting.md")
-    options = parser.parse_args(arguments)
-    rows: list[Row] = []
-    for kind in options.kinds:
-        for row in compare(kind, count=options.points, samples=options.samples):
-            rows.append(row)
-            print(row, flush=True)
-    text = table(rows)
-    print(f"\n{text}")
-    if options.page:
-        replace_block("reflection-models", text, page="lighting.md")
+    kinds = ["panel", "low_angle_ring", "dome"]
+    run(arguments, compare, name="reflection-models", description=__doc__, kinds=kinds)
 
 
 if __name__ == "__main__":

@@ -127,6 +127,14 @@ _Sigma = Annotated[float, Field(ge=1e-5, le=0.5), expecting("a number from 0.000
 _Alpha = Annotated[float, Field(ge=2e-5, le=1.0), expecting("a number from 0.00002 to 1")]
 _Index = Annotated[float, Field(gt=0, le=50), expecting("a number above 0, up to 50")]
 
+LEAST_METAL = 0.02  # share of light that is reflected along the normal: half of what glass does
+
+_KEYS_OF_MODELS = {
+    "torrance-sparrow": ("sigma_rad",),
+    "ggx": ("alpha",),
+    "two-lobe": ("sigma_rad", "R_s_wide", "sigma_wide_rad"),
+}
+
 
 class ReflectanceConfig(Frozen):
     """Reflection of the surface: Lambert's diffuse part and a specular lobe."""
@@ -150,6 +158,11 @@ class ReflectanceConfig(Frozen):
     refractive_index: Annotated[tuple[_Index, _Index], LIST, expecting("[n, k], two numbers above 0")] | None = None
     """Complex refractive index [n, k] of a metal: its specular reflection follows Fresnel's equations, and grows at
     grazing angles. If absent, it does not depend on the angle of incidence."""
+    full_scale: fields.Positive = 255.0
+    """Full scale in which R_d and R_s are expressed [levels]."""
+    white_level: fields.Positive | None = None
+    """Level of a white diffuse surface that faces a light of gain 1 at the origin [levels of full_scale]. It says which
+    share of light the part reflects, for light from the part to itself; such that the part reflects 65 % if absent."""
 
     @field_validator("refractive_index")
     @classmethod
@@ -161,12 +174,6 @@ class ReflectanceConfig(Frozen):
                 reflected = f"at least {LEAST_METAL:.0%} is reflected along the normal, found {share:.1%}"
                 raise complaint(f"expected an index by which {reflected}")
         return value
-
-    full_scale: fields.Positive = 255.0
-    """Full scale in which R_d and R_s are expressed [levels]."""
-    white_level: fields.Positive | None = None
-    """Level of a white diffuse surface that faces a light of gain 1 at the origin [levels of full_scale]. It says which
-    share of light the part reflects, for light from the part to itself; such that the part reflects 65 % if absent."""
 
     @property
     def sigma(self) -> float:
@@ -190,15 +197,6 @@ class ReflectanceConfig(Frozen):
         if value is not None and bound is not None and (value <= bound if wide else value > bound):
             raise complaint(f"expected {'more than' if wide else 'at most'} {narrow}, {bound:g}, found {value:g}")
         return value
-
-
-LEAST_METAL = 0.02  # share of light that is reflected along the normal: half of what glass does
-
-_KEYS_OF_MODELS = {
-    "torrance-sparrow": ("sigma_rad",),
-    "ggx": ("alpha",),
-    "two-lobe": ("sigma_rad", "R_s_wide", "sigma_wide_rad"),
-}
 
 
 class SurfaceConfig(Frozen):

@@ -69,6 +69,16 @@ class SpecularModel:
     wide_ratio: float = 1.0
     refractive_index: tuple[float, float] | None = None
 
+    @property
+    def width_key(self) -> str:
+        """Key of a part file for the width of the lobe."""
+        return "alpha" if self.name == "ggx" else "sigma_rad"
+
+    @property
+    def width_factor(self) -> float:
+        """What σ is multiplied by for that key: α = 2σ."""
+        return 2.0 if self.name == "ggx" else 1.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class Reflectance:
@@ -113,12 +123,8 @@ class Reflectance:
     def width_text(self) -> str:
         """The lobe's width as part files give it, for messages."""
         if self.model.name == "ggx":
-            return f"α = {2.0 * self.sigma:g} (σ = α/2)"
+            return f"α = {self.model.width_factor * self.sigma:g} (σ = α/2)"
         return f"σ = {self.sigma:g} rad"
-
-    def with_sigma(self, sigma: float) -> Reflectance:
-        """The same with a lobe of another width, as high as before."""
-        return replace(self, sigma=sigma)
 
     def changed(self, *, R_d_factor: float = 1.0, sigma_factor: float = 1.0) -> Reflectance:
         """Coefficients of a place where R_d is multiplied, and the lobe widened without reflecting more or less light.
@@ -261,12 +267,12 @@ def farthest_exponent(most: float, lobe: Lobe) -> float:
 
 @kernel
 def narrow_lobe(lobe: Lobe) -> Lobe:
-    """The first of two lobes alone, or the only one."""
+    """The first of two Gaussian lobes alone, or the only one."""
     return Lobe(
         lobe.inverse,
-        lobe.farthest if lobe.ggx else MAX_LOBE_EXPONENT,
-        lobe.n == 0.0 and not lobe.ggx,
-        lobe.ggx,
+        MAX_LOBE_EXPONENT,
+        lobe.n == 0.0,
+        False,
         0.0,
         lobe.inverse,
         lobe.n,
@@ -277,7 +283,7 @@ def narrow_lobe(lobe: Lobe) -> Lobe:
 
 @kernel
 def wide_lobe(lobe: Lobe) -> Lobe:
-    """The second of two lobes alone, as high as the first."""
+    """The second of two Gaussian lobes alone, as high as the first."""
     return narrow_lobe(lobe_of_width(lobe, lobe.wide_inverse))
 
 

@@ -387,6 +387,27 @@ def _lobe_above_horizon(
 
 
 @kernel
+def smooth_nodes(p: Vector, n: Vector, v: Vector, centre: Vector, reach: float, lobe: Lobe) -> int:
+    """Nodes a side that integrate a lobe where it is smooth all over a light; :data:`MAX_NODES` where it is not.
+
+    Of two lobes, that is the wide one where the narrow one is negligible.
+
+    centre, reach: Of the light, and how far its points are from there at most [mm]
+    """
+    half, spread = half_vector_cone(p, v, centre, reach)
+    away = length(minus(n, half))
+    if spread >= 1.0:
+        return MAX_NODES
+    if lobe.ggx:
+        # singular where δ = ±iα
+        return tail_nodes(away - spread, away + spread, math.sqrt(2.0 / lobe.inverse))
+    nearest = max(0.0, away - spread)
+    if nearest * nearest * lobe.inverse <= NEGLIGIBLE_EXPONENT:
+        return MAX_NODES
+    return node_count(lobe.wide_inverse, lobe.wide_inverse * away, -min(spread, away), spread)
+
+
+@kernel
 def out_of_reach(p: Vector, n: Vector, v: Vector, panel: PanelNumbers, lobe: Lobe) -> bool:
     """Whether the lobe is surely negligible all over the panel: a quick test that looks at its centre alone."""
     half, spread = half_vector_cone(p, v, panel.centre, half_diagonal(panel))

@@ -53,10 +53,19 @@ def point_terms(
     length_squared = dot(half, half)
     if not _near_lobe(dot(n, half), length_squared, lobe):
         return diffuse, 0.0
-    size = math.sqrt(length_squared)
+    return diffuse, weight * (lobe_towards(n, v, light, lobe) / specular_divisor(n_dot_v, lobe))
+
+
+@kernel
+def lobe_towards(n: Vector, v: Vector, light: Vector, lobe: Lobe) -> float:
+    """Specular component of light from a direction above the horizon per unit of R_s, but for the view's divisor.
+
+    n, v, light: Unit normal, unit view direction, unit direction to the light
+    """
+    half = plus(light, v)
+    size = math.sqrt(dot(half, half))
     chord = minus(n, scaled(half, 1.0 / size))
-    value = specular_lobe(dot(chord, chord), lobe) * light_factor(n_dot_l, size, lobe)
-    return diffuse, weight * (value / specular_divisor(n_dot_v, lobe))
+    return specular_lobe(dot(chord, chord), lobe) * light_factor(dot(n, light), size, lobe)
 
 
 @kernel

@@ -44,7 +44,6 @@ from lightopt.optics import (
     wide_lobe,
 )
 from lightopt.rendering._panel_quadrature import (
-    NEGLIGIBLE_EXPONENT,
     NODES,
     WEIGHTS,
     Rectangle,
@@ -54,10 +53,11 @@ from lightopt.rendering._panel_quadrature import (
     lobe_window,
     node_count,
     peak,
+    smooth_nodes,
     tail_nodes,
 )
 from lightopt.rendering._pattern_weights import pattern_weights, picture_weights
-from lightopt.rendering._point_lights import facing_targets
+from lightopt.rendering._point_lights import facing_targets, lobe_towards
 from lightopt.rendering._surface import SurfacePoints
 
 DIFFUSE_NODES = 3  # a side of an element
@@ -610,17 +610,8 @@ def _add_smooth(
     index, number = np.empty(len(near), np.int64), 0
     for j in range(len(near)):
         point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
-        half, spread = half_vector_cone(point, view, e.centre, e.reach)
-        away = length(minus(normal, half))
-        smooth = near[j] and spread < 1.0 and dot(normal, minus(e.centre, point)) >= e.reach and dot(normal, view) > 0.0
-        if not smooth:
-            continue
-        if lobe.ggx:
-            few = tail_nodes(away - spread, away + spread, math.sqrt(2.0 / lobe.inverse)) <= enough
-        else:
-            beyond = max(0.0, away - spread) ** 2 * lobe.inverse > NEGLIGIBLE_EXPONENT
-            few = beyond and node_count(lobe.wide_inverse, lobe.wide_inverse * away, -min(spread, away), spread) <= 4
-        if few:
+        lit = near[j] and dot(normal, minus(e.centre, point)) >= e.reach and dot(normal, view) > 0.0
+        if lit and smooth_nodes(point, normal, view, e.centre, e.reach, lobe) <= enough:
             index[number] = j
             number += 1
     for k in range(len(places)):
@@ -631,10 +622,7 @@ def _add_smooth(
             towards = minus(q, column_at(p, j))
             r2 = dot(towards, towards)
             r = math.sqrt(r2)
-            half = plus(scaled(towards, 1.0 / r), view)
-            size = math.sqrt(dot(half, half))
-            chord = minus(normal, scaled(half, 1.0 / size))
-            value = specular_lobe(dot(chord, chord), lobe) * light_factor(dot(normal, towards) / r, size, lobe)
+            value = lobe_towards(normal, view, scaled(towards, 1.0 / r), lobe)
             sums[i] = value * max(0.0, -dot(shining, towards)) / (r2 * r)
         for b in range(len(weights)):
             for i in range(number):

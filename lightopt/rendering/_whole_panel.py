@@ -6,21 +6,20 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import Vector, column_at, dot, minus, plus, scaled
+from lightopt.core.vectors import column_at, dot, minus, scaled
 from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
-from lightopt.optics import Lobe, lambert, light_factor, narrow_lobe, specular_divisor, specular_lobe
+from lightopt.optics import Lobe, lambert, specular_divisor
 from lightopt.rendering._panel_quadrature import (
     NODES,
     WEIGHTS,
     WHOLE_PANEL,
-    half_vector_cone,
-    node_count,
     out_of_reach,
     rectangle_diffuse,
     rectangle_specular,
-    tail_nodes,
+    smooth_nodes,
 )
 from lightopt.rendering._penumbra_cells import ConvergedLight
+from lightopt.rendering._point_lights import lobe_towards
 
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
 _MOST_EVEN = 6  # nodes a side up to which a lobe is smooth all over the panel
@@ -96,17 +95,9 @@ def _add_smooth(
     wanted, place = np.zeros(len(above), np.int64), np.empty(len(above), np.int64)
     for j in range(len(above)):
         point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
-        half, spread = half_vector_cone(point, view, panel.centre, half_diagonal(panel))
-        away = math.sqrt(_squared(minus(normal, half)))
-        if lobe.ggx:
-            # singular where δ = ±iα
-            few = tail_nodes(away - spread, away + spread, math.sqrt(2.0 / lobe.inverse))
-        elif out_of_reach(point, normal, view, panel, narrow_lobe(lobe)):
-            few = node_count(lobe.wide_inverse, lobe.wide_inverse * away, -min(spread, away), spread)
-        else:
-            few = _MOST_EVEN + 1
-        lit = near[j] & above[j] & (dot(normal, view) > 0.0) & (spread < 1.0)
-        wanted[j] = max(few, panel_nodes) if lit else 0
+        if near[j] and above[j] and dot(normal, view) > 0.0:
+            few = smooth_nodes(point, normal, view, panel.centre, half_diagonal(panel), lobe)
+            wanted[j] = max(few, panel_nodes)
     for few in range(2, _MOST_EVEN + 1):
         number = 0
         for j in range(len(above)):
@@ -128,17 +119,9 @@ def _add_smooth(
                     towards = minus(q, column_at(work[:3], k))
                     r2 = dot(towards, towards)
                     towards = scaled(towards, 1.0 / math.sqrt(r2))
-                    half = plus(towards, view)
-                    size = math.sqrt(dot(half, half))
-                    chord = _squared(minus(normal, scaled(half, 1.0 / size)))
-                    value = specular_lobe(chord, lobe) * light_factor(dot(normal, towards), size, lobe)
+                    value = lobe_towards(normal, view, towards, lobe)
                     work[9, k] += value * attenuated(weight, panel, r2, dot(panel.outward, towards))
         for k in range(number):
             j = place[k]
             specular[j] = work[9, k] / specular_divisor(dot(column_at(n, j), column_at(v, j)), lobe)
             near[j] = False
-
-
-@kernel
-def _squared(vector: Vector) -> float:
-    return dot(vector, vector)

@@ -66,16 +66,15 @@ def _ridge(result: FitResult) -> Figure | None:
     )
     ridge.plot(sigma, [point.R_s for point in scan], ".-", color=LINE)
     below.plot(sigma, fall + 1.0, ".-", color=LINE)
-    # σ of GGX is half of the α that is fitted
-    name, factor = ("alpha", 0.5) if "alpha" in result.fitted else ("sigma_rad", 1.0)
+    name, factor = result.model.width_key, result.model.width_factor
     if name in result.fitted:
-        best = factor * result.value(name)
+        best = result.value(name) / factor
         ridge.plot(best, result.value("R_s"), "o", color=MARK)
         below.plot(best, 1.0, "o", color=MARK)
     interval = next((v.interval for v in result.values if v.name == name), None)
     if interval is not None:
         # an end that the images do not bound is that of the drawing
-        ends = (None if end is None else factor * end for end in interval)
+        ends = (None if end is None else end / factor for end in interval)
         low, high = (end or edge for end, edge in zip(ends, (sigma[0], sigma[-1]), strict=True))
         below.axvspan(max(float(low), sigma[0]), min(float(high), sigma[-1]), color=SHADE, linewidth=0.0)
     return figure

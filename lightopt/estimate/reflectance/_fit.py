@@ -1,7 +1,7 @@
 """The two fits, diffuse and specular: from a rig, a part and images to reflectance."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -35,7 +35,6 @@ from lightopt.estimate.reflectance._result import (
     fitted_values,
     negative_black_level_warnings,
     separate_region_warnings,
-    width_name,
 )
 from lightopt.estimate.reflectance._samples import Samples, evenly_lit, subsample
 from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, prepare_fit
@@ -64,6 +63,8 @@ MODEL_MARGIN = 1.02  # a simpler form is kept where it predicts lights that are 
 
 LEAST_PIXELS = 200  # so many pixels must be left
 LEAST_R_S = 1e-3
+
+_Fitted = tuple[FitResult, FitSetup, Samples]
 
 # second opinions: their pixels per octave, light and posture, the least change of ln R_s or ln σ to report, and the
 # least for twice the logarithm of the likelihoods' ratio
@@ -126,8 +127,8 @@ def fit_diffuse(
 def _unfitted(setup: FitSetup) -> tuple[FittedValue, FittedValue]:
     # of the part file
     own = setup.scene.reflectance
-    width = 2.0 * own.sigma if own.model.name == "ggx" else own.sigma
-    return FittedValue(name="R_s", value=own.R_s), FittedValue(name=width_name(own.model), value=width)
+    width = own.model.width_factor * own.sigma
+    return FittedValue(name="R_s", value=own.R_s), FittedValue(name=own.model.width_key, value=width)
 
 
 def fit_specular(
@@ -147,21 +148,26 @@ def fit_specular(
     Raises InputError: images that are not the rig's or not the part's, or that do not determine R_s and σ.
     """
     options, run = options or FitOptions(), run or RunContext()
-    if options.model == "auto":
-        options, models = _choose_model(rig, part, image_set, options, run)
-        chosen = fit_specular(rig, part, image_set, options=options, run=run, save_prediction=save_prediction)
-        return replace(chosen, models=models)
     tried: list[tuple[FitResult, FitSetup, Samples, PointsRow | None]] = []
-    choices: tuple[Points | None, ...] = options.points or (None,)
+    choices: list[Points | None] = [*options.points] or [None]
+
+    def prepared(points: Points | None, model: ModelName | None) -> FitSetup:
+        return prepare_fit(rig, part, image_set, points, options, run, model=model)
+
+    models: tuple[ModelRow, ...] = ()
+    if options.model == "auto":
+        first, models = _choose_model(lambda model: prepared(choices[0], model), options)
+    else:
+        first = _fit_one(prepared(choices[0], options.model))
     for points in choices:
-        result, setup, samples = _fit_one(prepare_fit(rig, part, image_set, points, options, run, model=options.model))
+        result, setup, samples = first if points == choices[0] else _fit_one(prepared(points, first[0].model.name))
         row = None
         if len(choices) > 1:
             likelihood = None if result.estimate is None else result.estimate.mean_log_likelihood
             row = compare_regions(setup, _parameters(result, setup), likelihood)
         tried.append((result, setup, samples, row))
     result, setup, samples, _ = max(tried, key=lambda one: 0.0 if one[3] is None else one[3].rank)
-    result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None))
+    result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None), models=models)
     if result.estimate is not None and "auto" not in options.points:
         result = replace(result, warnings=(*result.warnings, *_evenly_lit_warnings(setup, samples, result.estimate)))
     if options.validate and result.estimate is not None:
@@ -173,21 +179,22 @@ def fit_specular(
 
 
 def _choose_model(
-    rig: RigConfig, part: PartConfig, image_set: ImageSet, options: FitOptions, run: RunContext
-) -> tuple[FitOptions, tuple[ModelRow, ...]]:
-    # the form of the lobe that predicts lights that are left out best; the simplest of those about as good
+    prepared: Callable[[ModelName], FitSetup], options: FitOptions
+) -> tuple[_Fitted, tuple[ModelRow, ...]]:
+    # the fit of the form of the lobe that predicts lights that are left out best; the simplest of those about as good
     if options.method == "paper":
         raise InputError("the paper's method knows one Gaussian lobe: there is no form of the lobe to choose")
     rows: list[ModelRow] = []
+    fits: dict[str, _Fitted] = {}
     for model in MODELS:
-        setup = prepare_fit(rig, part, image_set, (*options.points, None)[0], options, run, model=model)
+        setup = prepared(model)
         if len({o.light for o in setup.observations}) < 2:
             raise InputError(
                 "model auto: expected images under at least two lights, found one; the choice is made by predicting "
                 "each light from the others. Give the model"
             )
         try:
-            result, setup, samples = _fit_one(setup)
+            result, setup, samples = fits[model] = _fit_one(setup)
         except InputError as error:
             # a form that these images do not determine, such as two lobes of a surface that has one
             rows.append(ModelRow(model=model, refused=error.args[0]))
@@ -198,10 +205,10 @@ def _choose_model(
     if least is None:
         raise InputError(*(f"model {row.model}: {row.refused}" for row in rows))
     chosen = next(row.model for row in rows if row.rms is not None and row.rms <= MODEL_MARGIN * least)
-    return replace(options, model=chosen), tuple(rows)
+    return fits[chosen], tuple(rows)
 
 
-def _fit_one(setup: FitSetup) -> tuple[FitResult, FitSetup, Samples]:
+def _fit_one(setup: FitSetup) -> _Fitted:
     options, reflectance = setup.options, setup.scene.reflectance
     if options.method == "paper":
         samples = setup.collect(uniform=True)
@@ -240,7 +247,7 @@ def _result(
     noise = measure_noise(samples, mean_levels(samples, found), describes=quality.describes)
     dark = fitted_dark(setup.scene, found) if options.dark else None
     panels = setup.scene.lights if kind == "specular" else ()
-    coarse = (coarse_points(light, setup.scene.reflectance.with_sigma(found.sigma)) for light in panels)
+    coarse = (coarse_points(light, replace(setup.scene.reflectance, sigma=found.sigma)) for light in panels)
     more = (
         *(noise_warnings(noise) if options.write_noise else ()),
         *(text for text in coarse if text is not None),

@@ -203,10 +203,10 @@ def fitted_values(
 
     wide: The wider of two lobes, where it was fitted
     """
-    factor = 2.0 if model.name == "ggx" else 1.0  # α = 2σ
+    factor = model.width_factor
     r_s = _fitted("R_s", found.R_s, found, LOG_R_S, math.exp, slope=found.R_s)
     width = _fitted(
-        width_name(model),
+        model.width_key,
         factor * found.sigma,
         found,
         LOG_SIGMA,
@@ -240,14 +240,9 @@ def fitted_values(
     return tuple(values)
 
 
-def width_name(model: SpecularModel) -> str:
-    """Key of a part file for the width of a lobe."""
-    return "alpha" if model.name == "ggx" else "sigma_rad"
-
-
 def fitted_names(model: SpecularModel) -> tuple[str, ...]:
     """Keys of a part file that a fit of a specular lobe finds."""
-    return ("R_s", width_name(model), *(("R_s_wide", "sigma_wide_rad") if model.name == "two-lobe" else ()))
+    return ("R_s", model.width_key, *(("R_s_wide", "sigma_wide_rad") if model.name == "two-lobe" else ()))
 
 
 def _of_two_lobes(found: Estimate, wide: WideLobe, name: str, value: float, which: int, of_wide: int) -> FittedValue:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -129,7 +129,7 @@ def light_at(
         clean=surface.front,
         shape=(scene.camera.height, scene.camera.width),
     )
-    lobes = [scene.reflectance.with_sigma(sigma) for sigma in sigmas]
+    lobes = [replace(scene.reflectance, sigma=sigma) for sigma in sigmas]
     light = np.zeros((1 + len(sigmas), len(pixels.images), len(columns)))
     names = list(dict.fromkeys(image.light for image in pixels.images))
     panels = {panel.name: panel for panel in view.lights}
