@@ -463,3 +463,47 @@ def test_exr_only_images_are_read(cli, bench, images):
     fitted = load_part(bench.out / "part.fitted.yaml").reflectance
     assert fitted.R_d == pytest.approx(45.0, rel=0.005)
     assert fitted.R_s == pytest.approx(12500, rel=0.02)
+
+
+# ---- forms of the lobe
+
+
+@pytest.mark.slow
+def test_the_form_of_the_lobe_is_chosen_and_written(cli, bench):
+    bench.edit("part.yaml", "R_s: 12500, sigma_rad: 0.0475", "model: ggx, R_s: 9000, alpha: 0.08")
+    images = bench.folder / "images"
+    rendered = cli("render", bench.rig, bench.part, "-o", images, "-q", "--noise", 2, "--exposures", "1,1/16")
+    assert rendered.status == 0, rendered.err
+    bench.edit("part.yaml", "model: ggx, R_s: 9000, alpha: 0.08", "R_s: 500, sigma_rad: 0.1")
+    options = ("--joint", "--model", "auto", "--pixels", 20000)
+    found = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, *options)
+    assert found.status == 0, found.err
+    assert re.search(r"ggx .*selected", found.out)
+    rows = {row["model"]: row for row in json.loads((bench.out / "fit.json").read_text())["by_model"]}
+    assert list(rows) == ["torrance-sparrow", "ggx", "two-lobe"]
+    wrong = rows["torrance-sparrow"]["left_out_rms_sensor_levels"]
+    assert wrong > 2.0 * rows["ggx"]["left_out_rms_sensor_levels"]
+    reflectance = load_part(bench.out / "part.fitted.yaml").reflectance
+    assert (reflectance.model, reflectance.sigma_rad) == ("ggx", None)
+    assert reflectance.alpha == pytest.approx(0.08, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--model", "phong"], ["--model", "ggx", "found"]),
+        (["--method", "paper", "--model", "auto"], ["--method paper", "one Gaussian lobe"]),
+        (["--method", "paper", "--model", "ggx"], ["one Gaussian lobe", "ggx"]),
+    ],
+)
+def test_forms_of_the_lobe_that_cannot_be_fitted(cli, bench, images, options, words):
+    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, *options)
+    assert ran.status == 2
+    assert all(word in ran.err for word in words), ran.err
+
+
+def test_no_form_of_the_lobe_is_chosen_by_one_light(cli, bench, images):
+    edit_manifest(images, lambda m: m.update(images=[i for i in m["images"] if i["light"] == "light1"]))
+    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--model", "auto")
+    assert ran.status == 2
+    assert "at least two lights" in ran.err
