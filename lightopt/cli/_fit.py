@@ -224,11 +224,16 @@ def _show(result: FitResult, verbose: bool) -> None:
     from lightopt.estimate.reflectance import format_interval
 
     rows = []
-    for value in result.values:
-        held = "as in the file" if value.name not in (*result.fitted, "half_angle_rad") else ""
-        error = f"{value.standard_error:.2g}" if value.standard_error else ""
-        interval = held if value.interval is None else format_interval(value.interval) or held
-        rows.append([value.name, f"{value.value:.6g}", error, interval])
+    fits = [("", result), *((f"{one.name}: ", one.result) for one in result.regions if one.result is not None)]
+    for prefix, fit in fits:
+        for value in fit.values:
+            fitted = value.name in (*fit.fitted, "half_angle_rad")
+            if prefix and value.name not in fit.fitted and not verbose:
+                continue
+            held = "" if fitted else "as in the file"
+            error = f"{value.standard_error:.2g}" if value.standard_error else ""
+            interval = held if value.interval is None else format_interval(value.interval) or held
+            rows.append([prefix + value.name, f"{value.value:.6g}", error, interval])
     show_table(["", "value", "std. error", "95 % interval"], rows)
     if result.highlights is not None:
         r_s, sigma = result.highlights

@@ -34,6 +34,8 @@ from lightopt.config._part import (
     InspectionConfig as InspectionConfig,
     PartConfig as PartConfig,
     PlacementConfig as PlacementConfig,
+    ReflectanceConfig as ReflectanceConfig,
+    RegionConfig as RegionConfig,
 )
 from lightopt.config._pose import standing_at as standing_at
 from lightopt.config._rig import LightConfig as LightConfig, RigConfig as RigConfig

@@ -160,8 +160,8 @@ def _index(
 def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Keys, str | None] | None = None) -> str:
     """The text of a configuration file for another folder; comments, order and layout stay.
 
-    Names relative to the configuration file change: a part's mesh, the files and folders that a rig names (those
-    of commands where they are there), and the schema in the comment that editors read.
+    Names relative to the configuration file change: a part's mesh and masks, the files and folders that a rig names
+    (those of commands where they are there), and the schema in the comment that editors read.
 
     folder: Where the copy will lie
     values: Further values to change in the copy, as for :func:`with_values`
@@ -190,7 +190,7 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
         for i, argument in enumerate(device.command or ()):
             if config.source.resolve(argument).is_file():
                 names["hardware", "controllers", controller, "command", i] = argument
-    names |= _pictures(config)
+    names |= dict(pictures(config))
     for keys, name in names.items():
         if name is None:
             continue
@@ -206,14 +206,17 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
     return text[: comment.start(2)] + schema + text[comment.end(2) :]
 
 
-def _pictures(config: RigConfig | PartConfig) -> dict[Keys, str]:
-    # of the patterns of a rig's lights, by their place in the file
-    return {
-        ("lights", light.entry, "pattern", "files", number): name
-        for light in (() if isinstance(config, PartConfig) else config.channels)
-        if light.channel == 0 and light.pattern is not None
-        for number, name in enumerate(light.pattern.files or ())
-    }
+def pictures(config: RigConfig | PartConfig) -> Iterator[tuple[Keys, str]]:
+    """Places in the file, and names, of the pictures of a rig's lights, or of the masks of a part's regions."""
+    if isinstance(config, PartConfig):
+        for number, region in enumerate(config.regions):
+            if region.mask is not None:
+                yield ("regions", number, "mask", "file"), region.mask.file
+        return
+    for light in config.channels:
+        if light.channel == 0 and light.pattern is not None:
+            for number, name in enumerate(light.pattern.files or ()):
+                yield ("lights", light.entry, "pattern", "files", number), name
 
 
 def _moved(target: Path, name: str, folder: Path) -> str:

@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from lightopt.config._camera import CameraDeviceConfig
+from lightopt.config._edit import pictures
 from lightopt.config._fields import mapping
 from lightopt.config._hardware import ChannelConfig, ControllerConfig, HardwareConfig
 from lightopt.config._part import PartConfig
@@ -51,11 +52,11 @@ def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str,
     """Names and SHA-256 of the files as they were read, and those of mesh and pictures, which may raise an OSError."""
     files = {"rig": rig} if part is None else {"rig": rig, "part": part}
     hashes = {kind: {"file": one.source.path.name, "sha256": one.source.sha256} for kind, one in files.items()}
-    pictures = [name for light in rig.channels if light.pattern is not None for name in light.pattern.files or ()]
     if rig.camera.sensor.data_sheet is not None:
         hashes["data sheet"] = {"sha256": file_sha256(rig.source.resolve(rig.camera.sensor.data_sheet))}
-    for name in dict.fromkeys(pictures):
-        hashes[f"picture {name}"] = {"sha256": file_sha256(rig.source.resolve(name))}
+    for one in files.values():
+        for name in dict.fromkeys(name for _, name in pictures(one)):
+            hashes[f"picture {name}"] = {"sha256": file_sha256(one.source.resolve(name))}
     if part is not None:
         hashes["mesh"] = {"sha256": file_sha256(part.source.resolve(part.mesh.file))}
     return hashes

@@ -9,6 +9,7 @@ from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_
 from lightopt.config import _fields as fields
 from lightopt.config._defects import DefectConfig, PlannedDefectConfig
 from lightopt.config._fields import LIST, Frozen, complaint, expecting
+from lightopt.config._region import RegionPlaceConfig
 from lightopt.core.units import step_units_mm, unit_name
 
 _ChordTolerance = Annotated[float, Field(ge=1e-4, le=10), expecting("a number from 0.0001 to 10 (mm)")]
@@ -199,6 +200,21 @@ class ReflectanceConfig(Frozen):
         return value
 
 
+class RegionConfig(RegionPlaceConfig):
+    """Surface of a part that reflects in its own way."""
+
+    reflectance: ReflectanceConfig
+    """Reflection of its surface; full_scale and white_level are those of the part."""
+
+    @field_validator("reflectance")
+    @classmethod
+    def _scales_of_the_part(cls, own: ReflectanceConfig) -> ReflectanceConfig:
+        given = sorted(own.model_fields_set & {"full_scale", "white_level"})
+        if given:
+            raise complaint(f"{' and '.join(given)} of the part's own reflectance count for its regions; remove them")
+        return own
+
+
 class SurfaceConfig(Frozen):
     """Waviness of good parts (orange peel): by how much their surface departs from the mesh."""
 
@@ -225,6 +241,8 @@ class PartConfig(fields.FileConfig):
     """Postures in which the part is inspected; (0, 0) only if absent."""
     reflectance: ReflectanceConfig
     """Reflection of the part's surface."""
+    regions: Annotated[tuple[RegionConfig, ...], Field(strict=False, max_length=100)] = ()
+    """Regions of the surface that reflect in other ways; what several have belongs to the first. None if absent."""
     surface: SurfaceConfig | None = None
     """Waviness of good parts: renders show it, and it is noise otherwise. None if absent."""
     defects: Annotated[tuple[DefectConfig, ...], Field(strict=False, max_length=500)] = ()
@@ -243,7 +261,7 @@ class PartConfig(fields.FileConfig):
         twice = ((i, complaint(f"the same posture as postures[{first}]")) for i, first in fields.repeated(valid))
         return fields.with_complaints(value, handler, (((i,), postures[i], error) for i, error in twice))
 
-    @field_validator("defects", "defect_catalogue", mode="wrap")
+    @field_validator("regions", "defects", "defect_catalogue", mode="wrap")
     @classmethod
     def _differ_in_name(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
         return fields.with_complaints(value, handler, fields.same_names(fields.entries(value), str(info.field_name)))

@@ -204,7 +204,7 @@ def _state_problem(
     candidates = all_candidates = candidates_in(scene, rig, options, options.places)
     if options.places is not None and any(map(can_move, rig.lights)):
         all_candidates = candidates_in(scene, rig, options)
-    run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance))
+    run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.sharpest))
     found = scene, caster, thresholds, candidates, all_candidates
     return Problem(rig, part, options, objectives, *found, provenance)
 

@@ -5,13 +5,26 @@ the frame of the part's file, in mm, Z up.
 """
 
 from lightopt.geometry._caster import Hits as Hits, RayCaster as RayCaster, resolve_hits as resolve_hits
-from lightopt.geometry._load_mesh import UNITLESS_SUFFIXES as UNITLESS_SUFFIXES, load_mesh as load_mesh
+from lightopt.geometry._load_mesh import (
+    UNITLESS_SUFFIXES as UNITLESS_SUFFIXES,
+    LoadedMesh as LoadedMesh,
+    load_mesh as load_mesh,
+)
 from lightopt.geometry._mesh_formats import box_mesh as box_mesh, sphere_mesh as sphere_mesh, stl_bytes as stl_bytes
 from lightopt.geometry._patches import (
     Patches as Patches,
     estimate_patch_count as estimate_patch_count,
     longest_edges as longest_edges,
     refine as refine,
+)
+from lightopt.geometry._regions import (
+    BoxRegion as BoxRegion,
+    ColouredRegion as ColouredRegion,
+    MaskRegion as MaskRegion,
+    NamedRegion as NamedRegion,
+    Region as Region,
+    RegionAtPoints as RegionAtPoints,
+    mesh_with_regions as mesh_with_regions,
 )
 from lightopt.geometry._topology import (
     merge_rows as merge_rows,

@@ -1,6 +1,7 @@
 """Binary glTF 2.0 (GLB): its structure, and the triangles of the GLB files that the STEP worker writes."""
 
 import json
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,20 @@ from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import InputError
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_POINTS_OR_LINES = (0, 1, 2, 3)
 _COMPONENTS = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+
+
+@dataclass(frozen=True)
+class MeshPiece:
+    """Triangles of a file that belong together: a group, a solid, a CAD face, those of one colour.
+
+    names: Of the group, object, solid or material, as the file has them
+    colour: #RRGGBB as CAD programs show it; None where the file says none
+    """
+
+    names: tuple[str, ...] = ()
+    colour: str | None = None
 
 
 def split_glb(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
@@ -64,13 +78,14 @@ def placed(matrix: Float64, vertices: Float64, faces: Int64, normals: Float64 | 
     return part
 
 
-def parse_glb(name: str, data: bytes) -> list[dict[str, NDArray[Any]]]:
+def parse_glb(name: str, data: bytes) -> list[dict[str, Any]]:
     """Meshes of a GLB file, placed by their nodes, axes as stored: positions, normals, indexed triangles.
 
-    Returns: ``vertices`` [file unit] (n, 3), ``faces`` (m, 3), ``vertex_normals`` (n, 3) where the file has them.
+    Returns: ``vertices`` [file unit] (n, 3), ``faces`` (m, 3), ``vertex_normals`` (n, 3) where the file has them,
+        ``piece``, a :class:`MeshPiece`.
     """
     tree, blob = split_glb(name, data)
-    parts: list[dict[str, NDArray[Any]]] = []
+    parts: list[dict[str, Any]] = []
     try:
         nodes = tree.get("nodes", [])
         roots = tree["scenes"][tree.get("scene", 0)]["nodes"]
@@ -81,19 +96,36 @@ def parse_glb(name: str, data: bytes) -> list[dict[str, NDArray[Any]]]:
             stack.extend((int(child), matrix) for child in reversed(nodes[index].get("children", [])))
             if "mesh" not in nodes[index]:
                 continue
-            for primitive in tree["meshes"][nodes[index]["mesh"]]["primitives"]:
-                if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
+            mesh = tree["meshes"][nodes[index]["mesh"]]
+            for primitive in mesh["primitives"]:
+                if (mode := primitive.get("mode", _TRIANGLES)) in _POINTS_OR_LINES:
                     continue
+                if mode != _TRIANGLES:
+                    raise ValueError(f"{mesh.get('name', 'a mesh')} has strips or fans; expected triangles")
                 attributes = primitive["attributes"]
                 vertices = _accessor(tree, blob, attributes["POSITION"]).astype(np.float64)
                 normals = None
                 if "NORMAL" in attributes:
                     normals = _accessor(tree, blob, attributes["NORMAL"]).astype(np.float64)
                 faces = _accessor(tree, blob, primitive["indices"]).astype(np.int64).reshape(-1, 3)
-                parts.append(placed(matrix, vertices, faces, normals))
+                part: dict[str, Any] = placed(matrix, vertices, faces, normals)
+                material = tree["materials"][primitive["material"]] if "material" in primitive else {}
+                names = (one.get("name") for one in (nodes[index], mesh, material))
+                part["piece"] = MeshPiece(tuple(dict.fromkeys(str(n) for n in names if n)), _colour(material))
+                parts.append(part)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise InputError(f"{name}: the GLB data is damaged: {error!r}") from error
     return parts
+
+
+def _colour(material: dict[str, Any]) -> str | None:
+    # glTF has linear colours, programs show them in sRGB (IEC 61966-2-1)
+    linear = material.get("pbrMetallicRoughness", {}).get("baseColorFactor")
+    if linear is None:
+        return None
+    c = np.clip(np.array(linear[:3], np.float64), 0.0, 1.0)
+    shown = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1.0 / 2.4) - 0.055)
+    return "#" + bytes(np.rint(255.0 * shown).astype(np.uint8)).hex().upper()
 
 
 def _local(node: dict[str, Any]) -> Float64:

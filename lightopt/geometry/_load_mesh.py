@@ -10,6 +10,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64, Int32
 from lightopt.core.errors import InputError, counted
+from lightopt.geometry._glb import MeshPiece
 from lightopt.geometry._mesh_formats import RawMesh, check_budget, read_glb, read_obj, read_ply, read_stl
 from lightopt.geometry._normals import carried_normals, smooth_normals
 from lightopt.geometry._patches import longest_edges
@@ -40,6 +41,8 @@ class LoadedMesh:
 
     mesh: TriangleMesh
     warnings: tuple[str, ...]
+    pieces: tuple[MeshPiece, ...] = ()  # of the file, where they were asked for and it has any
+    piece: Int32 | None = None  # index of the piece of each face of the mesh, shape (m,)
 
 
 def load_mesh(
@@ -51,6 +54,7 @@ def load_mesh(
     chord_tolerance_mm: float = 0.01,
     angular_tolerance: float = 0.1,
     max_triangles: int = 20_000_000,
+    pieces: bool = False,
 ) -> LoadedMesh:
     """Mesh of a part from an STL, PLY, OBJ, GLB or STEP file, repaired and with normals.
 
@@ -69,6 +73,7 @@ def load_mesh(
     chord_tolerance_mm: STEP: largest distance between triangles and the surface [mm]
     angular_tolerance: STEP: largest bend between neighbouring tangents along an edge [rad]
     max_triangles: More are refused, before loading where the header gives their number
+    pieces: Whether to keep which faces are of which group, CAD face or colour of the file
     Raises InputError: The file is missing, of an unknown format, empty, cut off or damaged; it needs a unit; it has no
         triangles, coordinates that are not finite, or indices out of range; or a limit was reached
     """
@@ -81,10 +86,11 @@ def load_mesh(
     data = _read(path, max_triangles)
     if suffix in (".step", ".stp"):
         tolerances = {"chord_tolerance_mm": chord_tolerance_mm, "angular_tolerance": angular_tolerance}
-        raw = read_step(path, data, **tolerances, max_triangles=max_triangles)
+        raw = read_step(path, data, **tolerances, max_triangles=max_triangles, pieces=pieces)
         unit_mm = 1.0
     else:
-        raw = _READERS[suffix](str(path), data, max_triangles)
+        kept = {"pieces": True} if pieces and suffix != ".stl" else {}
+        raw = _READERS[suffix](str(path), data, max_triangles, **kept)
         unit_mm = 1000.0 if unit_mm is None else unit_mm
     del data
     check_budget(str(path), len(raw.faces), min(max_triangles, _MOST_TRIANGLES))
@@ -125,7 +131,7 @@ def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None)
         warnings += replaced
     warnings += _vertex_warnings(raw, merged)
     _log.info("mesh of %s triangles", f"{len(mesh.faces):,}")
-    return LoadedMesh(mesh, tuple(warnings))
+    return LoadedMesh(mesh, tuple(warnings), raw.pieces, None if raw.piece is None else raw.piece[keep])
 
 
 def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float32, Float64, Int32, Int64
 from lightopt.core.errors import InputError
-from lightopt.geometry._glb import glb_triangle_count, placed, split_glb
+from lightopt.geometry._glb import MeshPiece, glb_triangle_count, parse_glb, placed, split_glb
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_normals
 
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attributes", "<u2")])
@@ -46,6 +46,8 @@ class RawMesh:
     format: str  # for messages, such as "binary STL"
     repeats_vertices: bool  # for each face or seam, so that coinciding vertices are nothing to report
     warnings: tuple[str, ...] = ()  # what was noticed while reading
+    pieces: tuple[MeshPiece, ...] = ()  # where they were asked for
+    piece: Int32 | None = None  # index of the piece of each face, shape (m,)
 
 
 def check_budget(name: str, triangles: int, max_triangles: int) -> None:
@@ -108,8 +110,11 @@ def _check_ascii_stl(name: str, data: bytes) -> int:
     return begun
 
 
-def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of an ASCII or binary PLY file; polygons are cut into fans, vertex normals kept."""
+def read_ply(name: str, data: bytes, max_triangles: int, *, pieces: bool = False) -> RawMesh:
+    """Triangles of an ASCII or binary PLY file; polygons are cut into fans, vertex normals kept.
+
+    pieces: Whether to keep which triangles have which colour, by themselves or at two corners
+    """
     end = re.search(rb"^end_header[ \t]*\r?\n", data, re.MULTILINE)
     if not data.startswith(b"ply") or end is None:
         raise InputError(f"{name}: not a PLY file, or cut off in its header: expected 'ply' … 'end_header'")
@@ -123,7 +128,7 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
             announced = f"{sum(counts.values()):,} lines ({_listed(counts)})"
             found = f"the file has {rows:,}: cut off. Export or copy it again"
             raise InputError(f"{name}: the PLY header announces {announced}, {found}")
-    if (raw := _plain_ply(data, end.end(), header)) is not None:
+    if not pieces and (raw := _plain_ply(data, end.end(), header)) is not None:
         return raw
     from trimesh.exchange.ply import load_ply
 
@@ -137,7 +142,23 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
     if len(raw.vertices) != counts.get("vertex", 0) or len(raw.faces) < counts.get("face", 0):
         found = f"{len(raw.vertices)} vertices and {len(raw.faces)} triangles. The file is damaged; export it again"
         raise InputError(f"{name}: the PLY header announces {_listed(counts)}; found {found}")
-    return raw
+    return _coloured(raw, loaded) if pieces else raw
+
+
+def _coloured(raw: RawMesh, loaded: dict[str, Any]) -> RawMesh:
+    # with a piece of each colour; the files of paint programs have colours of vertices, others those of faces
+    faces, vertices = (loaded.get(key) for key in ("face_colors", "vertex_colors"))
+    if faces is not None and len(np.shape(faces)) == 2 and len(faces) == len(raw.faces):
+        colours = np.asarray(faces)[:, :3]
+    elif vertices is not None and len(np.shape(vertices)) == 2:
+        a, b, c = (np.asarray(vertices)[raw.faces[:, k], :3] for k in range(3))
+        # the colour of two corners, or of the first
+        colours = np.where((b == c).all(axis=1)[:, None], b, a)
+    else:
+        return raw
+    own, piece = np.unique(colours, axis=0, return_inverse=True)
+    names = (MeshPiece(colour="#" + bytes(one.astype(np.uint8)).hex().upper()) for one in own)
+    return replace(raw, pieces=tuple(names), piece=piece.ravel().astype(np.int32))
 
 
 def _plain_ply(data: bytes, begin: int, header: str) -> RawMesh | None:
@@ -176,8 +197,11 @@ def _listed(counts: dict[str, int]) -> str:
     return ", ".join(f"{key} {n:,}" for key, n in counts.items())
 
 
-def read_obj(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of a Wavefront OBJ file; polygons are cut into fans, vertex normals kept where all have them."""
+def read_obj(name: str, data: bytes, max_triangles: int, *, pieces: bool = False) -> RawMesh:
+    """Triangles of a Wavefront OBJ file; polygons are cut into fans, vertex normals kept where all have them.
+
+    pieces: Whether to keep which triangles are of which object, group and material
+    """
     from trimesh.exchange.obj import load_obj
 
     check_budget(name, len(re.findall(rb"^f\s", data, re.MULTILINE)), max_triangles)
@@ -192,24 +216,57 @@ def read_obj(name: str, data: bytes, max_triangles: int) -> RawMesh:
             text = found.group().decode("ascii", "replace").strip()
             advice = "The file is cut off or damaged; export or copy it again"
             raise InputError(f"{name}, line {line}: {what}: {text!r}. {advice}")
-    loaded = _trimesh(name, "OBJ", lambda: load_obj(io.BytesIO(data), skip_materials=True))
-    parts = list(loaded.get("geometry", {}).values())
+    text, named = _numbered_groups(data) if pieces else (data, {})
+    how: dict[str, Any] = {"split_groups": True, "group_material": False} if pieces else {}
+    loaded = _trimesh(name, "OBJ", lambda: load_obj(io.BytesIO(text), skip_materials=True, **how))
+    geometry = loaded.get("geometry", {})
+    parts = (
+        [{**one, "piece": named.get(key, MeshPiece())} for key, one in geometry.items()]
+        if pieces
+        else list(geometry.values())
+    )
     if not parts:
         raise InputError(f"{name}: the OBJ file has no triangles")
     seams = re.search(rb"^vt\s", data, re.MULTILINE) is not None
     return joined(name, parts, "OBJ", repeats_vertices=seams)
 
 
-def read_glb(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of a binary glTF 2.0 file [m], all nodes in place, from Y up, as glTF is, to Z up: (x, −z, y)."""
-    import trimesh
+def _numbered_groups(data: bytes) -> tuple[bytes, dict[str, MeshPiece]]:
+    # an OBJ file with a group of its own for each object, group and material in turn, and what the groups' names mean
+    current: dict[bytes, str] = {}
+    found: dict[MeshPiece, str] = {}
 
+    def number(line: re.Match[bytes]) -> bytes:
+        current[line[1]] = line[2].strip().decode("utf-8", "replace")
+        piece = MeshPiece(names=tuple(name for name in dict.fromkeys(current.values()) if name))
+        return f"g {found.setdefault(piece, f'piece-{len(found)}')}".encode()
+
+    text = re.sub(rb"^(o|g|usemtl)\b([^\r\n]*)", number, data, flags=re.MULTILINE)
+    return text, {key: piece for piece, key in found.items()}
+
+
+def read_glb(name: str, data: bytes, max_triangles: int, *, pieces: bool = False) -> RawMesh:
+    """Triangles of a binary glTF 2.0 file [m], all nodes in place, from Y up, as glTF is, to Z up: (x, −z, y).
+
+    pieces: Whether to keep which triangles are of which node, mesh and material
+    """
     tree, _ = split_glb(name, data)
     count = glb_triangle_count(name, tree)
     check_budget(name, count, max_triangles)
     attributes = [p["attributes"] for mesh in tree.get("meshes", []) for p in mesh["primitives"]]
-    has_normals = all("NORMAL" in a for a in attributes)
     seams = any(key.startswith("TEXCOORD") for a in attributes for key in a)
+    parts = parse_glb(name, data) if pieces else _glb_parts(name, data, all("NORMAL" in a for a in attributes))
+    if not parts:
+        raise InputError(f"{name}: the GLB file has no triangles in its scene")
+    raw = joined(name, parts, "GLB", repeats_vertices=seams)
+    z_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    normals = None if raw.normals is None else raw.normals @ z_up.T
+    return replace(raw, vertices=raw.vertices @ z_up.T, normals=normals)
+
+
+def _glb_parts(name: str, data: bytes, has_normals: bool) -> list[dict[str, Any]]:
+    import trimesh
+
     scene = _trimesh(
         name, "GLB", lambda: trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False, skip_materials=True)
     )
@@ -220,12 +277,7 @@ def read_glb(name: str, data: bytes, max_triangles: int) -> RawMesh:
         if isinstance(geometry, trimesh.Trimesh):
             normals = np.asarray(geometry.vertex_normals) if has_normals else None
             parts.append(placed(matrix, np.asarray(geometry.vertices), np.asarray(geometry.faces), normals))
-    if not parts:
-        raise InputError(f"{name}: the GLB file has no triangles in its scene")
-    raw = joined(name, parts, "GLB", repeats_vertices=seams)
-    z_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    normals = None if raw.normals is None else raw.normals @ z_up.T
-    return replace(raw, vertices=raw.vertices @ z_up.T, normals=normals)
+    return parts
 
 
 def _trimesh(name: str, kind: str, read: Callable[[], Any]) -> Any:
@@ -252,7 +304,17 @@ def joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertice
     if normals and not complete:
         warnings = (f"{len(normals)} of {len(parts)} pieces of the {kind} file carry vertex normals: not used",)
     carried = np.concatenate(normals) if complete else None
-    return RawMesh(np.concatenate(vertices), np.concatenate(faces), carried, kind, repeats_vertices, warnings)
+    pieces = tuple(part["piece"] for part in parts if "piece" in part)
+    return RawMesh(
+        np.concatenate(vertices),
+        np.concatenate(faces),
+        carried,
+        kind,
+        repeats_vertices,
+        warnings,
+        pieces,
+        np.repeat(np.arange(len(parts), dtype=np.int32), [len(some) for some in faces]) if pieces else None,
+    )
 
 
 def _fans(polygons: Int64) -> Int64:

@@ -28,7 +28,13 @@ MEMORY_GB = 4.0  # address space of each of the two workers [10⁹ bytes]; not l
 
 
 def read_step(
-    path: Path, data: bytes, *, chord_tolerance_mm: float, angular_tolerance: float, max_triangles: int
+    path: Path,
+    data: bytes,
+    *,
+    chord_tolerance_mm: float,
+    angular_tolerance: float,
+    max_triangles: int,
+    pieces: bool = False,
 ) -> RawMesh:
     """Triangles of a STEP file [mm], Z up, all solids of an assembly in place.
 
@@ -37,6 +43,7 @@ def read_step(
 
     chord_tolerance_mm: Largest distance between triangle and surface [mm]
     angular_tolerance: Largest angle between neighbouring tangents along an edge [rad]
+    pieces: Whether to keep which triangles are of which face, solid and colour
     """
     name = str(path)
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
@@ -48,7 +55,7 @@ def read_step(
     # both at the same time; the fine one is ended where the coarse one finds a mistake
     with (
         _Tessellation(path, _COARSE_LINEAR, _COARSE_ANGULAR, relative=True) as coarse,
-        _Tessellation(path, chord_tolerance_mm, angular_tolerance, relative=False) as fine_one,
+        _Tessellation(path, chord_tolerance_mm, angular_tolerance, relative=False, faces=pieces) as fine_one,
     ):
         size, _ = coarse.result(deadline)
         _check_size(name, parse_glb(name, size), declared_unit_mm(data))
@@ -86,16 +93,17 @@ def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float
 class _Tessellation:
     """A worker process that tessellates a STEP file; as a context manager it is ended with its block."""
 
-    def __init__(self, path: Path, linear: float, angular: float, *, relative: bool) -> None:
+    def __init__(self, path: Path, linear: float, angular: float, *, relative: bool, faces: bool = False) -> None:
         self._path = path
         self._what = f"{'coarse' if relative else 'fine'} tessellation (" + (
             "to learn the size)" if relative else f"chord tolerance {linear:g} mm, {angular:g} rad)"
         )
         self._folder = tempfile.TemporaryDirectory(prefix="lightopt-step-")
         self._glb = Path(self._folder.name) / "part.glb"
-        files, numbers = (str(path.resolve()), str(self._glb)), (repr(linear), repr(angular), str(int(relative)))
+        files, numbers = (str(path.resolve()), str(self._glb)), (repr(linear), repr(angular))
+        flags = str(int(relative)), str(int(faces))
         self._process = subprocess.Popen(  # noqa: S603  our own worker, no shell
-            [sys.executable, _step_worker.__file__, *files, *numbers, str(int(MEMORY_GB * 1e9))],
+            [sys.executable, _step_worker.__file__, *files, *numbers, *flags, str(int(MEMORY_GB * 1e9))],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

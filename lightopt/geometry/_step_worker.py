@@ -2,7 +2,7 @@
 
 Run as a script by its path, so that it imports nothing but cascadio:
 
-    python _step_worker.py STEP GLB TOL_LINEAR TOL_ANGULAR RELATIVE MEMORY_BYTES
+    python _step_worker.py STEP GLB TOL_LINEAR TOL_ANGULAR RELATIVE FACES MEMORY_BYTES
 
 It stands in a process of its own because the CAD kernel can run for hours, take all memory or crash on a
 file, and none of that can be stopped from inside Python.
@@ -17,7 +17,7 @@ EXIT_MEMORY = 4
 
 def main(arguments: list[str]) -> int:
     """Tessellate; the exit status is 0, `EXIT_READ` (the kernel refused the file) or `EXIT_MEMORY`."""
-    step, glb, linear, angular, relative, memory = arguments
+    step, glb, linear, angular, relative, faces, memory = arguments
     _limit_memory(int(memory))
     # cascadio's extension of trimesh takes longer to import than many a part to tessellate
     sys.modules["cascadio.extension"] = ModuleType("cascadio.extension")
@@ -26,7 +26,13 @@ def main(arguments: list[str]) -> int:
 
         # one thread, so that the same file gives the same triangles in the same order
         status = cascadio.step_to_glb(
-            step, glb, float(linear), float(angular), tol_relative=relative == "1", use_parallel=False
+            step,
+            glb,
+            float(linear),
+            float(angular),
+            tol_relative=relative == "1",
+            merge_primitives=faces == "0",
+            use_parallel=False,
         )
     except MemoryError:
         return EXIT_MEMORY

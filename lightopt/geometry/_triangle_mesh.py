@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lightopt.core.arrays import Float64, Int32, read_only
+from lightopt.core.arrays import Float64, Int32, UInt8, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 
@@ -25,6 +25,7 @@ class TriangleMesh:
     vertices: Float64  # positions in the part file's frame [mm], shape (n, 3)
     faces: Int32  # vertex indices, shape (m, 3), int32
     normals: Float64 | None = None  # unit outward normals at the vertices, shape (n, 3); None shades flat facets
+    material: UInt8 | None = None  # number of each face's material, shape (m,); None: one material, number 0
 
     def __post_init__(self) -> None:
         vertices = _rows_of_three("vertices", self.vertices)
@@ -36,6 +37,10 @@ class TriangleMesh:
             raise InputError(f"mesh faces: vertex indices {numbers}")
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", read_only(np.ascontiguousarray(faces, dtype=np.int32)))
+        if self.material is not None:
+            if self.material.shape != (len(faces),):
+                raise InputError(f"mesh materials: expected shape ({len(faces)},), found {self.material.shape}")
+            object.__setattr__(self, "material", read_only(self.material))
         if self.normals is None:
             return
         normals = _rows_of_three("normals", self.normals)
@@ -89,7 +94,7 @@ def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike)
     if t.shape != (3,) or not np.isfinite(t).all():
         raise InputError(f"mesh translation: expected three finite numbers in mm, found {t.tolist()}")
     normals = None if mesh.normals is None else _turned(mesh.normals, R)
-    return TriangleMesh(_turned(mesh.vertices, R) + t, mesh.faces, normals)
+    return TriangleMesh(_turned(mesh.vertices, R) + t, mesh.faces, normals, mesh.material)
 
 
 def _turned(rows: Float64, R: Float64) -> Float64:

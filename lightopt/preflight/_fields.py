@@ -27,7 +27,7 @@ def check_fields(checked: CheckedScene) -> Iterator[Finding]:
     names = ["bright field", "dark field", "unlit"]
     entries = list(light_entries(checked.rig.lights))
     for sample, (name, channels) in itertools.product(checked.samples, entries):
-        some, ends = _mirrored(checked, sample, LOBE_SIGMAS * checked.scene.reflectance.sigma)
+        some, ends = _mirrored(checked, sample, LOBE_SIGMAS * checked.scene.sharpest.sigma)
         if not len(some):
             continue
         lights = _distinct([sample.view.lights[i] for i in channels])

@@ -44,7 +44,7 @@ def check_points(checked: CheckedScene) -> Iterator[Finding]:
         names = ", ".join(checked.scene.lights[i].name for i in indices)
         own = checked.rig.lights[indices[0]].points is not None
         keys = ("lights", indices[0], "points") if own else ("light_source", "points")
-        yield _points(replace(light, name=names), checked.scene.reflectance, checked.rig.source.at(*keys))
+        yield _points(replace(light, name=names), checked.scene.sharpest, checked.rig.source.at(*keys))
 
 
 def _points(light: PanelLight, reflectance: Reflectance, where: str) -> Finding:
@@ -79,13 +79,13 @@ def check_levels(checked: CheckedScene) -> Iterator[Finding]:
     """The brightest diffuse level at exposure 1 against saturation."""
     reflectance, sensor = checked.scene.reflectance, checked.scene.sensor
     where = checked.part.source.at("reflectance")
-    if reflectance.R_d == 0.0 and reflectance.R_s == 0.0:
+    if all(one.R_d == 0.0 and one.R_s == 0.0 for one in checked.scene.reflectances):
         yield Finding("warning", "levels", "R_d and R_s are both 0: every image will be black", where)
         return
     # in levels of the reflectance's full scale, as R_d is
     saturation = (sensor.saturated_from - sensor.black_level) / sensor.max_level * reflectance.full_scale
     brightest = max(checked.scene.lights, key=lambda light: light.total_weight)
-    level = reflectance.R_d * brightest.total_weight
+    level = max(one.R_d for one in checked.scene.reflectances) * brightest.total_weight
     peak, mirrored = max((highlight_level(checked.scene, one), one.name) for one in checked.scene.lights)
     values = {
         "diffuse_level": level,
@@ -147,7 +147,7 @@ def interpolation_errors(mesh: TriangleMesh, *, bent: float) -> NormalErrors | N
 
 def check_facets(checked: CheckedScene) -> Iterator[Finding]:
     """Whether the highlight shows the mesh's facets."""
-    reflectance, mesh, source = checked.scene.reflectance, checked.scene.mesh, checked.part.source
+    reflectance, mesh, source = checked.scene.sharpest, checked.scene.mesh, checked.part.source
     sigma, width = reflectance.sigma, f"{reflectance.width_text}, {_angle(reflectance.sigma)}"
     flat, bent, visible = mesh.normals is None, LEAST_BEND * sigma, VISIBLE_ERROR * sigma
     if flat:

@@ -12,7 +12,7 @@ NOTED_SHARE, WARNED_SHARE = 0.01, 0.05  # of the surface in view
 
 def check_mirrored_part(checked: CheckedScene) -> Iterator[Finding]:
     """Share of the surface in view that mirrors the part, in place of the lights and the dark box; none if it is 0."""
-    if checked.scene.reflectance.R_s == 0.0:
+    if all(one.R_s == 0.0 for one in checked.scene.reflectances):
         return
     for index, sample in enumerate(checked.samples):
         front = np.flatnonzero(sample.surface.front)

@@ -74,7 +74,7 @@ def _cycles(
     u, v, distance = places[0]
     inside = (np.abs(u) < 0.5 * light.size[0]) & (np.abs(v) < 0.5 * light.size[1])
     # M = exp(−2(πσ|∇u|/P)²), ∇u the change of the place per tilt of the half vector, 2d where the light is met squarely
-    blur = math.pi * scene.reflectance.sigma * 2.0 * distance / period
+    blur = math.pi * scene.sharpest.sigma * 2.0 * distance / period
     with np.errstate(invalid="ignore"):
         shown = inside & (np.exp(-2.0 * blur**2) > LEAST_CONTRAST)
     steps = [

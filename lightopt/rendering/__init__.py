@@ -14,6 +14,7 @@ from lightopt.rendering._image_set import (
     set_manifest as set_manifest,
 )
 from lightopt.rendering._images import (
+    Geometry as Geometry,
     PostureImages as PostureImages,
     cast_rays_at as cast_rays_at,
     rays_of_images as rays_of_images,

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -167,7 +168,7 @@ def shade_isolated(
     surface: SurfacePoints,
     panels: Sequence[PanelLight],
     *,
-    reflectance: Reflectance,
+    reflectances: Sequence[Reflectance],
     caster: RayCaster,
     shadows: bool,
     threads: int = 1,
@@ -175,10 +176,16 @@ def shade_isolated(
     """Level under each light of points that are not neighbours, as images have it [grey level], shape (k,) each.
 
     panels: Part frame; channels of one light are worked out together
+    reflectances: By the points' materials
     threads: That work on the points of such a light
     """
     shaded = [panel_to_shade(panel, caster) for panel in panels]
-    return isolated_levels(surface, shaded, reflectance, caster if shadows else None, threads=threads)
+    levels = [np.empty(len(surface)) for _ in panels]
+    for index, some, own in surface.by_material(reflectances):
+        found = isolated_levels(some, shaded, own, caster if shadows else None, threads=threads)
+        for all_levels, own_levels in zip(levels, found, strict=True):
+            all_levels[index] = own_levels
+    return levels
 
 
 def isolated_levels(
@@ -421,7 +428,8 @@ def _neighbours(flags: Bool, sample: Index, shape: tuple[int, int]) -> Bool:
 def highlight_level(scene: Scene, light: PanelLight) -> float:
     """Specular level at exposure 1 of a surface at the origin that mirrors a panel's centre [grey level].
 
-    That of the panel as a whole, whatever its number of points: R_s is what a single point of light would reach.
+    Of the region that is brightest there, and of the panel as a whole, whatever its number of points: R_s is what a
+    single point of light would reach.
 
     light: World frame
     """
@@ -434,14 +442,14 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
     normal = half[None] / length
     surface = SurfacePoints(origin, normal, normal, view[None], np.ones(1, np.bool_))
     if isinstance(light, SurfaceLight):
-        _, specular = shade_light(surface, light, reflectance=scene.reflectance, caster=None)
-        return float(scene.reflectance.R_s * specular[0])
+        lobes = (shade_light(surface, light, reflectance=own, caster=None)[1] for own in scene.reflectances)
+        return max(float(own.R_s * lobe[0]) for own, lobe in zip(scene.reflectances, lobes, strict=True))
     whole = replace(light, points="auto")
     panel = converged_panel(whole, centre=origin[0], radius=1.0)
-    _, specular, _ = shade_converged(
-        surface, panel, sample=np.zeros(1, np.intp), shape=(1, 1), reflectance=scene.reflectance, caster=None
-    )
-    return float(scene.reflectance.R_s * specular[0] * light.total_weight / whole.total_weight)
+    at: dict[str, Any] = {"sample": np.zeros(1, np.intp), "shape": (1, 1), "caster": None}
+    lobes = (shade_converged(surface, panel, reflectance=own, **at)[1] for own in scene.reflectances)
+    level = max(float(own.R_s * lobe[0]) for own, lobe in zip(scene.reflectances, lobes, strict=True))
+    return level * light.total_weight / whole.total_weight
 
 
 def channel_groups(panels: Sequence[PanelLight | ConvergedPanel]) -> list[list[int]]:

@@ -137,7 +137,7 @@ def render_image_set(
 
     warn(
         *scene.warnings,
-        *coarse_warnings(scene.lights, scene.reflectance),
+        *coarse_warnings(scene.lights, scene.sharpest),
         *_narrow_defects(scene, rig, options.supersample),
     )
     resumed = sum(writer.done(*key) for key in plan)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
+from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
@@ -30,7 +30,7 @@ from lightopt.rendering._converged_panel import (
     shade_light,
     shadow_targets,
 )
-from lightopt.rendering._defect_shading import DefectSamples, defect_samples
+from lightopt.rendering._defect_shading import ChangedSamples, changed_samples
 from lightopt.rendering._direct_view import direct_levels
 from lightopt.rendering._interreflection import PartLight
 from lightopt.rendering._lens_means import TYPICAL_VIEWS, lens_means
@@ -83,6 +83,7 @@ class Geometry:
     hit: Whether the ray meets the part, shape (height, width)
     defect: Index among the scene's defects of the one seen, −1 where none, shape (height, width); None for a part
         without defects
+    material: Number of the reflectance seen, shape (height, width); None for a part without regions
     """
 
     points: Float32
@@ -91,6 +92,7 @@ class Geometry:
     patch: Int32
     hit: Bool
     defect: Int32 | None = None
+    material: UInt8 | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,7 +313,7 @@ class _PostureJob:
         ]
         self.averaged = averaged
         self.rough: dict[int, Index] = {}
-        self.geometry = _no_hit(shape, defects=bool(scene.defects)) if geometry else None
+        self.geometry = _no_hit(shape, defects=bool(scene.defects), regions=bool(scene.regions)) if geometry else None
         self.back = np.zeros(shape, np.bool_)
         self.panels = [panel_to_shade(light, caster) for light in view.lights]
         self.together = channel_groups(self.panels)
@@ -336,7 +338,7 @@ class _PostureJob:
         columns = _centres(left * n, right * n) / n + self.offset[0]
         hits, smooth = self._trace(columns, rows)
         surface = self._wavy(smooth)
-        marked = self._in_defects(surface)
+        marked = self._changed(surface)
         grid = (len(rows), len(columns))
         own = slice(self.halo, grid[0] - self.halo)
         target = (slice(top, bottom), slice(left, right))
@@ -347,7 +349,7 @@ class _PostureJob:
         else:
             centre_hits, centres = self._trace(_centres(left, right), _centres(top, bottom))
             centre_places = _places(centre_hits.ray, right - left, 0, bottom - top, top, left)
-            self._store_geometry(centre_hits, centres, self._in_defects(centres), centre_places)
+            self._store_geometry(centre_hits, centres, self._changed(centres), centre_places)
         sample = hits.ray.astype(np.intp)
         passed = None
         if self.view.camera.dims:
@@ -363,7 +365,7 @@ class _PostureJob:
 
     def _light(
         self,
-        marked: tuple[DefectSamples, ...],
+        marked: tuple[ChangedSamples, ...],
         number: int,
         light: tuple[Float64, Float64, PanelVisibility | None],
         sample: Index,
@@ -421,7 +423,7 @@ class _PostureJob:
         # to the shadows' refinement the rays of a pixel are neighbours, those of two pixels are not
         grid = (len(pixels) * (n + 1), n)
         sample = hits.ray.astype(np.intp) + hits.ray // n**2 * n
-        marked, lights = self._in_defects(surface), self._shade(surface, numbers, sample, grid)
+        marked, lights = self._changed(surface), self._shade(surface, numbers, sample, grid)
         for number, light in zip(numbers, lights, strict=True):
             own = np.isin(pixels, self.rough[number], assume_unique=True)
             for target, values in self._light(marked, number, light, sample, grid, passed):
@@ -466,8 +468,8 @@ class _PostureJob:
         normals = waviness.normals(points, surface.normals @ place.rotation) @ place.rotation.T
         return replace(surface, normals=normals)
 
-    def _in_defects(self, surface: SurfacePoints) -> tuple[DefectSamples, ...]:
-        return defect_samples(self.scene.defects, surface, self.scene.reflectance)
+    def _changed(self, surface: SurfacePoints) -> tuple[ChangedSamples, ...]:
+        return changed_samples(self.scene.defects, surface, self.scene.reflectances)
 
     def _shade(
         self, surface: SurfacePoints, numbers: list[int], sample: Index, grid: tuple[int, int]
@@ -492,7 +494,7 @@ class _PostureJob:
         return samples.reshape(rows // n, n, columns // n, n).mean(axis=(1, 3))
 
     def _store_geometry(
-        self, hits: Hits, surface: SurfacePoints, marked: tuple[DefectSamples, ...], places: _Places
+        self, hits: Hits, surface: SurfacePoints, marked: tuple[ChangedSamples, ...], places: _Places
     ) -> None:
         g = self.geometry
         if g is None:
@@ -513,6 +515,8 @@ class _PostureJob:
         )
         if self.patches is not None:
             _store_values(*places, self.patches.patch_at(hits.face, hits.u, hits.v), g.patch)
+        if g.material is not None and surface.material is not None:
+            _store_values(*places, surface.material, g.material)
         if g.defect is not None:
             label = np.full(len(surface), -1, np.int32)
             for some in marked:
@@ -520,7 +524,7 @@ class _PostureJob:
             _store_values(*places, label, g.defect)
 
 
-def _no_hit(shape: tuple[int, int], *, defects: bool) -> Geometry:
+def _no_hit(shape: tuple[int, int], *, defects: bool, regions: bool) -> Geometry:
     # of an image that shows no part
     return Geometry(
         points=np.zeros((*shape, 3), np.float32),
@@ -529,6 +533,7 @@ def _no_hit(shape: tuple[int, int], *, defects: bool) -> Geometry:
         patch=np.full(shape, -1, np.int32),
         hit=np.zeros(shape, np.bool_),
         defect=np.full(shape, -1, np.int32) if defects else None,
+        material=np.zeros(shape, np.uint8) if regions else None,
     )
 
 

@@ -1,4 +1,4 @@
-"""The pixels of a posture whose light can be predicted: off silhouettes, creases and the edges of shadows."""
+"""The pixels of a posture whose light can be predicted: off silhouettes, creases and edges of shadows and regions."""
 
 import math
 from collections.abc import Sequence
@@ -83,6 +83,9 @@ def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: 
         np.concatenate([b[2].views for b in blocks] or [empty]),
         np.concatenate([b[2].front for b in blocks] or [none]),
         caster.is_outside(view.camera.position),
+        None
+        if scene.mesh.material is None
+        else np.concatenate([b[2].material for b in blocks if b[2].material is not None] or [none.astype(np.uint8)]),
     )
     shape = (scene.camera.height, scene.camera.width)
     edge = _spread(_edges(surface, row, column, shape), row, column)
@@ -130,8 +133,9 @@ def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: i
         row, column, faces[hits.face] = row[hits.ray], column[hits.ray], True
         index = np.full((len(rows) + 1, shape[1] + 1), -1, np.int32)
         index[row - rows[0], column] = np.arange(len(row), dtype=np.int32)
+        material = np.zeros(0, np.uint8) if surface.material is None else surface.material
         differing = _differing(
-            surface.points, surface.normals, surface.facets, row, column, index, int(rows[0]), shape[0]
+            surface.points, surface.normals, surface.facets, material, row, column, index, int(rows[0]), shape[0]
         )
         rays = pixel_directions(camera, x[hits.ray], y[hits.ray])
         _store_masks(
@@ -237,15 +241,25 @@ def visibility_of_lights(
 
 
 def _edges(surface: SurfacePoints, row: Int32, column: Int32, shape: tuple[int, int]) -> Bool:
-    # pixels that differ from the next one to the right or below by a step, by a crease, or by seeing no part at all
+    # pixels that differ from the next one to the right or below by a step, by a crease, by the border of a region, or
+    # by seeing no part at all
     index = np.full((shape[0] + 1, shape[1] + 1), -1, np.int32)
     index[row, column] = np.arange(len(row), dtype=np.int32)
-    return _differing(surface.points, surface.normals, surface.facets, row, column, index, 0, shape[0])
+    material = np.zeros(0, np.uint8) if surface.material is None else surface.material
+    return _differing(surface.points, surface.normals, surface.facets, material, row, column, index, 0, shape[0])
 
 
 @kernel
 def _differing(
-    points: Float64, normals: Float64, facets: Float64, row: Int32, column: Int32, index: Int32, top: int, rows: int
+    points: Float64,
+    normals: Float64,
+    facets: Float64,
+    material: UInt8,
+    row: Int32,
+    column: Int32,
+    index: Int32,
+    top: int,
+    rows: int,
 ) -> Bool:
     # `index`: of the point that each pixel sees, −1 where none, from row `top` on, with a row and a column more; of an
     # image of so many rows. In its first and last row flags are not complete
@@ -266,7 +280,8 @@ def _differing(
             step = minus(vector_at(points, b), vector_at(points, a))
             crease = dot(vector_at(normals, a), vector_at(normals, b)) < CREASE_COSINE
             rise = abs(dot(step, vector_at(facets, a)))
-            if crease or rise > STEEPEST_STEP * math.sqrt(dot(step, step)):
+            border = len(material) > 0 and material[a] != material[b]
+            if crease or border or rise > STEEPEST_STEP * math.sqrt(dot(step, step)):
                 edge[a] = edge[b] = True
     return edge
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Index, Int32
+from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, vector_at
 from lightopt.geometry import Hits, RayCaster, TriangleMesh, resolve_hits
+from lightopt.optics import Reflectance
 from lightopt.scene import PinholeCamera, pixel_directions
 
 GRAZING_DEG = 80.0
@@ -36,6 +38,7 @@ class SurfacePoints:
     views: Unit vectors V towards the camera, shape (k, 3)
     front: False where the camera sees the back of a face, which is black; shape (k,)
     outside: Whether the camera stands outside the part's bounding sphere
+    material: Number of the reflectance of each, shape (k,); None: one reflectance, number 0
     """
 
     points: Float64
@@ -44,6 +47,7 @@ class SurfacePoints:
     views: Float64
     front: Bool
     outside: bool = False
+    material: UInt8 | None = None
 
     def __len__(self) -> int:
         return len(self.points)
@@ -57,7 +61,19 @@ class SurfacePoints:
             self.views[index],
             self.front[index],
             self.outside,
+            None if self.material is None else self.material[index],
         )
+
+    def by_material(
+        self, reflectances: Sequence[Reflectance]
+    ) -> Iterator[tuple[Index | slice, SurfacePoints, Reflectance]]:
+        """Indices of the points of each reflectance, these points, and the reflectance; none without points."""
+        if self.material is None:
+            yield slice(None), self, reflectances[0]
+            return
+        for number in np.unique(self.material).tolist():
+            index = np.flatnonzero(self.material == number)
+            yield index, self.take(index), reflectances[number]
 
 
 def trace_hits(
@@ -126,7 +142,8 @@ def surface_at(hits: Hits, mesh: TriangleMesh, eyes: Float64, *, outside: bool) 
     found = _interpolate(
         mesh.vertices, mesh.faces, vertex_normals, smooth, hits.face, hits.u, hits.v, hits.points, np.atleast_2d(eyes)
     )
-    return SurfacePoints(hits.points, *found, outside=outside)
+    material = None if mesh.material is None else mesh.material[hits.face]
+    return SurfacePoints(hits.points, *found, outside=outside, material=material)
 
 
 @kernel

@@ -64,12 +64,14 @@ class SurfaceVariants:
     lean: Components of each variant's normal along the point's normal, its reference direction and the direction
         across, which with the first two makes a right-handed frame; shape (t, 3)
     R_d, R_s, sigma: Of each, shape (t,)
+    reflectance: Of the surface as it is
     """
 
     lean: Float64
     R_d: Float64
     R_s: Float64
     sigma: Float64
+    reflectance: Reflectance
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,19 +87,29 @@ class VariantLevels:
 
 
 def surface_variants(
-    *, slope: Float64, direction: Float64, R_d_factor: Float64, sigma_factor: Float64, reflectance: Reflectance
-) -> SurfaceVariants:
-    """Variants of a reflectance by slope and direction of the lean [rad] and factors, each of shape (t,)."""
+    *,
+    slope: Float64,
+    direction: Float64,
+    R_d_factor: Float64,
+    sigma_factor: Float64,
+    reflectances: Sequence[Reflectance],
+) -> tuple[SurfaceVariants, ...]:
+    """Variants of each reflectance by slope and direction of the lean [rad] and factors, each of shape (t,)."""
+    lean = np.stack([np.cos(slope), np.sin(slope) * np.cos(direction), np.sin(slope) * np.sin(direction)], axis=1)
     factors = list(zip(R_d_factor.tolist(), sigma_factor.tolist(), strict=True))
-    some = {(d, s): reflectance.changed(R_d_factor=d, sigma_factor=s) for d, s in set(factors)}
-    changed = [some[pair] for pair in factors]
-    lean = [np.cos(slope), np.sin(slope) * np.cos(direction), np.sin(slope) * np.sin(direction)]
-    return SurfaceVariants(
-        lean=np.stack(lean, axis=1),
-        R_d=np.array([one.R_d for one in changed]),
-        R_s=np.array([one.R_s for one in changed]),
-        sigma=np.array([one.sigma for one in changed]),
-    )
+
+    def variants(reflectance: Reflectance) -> SurfaceVariants:
+        some = {(d, s): reflectance.changed(R_d_factor=d, sigma_factor=s) for d, s in set(factors)}
+        changed = [some[pair] for pair in factors]
+        return SurfaceVariants(
+            lean=lean,
+            R_d=np.array([one.R_d for one in changed]),
+            R_s=np.array([one.R_s for one in changed]),
+            sigma=np.array([one.sigma for one in changed]),
+            reflectance=reflectance,
+        )
+
+    return tuple(map(variants, reflectances))
 
 
 def shade_variants(
@@ -106,7 +118,6 @@ def shade_variants(
     panel: PanelLight | ConvergedPanel,
     variants: SurfaceVariants,
     *,
-    reflectance: Reflectance,
     caster: RayCaster | None,
     dtype: type[np.floating[Any]] = np.float64,
 ) -> VariantLevels:
@@ -114,7 +125,7 @@ def shade_variants(
 
     A few points stand for a converged panel where they resolve the lobe.
 
-    surface: k points that the camera sees from the front, none of them another's neighbour; part frame
+    surface: k points of one material that the camera sees from the front, none of them another's neighbour; part frame
     references: Unit vectors in the tangent planes that directions count from, shape (k, 3)
     panel: Part frame: as point lights, or converged
     dtype: Of the variants' levels
@@ -124,14 +135,13 @@ def shade_variants(
         end_if_stopped()
         some, own = surface.take(slice(start, end)), references[start:end]
         if isinstance(panel, ConvergedPanel):
-            return _converged_variants(some, own, panel, variants, reflectance, caster, dtype)
-        return _point_variants(some, own, panel, variants, reflectance, caster, dtype)
+            return _converged_variants(some, own, panel, variants, caster, dtype)
+        return _point_variants(some, own, panel, variants, caster, dtype)
 
     if isinstance(panel, ConvergedPanel) and (points := panel.points_for(float(variants.sigma.min()))):
         panel = replace(panel.light, points=points, normalisation="mean")
     if isinstance(panel, SurfaceLight):
-        how: dict[str, Any] = {"reflectance": reflectance, "caster": caster, "dtype": dtype}
-        return shade_variants_together(surface, references, [panel], variants, **how)[0]
+        return _variants_together(surface, references, [panel], variants, caster, dtype, threads=1)[0]
     if isinstance(panel, ConvergedPanel):
         step = CONVERGED_AT_ONCE
     else:
@@ -150,30 +160,53 @@ def shade_variants_together(
     surface: SurfacePoints,
     references: Float64,
     panels: Sequence[PanelLight | ConvergedPanel],
-    variants: SurfaceVariants,
+    variants: Sequence[SurfaceVariants],
     *,
-    reflectance: Reflectance,
     caster: RayCaster | None,
     dtype: type[np.floating[Any]] = np.float64,
     threads: int = 1,
 ) -> list[VariantLevels]:
     """As :func:`shade_variants` for each of some lights, of which channels of one light are worked out together.
 
+    surface: May have several materials
+    variants: Of each material
     threads: That work on the points of such a light
     """
+    if surface.material is None:
+        return _variants_together(surface, references, panels, variants[0], caster, dtype, threads)
+    good = [np.empty(len(surface)) for _ in panels]
+    varied = [np.empty((len(variants[0].lean), len(surface)), dtype) for _ in panels]
+    for number in np.unique(surface.material).tolist():
+        index = np.flatnonzero(surface.material == number)
+        own = surface.take(index), references[index], panels, variants[number]
+        for i, levels in enumerate(_variants_together(*own, caster, dtype, threads)):
+            good[i][index], varied[i][:, index] = levels.good, levels.varied
+    return [VariantLevels(good=g, varied=v) for g, v in zip(good, varied, strict=True)]
+
+
+def _variants_together(
+    surface: SurfacePoints,
+    references: Float64,
+    panels: Sequence[PanelLight | ConvergedPanel],
+    variants: SurfaceVariants,
+    caster: RayCaster | None,
+    dtype: type[np.floating[Any]],
+    threads: int,
+) -> list[VariantLevels]:
     found: dict[int, VariantLevels] = {}
     for group in channel_groups(panels):
         own = [panel for i in group if isinstance(panel := panels[i], SurfaceLight)]
         if own:
-            numbers = _with_plain(variants, reflectance, own[0].total_weight)
+            numbers = _with_plain(variants, own[0].total_weight)
             levels = surface_light_variants(surface, references, own, numbers, caster, threads)
             found |= {
                 i: VariantLevels(good=one[0], varied=one[1:].astype(dtype))
                 for i, one in zip(group, levels, strict=True)
             }
         else:
-            how: dict[str, Any] = {"reflectance": reflectance, "caster": caster, "dtype": dtype}
-            found |= {i: shade_variants(surface, references, panels[i], variants, **how) for i in group}
+            found |= {
+                i: shade_variants(surface, references, panels[i], variants, caster=caster, dtype=dtype) for i in group
+            }
     return [found[i] for i in range(len(panels))]
 
 
@@ -182,10 +215,10 @@ def _point_variants(
     references: Float64,
     light: PanelLight,
     variants: SurfaceVariants,
-    reflectance: Reflectance,
     caster: RayCaster | None,
     dtype: type[np.floating[Any]],
 ) -> VariantLevels:
+    reflectance = variants.reflectance
     assert light.points != "auto"
     grid = panel_grid(light, light.points)
     if caster is None:
@@ -227,8 +260,9 @@ def _most_exponents(R_s: Float64, weight: float, least_cosine: float) -> Float64
     return np.log(np.maximum(R_s * weight / least_cosine / NEGLIGIBLE_LEVEL, 1.0))
 
 
-def _with_plain(variants: SurfaceVariants, reflectance: Reflectance, weight: float) -> VariantNumbers:
+def _with_plain(variants: SurfaceVariants, weight: float) -> VariantNumbers:
     # the surface as it is comes first; coefficients times the light's weight
+    reflectance = variants.reflectance
     R_s = weight * np.concatenate([[reflectance.R_s], variants.R_s])
     return VariantNumbers(
         lean=np.concatenate([[[1.0, 0.0, 0.0]], variants.lean]),
@@ -245,7 +279,6 @@ def _converged_variants(
     references: Float64,
     converged: ConvergedPanel,
     variants: SurfaceVariants,
-    reflectance: Reflectance,
     caster: RayCaster | None,
     dtype: type[np.floating[Any]],
 ) -> VariantLevels:
@@ -254,7 +287,7 @@ def _converged_variants(
         clear = np.ones((len(surface), len(targets)), np.bool_)
     else:
         clear = panel_probes(surface, targets, caster)
-    numbers = _with_plain(variants, reflectance, converged.light.total_weight)
+    numbers = _with_plain(variants, converged.light.total_weight)
     levels = panel_variants(surface, references, converged, clear, caster, numbers)
     good, varied = levels[:, 0], np.ascontiguousarray(levels[:, 1:].T, dtype)
     return VariantLevels(good=good, varied=varied)

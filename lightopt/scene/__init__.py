@@ -54,6 +54,7 @@ from lightopt.scene._scene import (
     Placement as Placement,
     Scene as Scene,
     move_part as move_part,
+    scene_of_region as scene_of_region,
     view_from_part as view_from_part,
 )
 from lightopt.scene._stage import Stage as Stage

@@ -8,13 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lightopt.config import CameraConfig, PartConfig, RigConfig, load_part, load_rig
+from lightopt.config import CameraConfig, PartConfig, ReflectanceConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
-from lightopt.optics import Reflectance, Sensor, SpecularModel, least_white_level
+from lightopt.optics import Reflectance, Sensor, SpecularModel, least_white_level, white_level
 from lightopt.scene._camera import (
     Distortion,
     Lens,
@@ -29,7 +29,8 @@ from lightopt.scene._defects import outside_stage_range, place_defects
 from lightopt.scene._image_area import obstructions
 from lightopt.scene._lights import build_lights
 from lightopt.scene._part_size import guess_unit, view_size
-from lightopt.scene._scene import Placement, Scene, view_from_part
+from lightopt.scene._regions import mesh_of_regions
+from lightopt.scene._scene import PartRegion, Placement, Scene, view_from_part
 from lightopt.scene._stage import Stage
 
 CHORD_TOLERANCE_MM = 0.01
@@ -70,11 +71,13 @@ def build_scene(
     # lights that are off stand there, too
     camera = replace(camera, obstructions=obstructions(camera, build_lights(rig) if lights else placed))
     mesh, placement, warnings = _mesh(part, pixel_footprint(camera, rig.camera.distance_mm))
+    reflectance, regions = _reflectances(part, seen=bounces > 0 or rig.environment.level > 0.0)
     scene = Scene(
         camera=camera,
         lights=placed,
         mesh=mesh,
-        reflectance=_reflectance(part, seen=bounces > 0 or rig.environment.level > 0.0),
+        reflectance=reflectance,
+        regions=regions,
         sensor=build_sensor(rig.camera),
         stage=build_stage(rig),
         postures=chosen,
@@ -93,9 +96,26 @@ def build_scene(
     return replace(scene, warnings=warnings, defects=placed_defects, waviness=waviness)
 
 
-def _reflectance(part: PartConfig, *, seen: bool) -> Reflectance:
+def _reflectances(part: PartConfig, *, seen: bool) -> tuple[Reflectance, tuple[PartRegion, ...]]:
     # `seen`: whether the part shows itself or its surroundings, for which its white level counts
-    own = part.reflectance
+    base = part.reflectance
+    regions = tuple(
+        PartRegion(
+            name=region.name, reflectance=_reflectance(part, region.reflectance, "regions", i, "reflectance", seen=seen)
+        )
+        for i, region in enumerate(part.regions)
+    )
+    reflectance = _reflectance(part, base, "reflectance", seen=seen)
+    if regions and base.white_level is None:
+        # a white surface is as bright everywhere: as where the part reflects most
+        most = max(white_level(one) for one in (reflectance, *(region.reflectance for region in regions)))
+        reflectance = replace(reflectance, white_level=most)
+        regions = tuple(replace(one, reflectance=replace(one.reflectance, white_level=most)) for one in regions)
+    return reflectance, regions
+
+
+def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, seen: bool) -> Reflectance:
+    full_scale, white = part.reflectance.full_scale, part.reflectance.white_level
     model = SpecularModel(
         name=own.model,
         wide_share=own.R_s_wide / own.R_s if own.R_s_wide is not None and own.R_s > 0.0 else 0.0,
@@ -103,12 +123,12 @@ def _reflectance(part: PartConfig, *, seen: bool) -> Reflectance:
         refractive_index=own.refractive_index,
     )
     reflectance = Reflectance(
-        R_d=own.R_d, R_s=own.R_s, sigma=own.sigma, full_scale=own.full_scale, model=model, white_level=own.white_level
+        R_d=own.R_d, R_s=own.R_s, sigma=own.sigma, full_scale=full_scale, model=model, white_level=white
     )
-    if seen and own.white_level is not None and own.white_level < (least := least_white_level(reflectance)):
+    if seen and white is not None and white < (least := least_white_level(reflectance)):
         raise InputError(
-            f"{part.source.at('reflectance', 'white_level')}: expected at least {least:.4g}, found "
-            f"{own.white_level:g}: with these coefficients the part would reflect more light than it gets"
+            f"{part.source.at('reflectance', 'white_level')}: expected at least {least:.4g}, found {white:g}: with the "
+            f"coefficients of {part.source.at(*keys)} the part would reflect more light than it gets"
         )
     return reflectance
 
@@ -234,7 +254,10 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, 
         chord_tolerance_mm=tolerance,
         angular_tolerance=min(MOST_ANGULAR_TOLERANCE, angular_tolerance),
         max_triangles=m.max_triangles,
+        pieces=bool(part.regions),
     )
+    if part.regions:
+        loaded = replace(loaded, mesh=mesh_of_regions(loaded, part))
     rx, ry, rz = (math.radians(angle) for angle in part.placement.rotate_deg)
     rotation = rotation_z(rz) @ rotation_y(ry) @ rotation_x(rx)
     turned = transformed(loaded.mesh, rotation, np.zeros(3))

@@ -1,5 +1,6 @@
 """The scene, and camera and lights as the part sees them in a posture."""
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -34,11 +35,25 @@ class Placement:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PartRegion:
+    """Surface of a part that reflects in its own way.
+
+    name: As the part file has it
+    """
+
+    name: str
+    reflectance: Reflectance
+
+
+@dataclass(frozen=True, kw_only=True)
 class Scene:
     """A part on its stage, the lights around it, the camera above it.
 
     camera, lights: World frame
-    mesh: The part at posture (0, 0), world frame [mm]
+    mesh: The part at posture (0, 0), world frame [mm]; its faces' materials are 0 for `reflectance` and then those of
+        the regions, from 1
+    reflectance: Of the surface that is in no region
+    regions: With reflectances of their own
     stage: How postures move the part, world frame
     placement: From the mesh file's coordinates, in mm, to those of the mesh
     defects: On the part, frame of the mesh; images show them, the mesh does not
@@ -52,6 +67,7 @@ class Scene:
     lights: tuple[PanelLight, ...]
     mesh: TriangleMesh
     reflectance: Reflectance
+    regions: tuple[PartRegion, ...] = ()
     sensor: Sensor
     stage: Stage
     postures: tuple[Posture, ...]
@@ -64,9 +80,30 @@ class Scene:
     environment: float = 0.0
 
     @property
+    def reflectances(self) -> tuple[Reflectance, ...]:
+        """By the materials of the mesh's faces."""
+        return (self.reflectance, *(region.reflectance for region in self.regions))
+
+    @property
+    def sharpest(self) -> Reflectance:
+        """The reflectance with the narrowest specular lobe."""
+        return min(self.reflectances, key=lambda one: one.sigma if one.R_s > 0.0 else math.inf)
+
+    @property
     def pivot(self) -> Float64:
         """A point of the stage's rotary axis at tilt 0, world frame [mm], shape (3,)."""
         return self.stage.pivot
+
+
+def scene_of_region(scene: Scene, number: int) -> Scene:
+    """The same scene with the reflectance of a region, from 1, as its first one."""
+    assert scene.mesh.material is not None
+    order = np.arange(len(scene.reflectances), dtype=np.uint8)
+    order[[0, number]] = number, 0
+    regions = list(scene.regions)
+    chosen, regions[number - 1] = regions[number - 1], PartRegion(name="", reflectance=scene.reflectance)
+    mesh = replace(scene.mesh, material=order[scene.mesh.material])
+    return replace(scene, mesh=mesh, reflectance=chosen.reflectance, regions=tuple(regions))
 
 
 def move_part(scene: Scene, rotation: Float64, translation: Float64) -> Scene:

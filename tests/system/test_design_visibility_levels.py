@@ -149,12 +149,12 @@ def test_converged_panels_on_leaning_patches(tmp_path):
     # slope, direction, factors of R_d and of sigma
     few = [(0.07, 2.4, 1.0, 1.0), (0.035, 3.1, 1.0, 1.0), (0.35, 0.8, 1.0, 1.0), (0, 0, 0.7, 1.0), (0, 0, 1.0, 1.5)]
     slope, direction, R_d_factor, sigma_factor = np.array(few).T
-    variants = surface_variants(
+    (variants,) = surface_variants(
         slope=slope,
         direction=direction,
         R_d_factor=R_d_factor,
         sigma_factor=sigma_factor,
-        reflectance=scene.reflectance,
+        reflectances=scene.reflectances,
     )
     for light in view_from_part(scene, posture).lights:
         probes = panel_probes(surface, probe_targets(light), caster).sum(axis=1)
@@ -162,10 +162,10 @@ def test_converged_panels_on_leaning_patches(tmp_path):
         near = converged_panel(light, centre=caster.centre, radius=caster.radius)
         assert near.points_for(scene.reflectance.sigma) == 16
         assert near.points_for(0.003) is None
-        few_points = shade_variants(surface, references, near, variants, reflectance=scene.reflectance, caster=caster)
+        few_points = shade_variants(surface, references, near, variants, caster=caster)
         # as if it were so near that a few points would not do
         panel = replace(near, least_distance=0.0)
-        found = shade_variants(surface, references, panel, variants, reflectance=scene.reflectance, caster=caster)
+        found = shade_variants(surface, references, panel, variants, caster=caster)
         for t, (slope, direction, R_d_factor, sigma_factor) in enumerate(few):
             changed = scene.reflectance.changed(R_d_factor=R_d_factor, sigma_factor=sigma_factor)
             turned = replace(surface, normals=leaning(surface.normals, axes, slope, direction))

@@ -92,12 +92,12 @@ def test_levels_are_those_of_the_equations(model, sigma, further):
     """Narrow lobes that few points are near, and wide ones that the series of narrow ones does not reach."""
     surface, references = surface_of(np.random.default_rng(5))
     reflectance = Reflectance(R_d=45.0, R_s=4000.0, sigma=sigma, model=MODELS[model])
-    variants = surface_variants(
-        slope=SLOPES, direction=DIRECTIONS, R_d_factor=R_D_FACTOR, sigma_factor=SIGMA_FACTOR, reflectance=reflectance
+    (variants,) = surface_variants(
+        slope=SLOPES, direction=DIRECTIONS, R_d_factor=R_D_FACTOR, sigma_factor=SIGMA_FACTOR, reflectances=[reflectance]
     )
     for elevation, azimuth in ((1.0, 0.4), (0.5, 3.5)):
         panel = panel_at(elevation, azimuth, **further)
-        found = shade_variants(surface, references, panel, variants, reflectance=reflectance, caster=None)
+        found = shade_variants(surface, references, panel, variants, caster=None)
         assert found.varied.shape == (len(SLOPES), POINTS)
         for t, (slope, direction) in enumerate(zip(SLOPES, DIRECTIONS, strict=True)):
             changed = reflectance.changed(R_d_factor=float(R_D_FACTOR[t]), sigma_factor=float(SIGMA_FACTOR[t]))
@@ -110,12 +110,12 @@ def test_levels_are_those_of_the_equations(model, sigma, further):
 def test_no_points_have_no_levels():
     surface, references = surface_of(np.random.default_rng(5))
     reflectance = Reflectance(R_d=45.0, R_s=4000.0, sigma=0.05)
-    variants = surface_variants(
-        slope=SLOPES, direction=DIRECTIONS, R_d_factor=R_D_FACTOR, sigma_factor=SIGMA_FACTOR, reflectance=reflectance
+    (variants,) = surface_variants(
+        slope=SLOPES, direction=DIRECTIONS, R_d_factor=R_D_FACTOR, sigma_factor=SIGMA_FACTOR, reflectances=[reflectance]
     )
     none = slice(0, 0)
     panel = panel_at(1.0, 0.4)
-    found = shade_variants(surface.take(none), references[none], panel, variants, reflectance=reflectance, caster=None)
+    found = shade_variants(surface.take(none), references[none], panel, variants, caster=None)
     assert found.varied.shape == (len(SLOPES), 0)
     assert len(found.good) == 0
 
@@ -141,9 +141,9 @@ def test_variants_of_whole_lights_are_the_light_on_other_surfaces(kind, model, s
         (light,) = build_lights(RigConfig.model_validate(rig))
     slope, direction = SLOPES[:4], DIRECTIONS[:4]
     variants = surface_variants(
-        slope=slope, direction=direction, R_d_factor=np.ones(4), sigma_factor=np.ones(4), reflectance=reflectance
+        slope=slope, direction=direction, R_d_factor=np.ones(4), sigma_factor=np.ones(4), reflectances=[reflectance]
     )
-    (found,) = shade_variants_together(surface, references, [light], variants, reflectance=reflectance, caster=None)
+    (found,) = shade_variants_together(surface, references, [light], variants, caster=None)
     across = np.cross(surface.normals, references)
     for t in range(4):
         towards = math.cos(direction[t]) * references + math.sin(direction[t]) * across

@@ -295,7 +295,7 @@ class PatchEvidence:
             direction=np.concatenate([*(one.direction for one in entries), directions]),
             R_d_factor=np.concatenate([*(one.R_d_factor for one in entries), unchanged]),
             sigma_factor=np.concatenate([*(one.sigma_factor for one in entries), unchanged]),
-            reflectance=scene.reflectance,
+            reflectances=scene.reflectances,
         )
 
     def evaluate(
@@ -317,7 +317,6 @@ class PatchEvidence:
             self._references,
             [panel_to_shade(panel, caster) for panel in panels],
             self._variants,
-            reflectance=self._scene.reflectance,
             caster=blocker,
             dtype=np.float32,
             threads=threads,
@@ -329,7 +328,7 @@ class PatchEvidence:
             levels = shade_isolated(
                 self._surface,
                 [panels[i] for i in exact],
-                reflectance=self._scene.reflectance,
+                reflectances=self._scene.reflectances,
                 caster=caster,
                 shadows=blocker is not None,
                 threads=threads,

@@ -341,13 +341,14 @@ def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[Sur
     views = view_from_part(scene, posture).camera.position - patches.centroids[seen]
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     facets, front = face_normals(scene.mesh)[patches.face[seen]], np.ones(len(seen), np.bool_)
-    return SurfacePoints(patches.centroids[seen], patches.normals[seen], facets, views, front), seen
+    material = None if scene.mesh.material is None else scene.mesh.material[patches.face[seen]]
+    return SurfacePoints(patches.centroids[seen], patches.normals[seen], facets, views, front, material=material), seen
 
 
 def _levels(
     scene: Scene, block: SurfacePoints, panel: PanelLight, caster: RayCaster, shadows: bool, passed: _Passed
 ) -> Float32:
-    levels = shade_isolated(block, (panel,), reflectance=scene.reflectance, caster=caster, shadows=shadows)[0]
+    levels = shade_isolated(block, (panel,), reflectances=scene.reflectances, caster=caster, shadows=shadows)[0]
     # images are stored as float32, and a level is rounded from what is stored
     return (passed * levels).astype(np.float32)
 

@@ -29,6 +29,7 @@ from lightopt.estimate.reflectance._quality import (
 from lightopt.estimate.reflectance._result import (
     FitResult,
     FittedValue,
+    RegionFit,
     fitted_dark,
     fitted_gains,
     fitted_names,
@@ -91,11 +92,16 @@ def fit_diffuse(
     options, run = options or FitOptions(), run or RunContext()
     points = options.points[0] if options.points else None
     setup = prepare_fit(rig, part, image_set, points, options, run)
+    result = _with_regions(_fit_diffuse(setup), setup, _fit_diffuse)
+    run.warn(*result.warnings)
+    return result
+
+
+def _fit_diffuse(setup: FitSetup) -> FitResult:
+    options, run = setup.options, setup.run
     if options.method == "paper":
         samples = setup.collect(uniform=True)
-        result = _paper_result(setup, samples, paper_diffuse(samples, options.paper))
-        run.warn(*result.warnings)
-        return result
+        return _paper_result(setup, samples, paper_diffuse(samples, options.paper))
     samples = setup.collect()
     freed = FreeParameters(gain=options.gain, dark=options.dark)
     whole = fit_reflectance(samples, freed=freed, run=run)
@@ -119,7 +125,6 @@ def fit_diffuse(
         )
     values = fitted_values(found, full_scale=setup.scene.reflectance.full_scale, model=samples.model)[:1]
     result = _result("diffuse", setup, plain, found, quality, (*values, *_unfitted(setup)), warnings)
-    run.warn(*result.warnings)
     pixels, estimate = len(np.unique(found.criterion.samples.sample)), replace(found, scan=whole.scan)
     return replace(result, highlight_fit=None if found is whole else whole, pixels=pixels, estimate=estimate)
 
@@ -154,11 +159,7 @@ def fit_specular(
     def prepared(points: Points | None, model: ModelName | None) -> FitSetup:
         return prepare_fit(rig, part, image_set, points, options, run, model=model)
 
-    models: tuple[ModelRow, ...] = ()
-    if options.model == "auto":
-        first, models = _choose_model(lambda model: prepared(choices[0], model), options)
-    else:
-        first = _fit_one(prepared(choices[0], options.model))
+    first, models = _fit_form(lambda model: prepared(choices[0], model), options)
     for points in choices:
         result, setup, samples = first if points == choices[0] else _fit_one(prepared(points, first[0].model.name))
         row = None
@@ -170,12 +171,51 @@ def fit_specular(
     result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None), models=models)
     if result.estimate is not None and "auto" not in options.points:
         result = replace(result, warnings=(*result.warnings, *_evenly_lit_warnings(setup, samples, result.estimate)))
-    if options.validate and result.estimate is not None:
-        left_out = leave_lights_out(setup, samples, result.estimate, save_prediction)
-        noted = validation_warnings(left_out, setup.scene.sensor)
-        result = replace(result, left_out=left_out, warnings=(*result.warnings, *noted))
+    result = _with_regions(_validated((result, setup, samples), save_prediction), setup, _fit_specular_region)
     run.warn(*result.warnings)
     return result
+
+
+def _fit_form(
+    prepared: Callable[[ModelName | None], FitSetup], options: FitOptions
+) -> tuple[_Fitted, tuple[ModelRow, ...]]:
+    # with the form of the lobe that the options name or want chosen
+    if options.model == "auto":
+        return _choose_model(prepared, options)
+    return _fit_one(prepared(options.model)), ()
+
+
+def _validated(fitted: _Fitted, save_prediction: SavePrediction | None = None) -> FitResult:
+    result, setup, samples = fitted
+    if not setup.options.validate or result.estimate is None:
+        return result
+    left_out = leave_lights_out(setup, samples, result.estimate, save_prediction)
+    noted = validation_warnings(left_out, setup.scene.sensor)
+    return replace(result, left_out=left_out, warnings=(*result.warnings, *noted))
+
+
+def _fit_specular_region(setup: FitSetup) -> FitResult:
+    fitted, models = _fit_form(setup.with_form, setup.options)
+    return replace(_validated(fitted), models=models)
+
+
+def _with_regions(result: FitResult, setup: FitSetup, fit: Callable[[FitSetup], FitResult]) -> FitResult:
+    # and the fits of the part's regions, with the placement, gains and dark level of the first
+    if not setup.scene.regions:
+        return result
+    gains = {} if result.gains is None else {name: gain.value for name, gain in result.gains.items()}
+    known = setup.with_photometry(gains, None if result.dark is None else result.dark.value)
+    known = replace(known, options=replace(setup.options, gain=False, dark=False))
+
+    def fitted(number: int, name: str) -> RegionFit:
+        try:
+            return RegionFit(name=name, result=fit(known.of_region(number)))
+        except InputError as error:
+            return RegionFit(name=name, refused=error.args[0])
+
+    regions = tuple(fitted(number, region.name) for number, region in enumerate(setup.scene.regions, 1))
+    noted = [f"region {one.name}: {text}" for one in regions for text in one.warnings]
+    return replace(result, regions=regions, warnings=(*result.warnings, *noted))
 
 
 def _choose_model(
@@ -338,6 +378,8 @@ def _paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | Paper
             "the paper's method has no free gains, dark level, placement or joint fit: it fits what sections 4.2 and "
             "4.3 fit"
         )
+    if setup.scene.regions:
+        raise InputError("the paper's method knows one reflectance: it cannot fit a part with regions")
     if own.model.name != "torrance-sparrow":
         raise InputError(f"the paper's method knows one Gaussian lobe: it cannot fit the model {own.model.name}")
     more = paper.warnings() if isinstance(paper, PaperSpecular) else ()

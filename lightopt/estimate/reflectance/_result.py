@@ -1,5 +1,7 @@
 """The result of a fit, and its files: the part and the rig with the fitted values, and all figures as JSON."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -8,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lightopt.config import PartConfig, PlacementConfig, RigConfig, Source, copied_text, input_hashes
+from lightopt.config import PartConfig, PlacementConfig, ReflectanceConfig, RigConfig, Source, copied_text, input_hashes
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Interval
@@ -87,6 +89,7 @@ class FitResult:
     left_out: tuple[LeftOut, ...] = ()  # validation, one entry per light
     rows: tuple[PointsRow, ...] = ()  # one per number of points that was tried
     models: tuple[ModelRow, ...] = ()  # what decided between forms of the lobe
+    regions: tuple[RegionFit, ...] = ()  # of the part, in its order
     paper: PaperDiffuse | PaperSpecular | None = None
 
     def value(self, name: str) -> float:
@@ -97,9 +100,11 @@ class FitResult:
     def converged(self) -> bool:
         """Whether every fit, those of validation among them, and the search for the part's place did."""
         fits = [found for found in (self.highlight_fit, self.estimate) if found is not None]
+        of_regions = all(region.result.converged for region in self.regions if region.result is not None)
         placed = self.registration is None or self.registration.converged
         validated = all(left.converged for left in self.left_out)
-        return placed and validated and not [text for found in fits for text in convergence_warnings(found)]
+        unsettled = [text for found in fits for text in convergence_warnings(found)]
+        return placed and validated and of_regions and not unsettled
 
     @property
     def placement(self) -> Placement | None:
@@ -156,7 +161,32 @@ class FitResult:
             "by_points": [row.as_dict() for row in self.rows],
             "by_model": [row.as_dict() for row in self.models],
             "paper": facts(self.paper),
+            "regions": [region.as_dict() for region in self.regions],
         }
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionFit:
+    """The fit of a region of the part.
+
+    result: None where the images do not determine its reflectance, which then stays as it is
+    refused: Why they do not; None where they do
+    """
+
+    name: str
+    result: FitResult | None = None
+    refused: str | None = None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Those of its fit, or that there is none."""
+        if self.result is not None:
+            return self.result.warnings
+        return (f"not fitted, it keeps the reflectance of the part file: {self.refused}",)
+
+    def as_dict(self) -> dict[str, Any]:
+        fit = None if self.result is None else self.result.as_dict()
+        return {"name": self.name, "refused": self.refused, "fit": fit}
 
 
 def bounded(ends: tuple[float, float], value: Callable[[float], float]) -> Interval:
@@ -312,17 +342,27 @@ class FitFolder(ResultFolder):
 
 
 def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
-    values: dict[tuple[str | int, ...], str | None] = {
-        ("reflectance", name): f"{result.value(name):.6g}" for name in result.fitted
-    }
-    if result.model.name != part.reflectance.model:
-        values["reflectance", "model"] = result.model.name
-        keys = [name for name in fitted_names(SpecularModel(name=part.reflectance.model)) if name not in result.fitted]
-        values |= {("reflectance", name): None for name in keys}
+    values = _reflectance_values(result, part.reflectance, "reflectance")
+    for i, region in enumerate(result.regions):
+        if region.result is not None:
+            values |= _reflectance_values(region.result, part.regions[i].reflectance, "regions", i, "reflectance")
     if result.file_placement is not None:
         values |= _placement_values(part, result.file_placement)
     _check_text(part.source)
     return copied_text(part, folder, values)
+
+
+def _reflectance_values(
+    result: FitResult, own: ReflectanceConfig, *keys: str | int
+) -> dict[tuple[str | int, ...], str | None]:
+    values: dict[tuple[str | int, ...], str | None] = {
+        (*keys, name): f"{result.value(name):.6g}" for name in result.fitted
+    }
+    if result.model.name != own.model:
+        values[(*keys, "model")] = result.model.name
+        superseded = [name for name in fitted_names(SpecularModel(name=own.model)) if name not in result.fitted]
+        values |= {(*keys, name): None for name in superseded}
+    return values
 
 
 def _placement_values(part: PartConfig, found: PlacementConfig) -> dict[tuple[str | int, ...], str]:

@@ -133,7 +133,7 @@ def collect_samples(
     threads: int | None = None,
     progress: Share = ignore,
 ) -> Samples:
-    """Choose pixels by their geometry alone and look up what was measured there."""
+    """Choose pixels of the scene's first reflectance by their geometry alone and look up what was measured there."""
     names = [light.name for light in scene.lights]
     groups: list[SampleGroup] = []
     wanted = sorted({(scene.postures.index(o.posture), names.index(o.light)) for o in observations})
@@ -220,8 +220,9 @@ def _choose(
     threads: int | None,
 ) -> list[SampleGroup]:
     panel = pixels.view.lights[light]
-    whole = np.flatnonzero(pixels.clean & (verdict == WHOLE))
-    unlit = np.flatnonzero(pixels.clean & (verdict == UNLIT))
+    own = pixels.clean if pixels.surface.material is None else pixels.clean & (pixels.surface.material == 0)
+    whole = np.flatnonzero(own & (verdict == WHOLE))
+    unlit = np.flatnonzero(own & (verdict == UNLIT))
     layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
     angle = np.zeros(len(whole)) if uniform else layer.deflection
     keep, share = _by_octave(angle, budget, (posture, draw))
@@ -263,8 +264,8 @@ def _assemble(
     lights = tuple(light.name for light in scene.lights)
     if not any(group.layer is not None for group in groups):
         raise InputError(
-            "no pixel of the images shows a surface that a panel lights wholly, away from silhouettes, creases and "
-            "edges of shadows; check the part's placement and the rig's lights"
+            "no pixel of the images shows a surface that a panel lights wholly, away from silhouettes, creases, edges "
+            "of shadows and borders of regions; check the part's placement and the rig's lights"
         )
     scale = scene.sensor.max_level / scene.reflectance.full_scale
     facts = ImageFacts(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -28,7 +28,7 @@ from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet
 from lightopt.optics import ModelName, Reflectance, SpecularModel
 from lightopt.rendering import cast_rays_at
-from lightopt.scene import Scene, build_scene
+from lightopt.scene import Scene, build_scene, scene_of_region
 
 Points = int | Literal["auto"]
 
@@ -93,6 +93,25 @@ class FitSetup:
         reflectance = self.scene.reflectance
         return np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
 
+    def of_region(self, number: int) -> FitSetup:
+        """The same for the surface of a region, from 1; the part is registered already."""
+        return replace(self, scene=scene_of_region(self.scene, number))
+
+    def with_photometry(self, gains: Mapping[str, float], black_level: float | None) -> FitSetup:
+        """The same with known gains of some lights, and with a known black level [sensor level]."""
+        lights = tuple(replace(light, gain=gains.get(light.name, light.gain)) for light in self.scene.lights)
+        sensor = self.scene.sensor
+        if black_level is not None:
+            sensor = replace(sensor, black_level=black_level)
+        return replace(self, scene=replace(self.scene, lights=lights, sensor=sensor))
+
+    def with_form(self, name: ModelName | None) -> FitSetup:
+        """The same with a specular lobe of this form; None and that of the part file change nothing."""
+        own = self.scene.reflectance.model
+        if name in (None, own.name):
+            return self
+        return self.with_model(SpecularModel(name=name, refractive_index=own.refractive_index))
+
     def with_model(self, model: SpecularModel) -> FitSetup:
         """The same with another specular lobe."""
         return replace(self, scene=replace(self.scene, reflectance=replace(self.scene.reflectance, model=model)))
@@ -130,10 +149,7 @@ def prepare_fit(
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False)
-    setup = FitSetup(scene, cast_rays_at(scene), observations, options=options, run=run)
-    own = scene.reflectance.model
-    if model not in (None, own.name):
-        setup = setup.with_model(SpecularModel(name=model, refractive_index=own.refractive_index))
+    setup = FitSetup(scene, cast_rays_at(scene), observations, options=options, run=run).with_form(model)
     if not options.register:
         return setup
     found = register_with_fit(

@@ -30,7 +30,7 @@ from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.optics import ModelName, Sensor, saturated_region
-from lightopt.rendering import render_posture
+from lightopt.rendering import Geometry, render_posture
 from lightopt.scene import Scene
 
 BUDGET = 1500  # pixels per octave, light and posture that the fits without a light use
@@ -103,8 +103,12 @@ def leave_lights_out(
         fitted = refit(others, found, only_reflectance=True)
         mine = [o for o in samples.images if o.light == samples.lights[light]]
         comparisons: list[Comparison] = []
-        for seen, levels, hit in predict_images(scene, fitted.x, mine, caster=setup.caster, threads=samples.threads):
-            comparisons.append(compare_image(seen, levels, hit, scene.sensor, scene.reflectance.full_scale))
+        predicted = predict_images(scene, fitted.x, mine, caster=setup.caster, threads=samples.threads)
+        for seen, levels, geometry in predicted:
+            others = None if geometry.material is None else geometry.material > 0
+            comparisons.append(
+                compare_image(seen, levels, geometry.hit, scene.sensor, scene.reflectance.full_scale, others=others)
+            )
             if save_prediction is not None:
                 save_prediction(seen, levels)
         results.append(LeftOut(samples.lights[light], fitted.x, tuple(comparisons), fitted.maximum.converged))
@@ -131,21 +135,30 @@ def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> Iterat
         )
 
 
-def compare_image(seen: Observation, levels: Float32, hit: Bool, sensor: Sensor, full_scale: float) -> Comparison:
-    """Compare a measured image with the sensor levels predicted for it, not clipped, where the part is; (H, W)."""
+def compare_image(
+    seen: Observation, levels: Float32, hit: Bool, sensor: Sensor, full_scale: float, *, others: Bool | None = None
+) -> Comparison:
+    """Compare a measured image with the sensor levels predicted for it, not clipped, where the part is; (H, W).
+
+    others: Pixels of regions that are not compared; None for no such
+    """
+    if others is not None:
+        hit = hit & ~others
     top = sensor.saturated_from
     measured = np.minimum(seen.levels, np.float32(top))
     residual = (measured - np.clip(levels, 0.0, top))[hit].astype(np.float64)
-    full = np.floor(levels + 0.5) >= top
+    full, seen_full = np.floor(levels + 0.5) >= top, seen.saturated
+    if others is not None:
+        full, seen_full = full & ~others, seen_full & ~others
     rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else 0.0
-    both, either = int((full & seen.saturated).sum()), int((full | seen.saturated).sum())
+    both, either = int((full & seen_full).sum()), int((full | seen_full).sum())
     return Comparison(
         image=seen.name,
         rms=full_scale / sensor.max_level * rms / seen.exposure,
         rms_sensor=rms,
         iou=both / either if either else None,
-        border=_border_distance(full, seen.saturated),
-        area=int(seen.saturated.sum()),
+        border=_border_distance(full, seen_full),
+        area=int(seen_full.sum()),
         predicted_area=int(full.sum()),
     )
 
@@ -164,8 +177,11 @@ def _border(mask: Bool) -> Float64:
 
 def predict_images(
     scene: Scene, x: Float64, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
-) -> Iterator[tuple[Observation, Float32, Bool]]:
-    """Per observation: itself, the levels that parameters `x`, (K,), predict, not clipped, and where the part is."""
+) -> Iterator[tuple[Observation, Float32, Geometry]]:
+    """Per observation: itself, the levels that parameters `x`, (K,), predict, not clipped, and what is seen.
+
+    The parameters are those of the scene's first reflectance.
+    """
     names = [light.name for light in scene.lights]
     reflectance = replace(scene.reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
     scale = scene.sensor.max_level / scene.reflectance.full_scale
@@ -181,7 +197,7 @@ def predict_images(
             gain = math.exp(x[FIRST_GAIN + names.index(o.light)])
             factor = np.float32(scale * o.exposure * gain)
             offset = np.float32(scene.sensor.black_level + x[DARK])
-            yield o, by_name[o.light] * factor + offset, images.geometry.hit
+            yield o, by_name[o.light] * factor + offset, images.geometry
 
 
 @dataclass(frozen=True, kw_only=True)

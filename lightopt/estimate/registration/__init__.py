@@ -17,6 +17,8 @@ from lightopt.estimate.registration._observations import (
     read_observations as read_observations,
 )
 from lightopt.estimate.registration._pixels import (
+    LEAST_R_D as LEAST_R_D,
+    LEAST_R_S as LEAST_R_S,
     PixelSet as PixelSet,
     light_at as light_at,
     sensor_scale as sensor_scale,

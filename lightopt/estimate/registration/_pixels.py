@@ -28,6 +28,9 @@ from lightopt.rendering import (
 )
 from lightopt.scene import PartView, Scene, lens_share, view_from_part
 
+LEAST_R_D, LEAST_R_S = 0.1, 1e-3
+"""What R_d and R_s of almost nothing count as, so that they can be changed by factors."""
+
 _LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
 # additive recurrences that fill a pixel evenly: Roberts's R₂, by the plastic number, and quadratic irrationals
 _OFFSETS = np.array([0.6180339887498949, 0.4142135623730951])
@@ -89,9 +92,27 @@ def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> Part
 
 
 def _layers(
+    surface: SurfacePoints,
+    group: Sequence[PanelLight],
+    caster: RayCaster,
+    reflectances: Sequence[Reflectance],
+    sigmas: Sequence[float],
+    threads: int,
+) -> Float64:
+    # diffuse light, and specular light for each σ, of channels of a light or of one panel, shape (1 + σ, lights, n)
+    first = reflectances[0]
+    layers = np.empty((1 + len(sigmas), len(group), len(surface)))
+    for index, some, own in surface.by_material(reflectances):
+        lobes = [replace(own, sigma=sigma * (own.sigma / first.sigma)) for sigma in sigmas]
+        shares = own.R_d / max(first.R_d, LEAST_R_D), own.R_s / max(first.R_s, LEAST_R_S)
+        for place, layer in enumerate(_layers_of_one(some, group, caster, lobes, threads)):
+            layers[place][:, index] = layer if own is first else shares[place > 0] * layer
+    return layers
+
+
+def _layers_of_one(
     surface: SurfacePoints, group: Sequence[PanelLight], caster: RayCaster, lobes: Sequence[Reflectance], threads: int
 ) -> Iterator[Float64]:
-    # diffuse light, and specular light for each lobe, of channels of a light or of one panel, shape (lights, n) each
     channels = [light for light in group if isinstance(light, SurfaceLight)]
     if channels:
         yield light_of_channels(surface, channels, None, threads=threads)[0]
@@ -115,6 +136,9 @@ def light_at(
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of each pixel under the light of each image, per unit of R_d and R_s.
 
+    These, and σ, are those of the scene's first reflectance; where they change, those of regions change with them by
+    the same factors. A first R_d or R_s of almost nothing counts as `LEAST_R_D` or `LEAST_R_S`.
+
     Arrays of shape (images, n) and (sigmas, images, n); 0 where a ray misses the part or no light arrives, NaN where
     only some of a panel is seen.
     """
@@ -129,7 +153,6 @@ def light_at(
         clean=surface.front,
         shape=(scene.camera.height, scene.camera.width),
     )
-    lobes = [replace(scene.reflectance, sigma=sigma) for sigma in sigmas]
     light = np.zeros((1 + len(sigmas), len(pixels.images), len(columns)))
     names = list(dict.fromkeys(image.light for image in pixels.images))
     panels = {panel.name: panel for panel in view.lights}
@@ -144,7 +167,8 @@ def light_at(
         whole = verdicts == WHOLE
         found = np.stack([np.where(whole | (verdicts == UNLIT), 0.0, np.nan)] * (1 + len(sigmas)))
         seen = np.flatnonzero(whole.any(axis=0))
-        for place, level in enumerate(_layers(surface.take(seen), group, caster, lobes, threads_of_group)):
+        layers = _layers(surface.take(seen), group, caster, scene.reflectances, sigmas, threads_of_group)
+        for place, level in enumerate(layers):
             found[place][:, seen] = np.where(whole[:, seen], level, found[place][:, seen])
         for i, image in enumerate(pixels.images):
             for panel, own in zip(group, found.swapaxes(0, 1), strict=True):

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.least_squares import Limits
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
+from lightopt.estimate.registration._pixels import (
+    LEAST_R_D,
+    LEAST_R_S,
+    PixelSet,
+    light_at,
+    sensor_scale,
+    view_of_placed,
+)
 from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
 from lightopt.geometry import RayCaster
 from lightopt.rendering import mask_pixels
@@ -257,7 +264,7 @@ def _per_observation(pixels: PixelSet, values: Sequence[float]) -> Float64:
 def start_parameters(scene: Scene, frame: PoseFrame, placement: Placement) -> Float64:
     """Parameters with the scene's reflectance, gains of 1 and no dark level, shape (K,)."""
     own = scene.reflectance
-    of_surface = [math.log(max(own.R_d, 0.1)), math.log(max(own.R_s, 1e-3)), math.log(own.sigma)]
+    of_surface = [math.log(max(own.R_d, LEAST_R_D)), math.log(max(own.R_s, LEAST_R_S)), math.log(own.sigma)]
     return np.array([*frame.pose(placement), *of_surface, *np.zeros(len(scene.lights)), 0.0])
 
 

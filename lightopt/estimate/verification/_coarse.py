@@ -109,12 +109,16 @@ class Work:
         scene, threads = self.coarse, self.run.threads
         view = self.parameters.view(scene, posture, theta)
         log_s, log_sigma, blur = theta[self.parameters.nuisance]
-        own = scene.reflectance
+        own = [
+            replace(one, R_s=one.R_s * math.exp(log_s), sigma=one.sigma * math.exp(log_sigma))
+            for one in scene.reflectances
+        ]
         world = replace(
             scene,
             camera=view.camera.moved(view.rotation, view.translation),
             lights=tuple(light.moved(view.rotation, view.translation) for light in view.lights),
-            reflectance=replace(own, R_s=own.R_s * math.exp(log_s), sigma=own.sigma * math.exp(log_sigma)),
+            reflectance=own[0],
+            regions=tuple(replace(region, reflectance=one) for region, one in zip(scene.regions, own[1:], strict=True)),
             defects=(),
             waviness=None,
         )

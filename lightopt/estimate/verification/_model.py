@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import PixelSet, light_at, random_pixels, sensor_scale
+from lightopt.estimate.registration import LEAST_R_D, LEAST_R_S, PixelSet, light_at, random_pixels, sensor_scale
 from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction, Work, blurred
 from lightopt.estimate.verification._parameters import SIGMA_STEP, Group
 from lightopt.optics import clipped_mean
@@ -119,7 +119,8 @@ class Model:
             diffuse, specular = light_at(
                 self.scene, pixels, view, self._work.caster, sigmas=sigmas, threads=self._work.run.threads
             )
-            diffuse, specular = own.R_d * diffuse.ravel(), own.R_s * scale_s * specular.reshape(2, -1)
+            diffuse = max(own.R_d, LEAST_R_D) * diffuse.ravel()
+            specular = max(own.R_s, LEAST_R_S) * scale_s * specular.reshape(2, -1)
             out.append(np.stack([diffuse + specular[0], specular[0], diffuse + specular[1]]))
         return np.concatenate([np.zeros((3, 0)), *out], axis=1)
 

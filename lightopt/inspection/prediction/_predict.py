@@ -57,8 +57,9 @@ def predict(
     """Render the good part in a posture of a scene with the part at its registered placement."""
     chosen = tuple(light for light in scene.lights if light.name in lights)
     # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
-    reflectance = replace(scene.reflectance, R_d=max(scene.reflectance.R_d, TRACE))
-    lit = replace(scene, lights=chosen, reflectance=reflectance)
+    base, *others = (replace(one, R_d=max(one.R_d, TRACE)) for one in scene.reflectances)
+    regions = tuple(replace(region, reflectance=own) for region, own in zip(scene.regions, others, strict=True))
+    lit = replace(scene, lights=chosen, reflectance=base, regions=regions)
     masks = rendering.mask_pixels(scene, posture, caster, threads=threads)
     images = rendering.render_posture(lit, posture, caster=caster, layers=True, averaged=masks.clean, threads=threads)
     return Prediction(
@@ -78,21 +79,20 @@ def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int
     references = tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
     slope, direction = scene.waviness.leans
     variants = rendering.surface_variants(
-        slope=slope, direction=direction, R_d_factor=np.ones(2), sigma_factor=np.ones(2), reflectance=scene.reflectance
+        slope=slope,
+        direction=direction,
+        R_d_factor=np.ones(2),
+        sigma_factor=np.ones(2),
+        reflectances=scene.reflectances,
     )
 
     share = lens_share(scene.camera, pixels.column + 0.5, pixels.row + 0.5)
     passed = 1.0 if share is None else share
 
     def spread(panel: PanelLight) -> Float32:
-        shaded = rendering.shade_variants(
-            surface,
-            references,
-            rendering.panel_to_shade(panel, caster),
-            variants,
-            reflectance=scene.reflectance,
-            caster=caster,
-            dtype=np.float32,
+        source = rendering.panel_to_shade(panel, caster)
+        (shaded,) = rendering.shade_variants_together(
+            surface, references, [source], variants, caster=caster, dtype=np.float32
         )
         image = np.zeros(pixels.shape, np.float32)
         image[pixels.row, pixels.column] = np.hypot(*(one - shaded.good for one in shaded.varied)) * passed

@@ -271,7 +271,7 @@ def _set_changes(
         direction=np.concatenate([own.direction for own in kinds]),
         R_d_factor=np.concatenate([own.R_d_factor for own in kinds]),
         sigma_factor=np.concatenate([own.sigma_factor for own in kinds]),
-        reflectance=scene.reflectance,
+        reflectances=scene.reflectances,
     )
     ends = np.cumsum([len(own.slope) for own in kinds])
     sources = [panel_to_shade(panel, caster) for panel in panels]
@@ -290,7 +290,7 @@ def _set_changes(
         place = surface.pixels.row[some], surface.pixels.column[some]
         share = lens_share(scene.camera, place[1] + 0.5, place[0] + 0.5)
         passed = 1.0 if share is None else share[:, None]
-        found = shade_variants_together(points, references, own, variants, reflectance=scene.reflectance, caster=caster)
+        found = shade_variants_together(points, references, own, variants, caster=caster)
         for i, levels in zip(group, found, strict=True):
             good, limit = (a[i][place].astype(np.float64)[:, None] for a in (view.predicted, view.limit))
             change_of_level = passed * (levels.varied.T - levels.good[:, None])

@@ -7,6 +7,7 @@ from lightopt import design
 from lightopt.core.errors import counted
 from lightopt.core.transforms import Posture
 from lightopt.lights import PanelLight
+from lightopt.optics import Reflectance
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._page import Answer, Block, Facts, Note, Page, Section, Table, Warnings, page_html
 from lightopt.report.design import _plan
@@ -172,6 +173,11 @@ def fact_blocks(output: design.DesignOutput) -> list[Block]:
     return blocks
 
 
+def _coefficients(own: Reflectance) -> str:
+    form = "" if own.model.name == "torrance-sparrow" else f"{own.model.name}, "
+    return f"{form}R_d {own.R_d:g}, R_s {own.R_s:g}, σ {own.sigma:g} rad"
+
+
 def _physics(output: design.DesignOutput) -> list[tuple[str, str]]:
     scene, thresholds = output.result.scene, output.result.thresholds
     sensor, reflectance = scene.sensor, scene.reflectance
@@ -185,12 +191,11 @@ def _physics(output: design.DesignOutput) -> list[tuple[str, str]]:
     use, edges = "not part of the score", ""
     if "false_alarms" in options:
         use, edges = "used for detectability only", " or at silhouettes and creases"
-    form = "" if reflectance.model.name == "torrance-sparrow" else f"{reflectance.model.name}, "
-    coefficients = f"{form}R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
     return [
         ("levels", levels),
         ("sensor noise", f"read noise {sensor.read_noise_levels:g} levels, {shot}; {use}"),
-        ("reflectance", f"{coefficients}, of full scale {reflectance.full_scale:g}; only direct light"),
+        ("reflectance", f"{_coefficients(reflectance)}, of full scale {reflectance.full_scale:g}; only direct light"),
+        *((f"region {one.name}", _coefficients(one.reflectance)) for one in scene.regions),
         ("lights", "; ".join(dict.fromkeys(map(_light, scene.lights)))),
         ("shadows", "cast by the part" if options["shadows"] else "none"),
         ("patches", output.patches.message),

@@ -1,0 +1,56 @@
+"""The regions of a part file, found on the part's mesh."""
+
+import math
+
+import numpy as np
+
+from lightopt.config import PartConfig, RegionConfig
+from lightopt.core.errors import InputError
+from lightopt.geometry import (
+    BoxRegion,
+    ColouredRegion,
+    LoadedMesh,
+    MaskRegion,
+    NamedRegion,
+    Region,
+    RegionAtPoints,
+    TriangleMesh,
+    mesh_with_regions,
+)
+from lightopt.images import read_png
+
+
+def mesh_of_regions(loaded: LoadedMesh, part: PartConfig) -> TriangleMesh:
+    """The mesh of a part in the file's coordinates [mm], with the materials of the part's regions.
+
+    Raises InputError: A region that the mesh does not have, or whose mask cannot be read
+    """
+
+    def fail(number: int, problem: str) -> InputError:
+        name = part.regions[number].name
+        return InputError(f'{part.source.at("regions", number)}: region "{name}": {problem}')
+
+    regions = [_region(part, own) for own in part.regions]
+    return mesh_with_regions(loaded, regions, most=part.mesh.max_triangles, fail=fail)
+
+
+def _region(part: PartConfig, own: RegionConfig) -> Region:
+    if own.colour is not None:
+        return ColouredRegion(own.colour)
+    if own.group is not None:
+        return NamedRegion(own.group)
+    if own.faces_at_mm is not None:
+        return RegionAtPoints(own.faces_at_mm, cad=part.mesh.of_step)
+    if own.box_mm is not None:
+        return BoxRegion(own.box_mm.low, own.box_mm.high)
+    assert own.mask is not None
+    picture = read_png(part.source.resolve(own.mask.file), colour=True)
+    levels = picture if picture.ndim == 2 else picture.mean(axis=2)
+    return MaskRegion(
+        mask=levels > 0.5 * np.iinfo(picture.dtype).max,
+        axis="xyz".index(own.mask.onto[1]),
+        positive=own.mask.onto[0] == "+",
+        corner=own.mask.corner_mm,
+        pixel=own.mask.pixel_mm,
+        depth=own.mask.depth_mm or (-math.inf, math.inf),
+    )
