@@ -20,6 +20,7 @@ from frames_drawing import frames_drawing
 from lens_picture import lens_picture
 from lighting_picture import lighting_picture
 from PIL import Image
+from regions_picture import regions_picture
 from statistic_picture import statistic_picture
 
 from lightopt import build_scene, render
@@ -233,6 +234,7 @@ def main() -> None:
         statistic_picture(PICTURES / "statistic.png")
         displaced_picture(PICTURES / "displaced.png")
         finishes_picture(PICTURES / "finishes.png")
+        regions_picture(PICTURES / "regions.png")
         bounce_picture(PICTURES / "interreflection.png")
         lighting_picture(PICTURES / "lighting-systems.png")
         lens_picture(PICTURES / "lens.png")

@@ -95,8 +95,13 @@ def inverse_pattern(
     display: One of the scene's lights
     pixels: Columns and rows of the picture
     period_px: Of the target's stripes in the camera's image, along rows and along columns [px]; None for a flat target
-    Raises InputError: Too few pixels reflect the display
+    Raises InputError: Too few pixels reflect the display, or the part has regions of other reflectances
     """
+    if scene.regions:
+        raise InputError(
+            "the inverse pattern is computed for a part of one reflectance, and this part has regions; remove them "
+            "from the part file"
+        )
     scene, posture = replace(scene, defects=()), scene.postures[0]
     seen = _seen(scene)
     surface = seen.surface

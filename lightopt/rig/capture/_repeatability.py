@@ -78,10 +78,13 @@ def measure_repeatability(
     """
     caster = cast_rays_at(scene)
     # highlights are where the reflectance puts them; diffuse light and outlines are where the part is
+    most = max(one.R_d for one in scene.reflectances)
+    diffuse = [replace(one, R_d=one.R_d / most if most > 0.0 else 1.0, R_s=0.0) for one in scene.reflectances]
     alone = replace(
         scene,
         lights=tuple(one for one in scene.lights if one.name == light),
-        reflectance=replace(scene.reflectance, R_d=1.0, R_s=0.0),
+        reflectance=diffuse[0],
+        regions=tuple(replace(one, reflectance=own) for one, own in zip(scene.regions, diffuse[1:], strict=True)),
     )
 
     def predict_at(tilt_deg: float, turn_deg: float) -> PredictedImages:
