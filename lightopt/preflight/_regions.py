@@ -25,9 +25,7 @@ def check_regions(checked: CheckedScene) -> Iterator[Finding]:
         text = f"{region.name}: {area[number]:.4g} mm², {percent(float(area[number] / area.sum()))} of the surface; "
         text += f"{percent(shown)} of the pixels that show the part, over all postures"
         if not pixels[number]:
-            text += (
-                ". The camera does not see it: check where the region is, or add postures that show it"
-            )
+            text += ". The camera does not see it: check where the region is, or add postures that show it"
         values = {"region": region.name, "area_mm2": float(area[number]), "share_of_pixels": shown}
         level = "ok" if pixels[number] else "warning"
         yield Finding(level, "region", text, checked.part.source.at("regions", number - 1), values)

@@ -41,7 +41,7 @@ def panel_variants(
 ) -> Float64:
     """Levels of variants of a surface under a converged panel, shape (k, t).
 
-    surface, references: As :func:`lightopt.rendering.shade_variants` takes them
+    surface, references: As :func:`lightopt.rendering._surface_variants.shade_variants` takes them
     clear: Which of its probes each point's facet faces and sees, shape (k, 5)
     caster: For the cells of panels that are seen in part; None for no shadows
     variants: With coefficients times the panel's weight

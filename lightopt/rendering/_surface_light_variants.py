@@ -249,7 +249,7 @@ def surface_light_variants(
 
     Elements are seen or hidden as wholes.
 
-    surface, references: As :func:`lightopt.rendering.shade_variants` takes them
+    surface, references: As :func:`lightopt.rendering._surface_variants.shade_variants` takes them
     lights: The channels, of the same gain
     variants: With coefficients times the light's weight
     """

@@ -21,10 +21,10 @@ from lightopt.rendering import (
     mask_pixels,
     patch_positions,
     render_posture,
-    shade_variants,
     surface_variants,
 )
 from lightopt.rendering._converged_panel import converged_panel, panel_probes, probe_targets, shade_converged
+from lightopt.rendering._surface_variants import shade_variants
 from lightopt.scene import view_from_part
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

@@ -243,6 +243,6 @@ def test_too_many_triangles(tmp_path):
 
 def test_worker_reports_a_file_that_the_kernel_refuses(tmp_path):
     command = [sys.executable, _step_worker.__file__, str(tmp_path / "none.step"), str(tmp_path / "o.glb")]
-    done = subprocess.run([*command, "0.1", "0.5", "0", str(4 * 10**9)], capture_output=True, check=False)
+    done = subprocess.run([*command, "0.1", "0.5", "0", "0", str(4 * 10**9)], capture_output=True, check=False)
     assert done.returncode == _step_worker.EXIT_READ
     assert not (tmp_path / "o.glb").exists()

@@ -37,11 +37,11 @@ from lightopt.rendering import (
     panel_to_shade,
     render_posture,
     shade_isolated,
-    shade_variants,
     shade_variants_together,
     surface_variants,
     trace_pixels,
 )
+from lightopt.rendering._surface_variants import shade_variants
 from lightopt.scene import scene_of_region
 from lightopt.scene._scene import PartRegion
 

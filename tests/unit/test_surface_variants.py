@@ -10,10 +10,10 @@ from reference import specular
 from lightopt.config import RigConfig
 from lightopt.lights import PanelLight
 from lightopt.optics import Reflectance, SpecularModel
-from lightopt.rendering import SurfacePoints, shade_variants, shade_variants_together, surface_variants
+from lightopt.rendering import SurfacePoints, shade_variants_together, surface_variants
 from lightopt.rendering._converged_panel import converged_panel, shade_converged
 from lightopt.rendering._surface_light import shade_surface_lights
-from lightopt.rendering._surface_variants import NEGLIGIBLE_LEVEL
+from lightopt.rendering._surface_variants import NEGLIGIBLE_LEVEL, shade_variants
 from lightopt.scene import build_lights
 
 MODELS = {
