@@ -255,12 +255,18 @@ def test_another_rig_part_or_way_to_inspect_is_refused(cli, bench, good, taught)
 
     assert "--min-images: calibration.json was made with 2, found 1" in refused("--min-images", "1")
     bench.edit("part.yaml", "R_d: 45.0", "R_d: 46.0")
-    differs = "part.yaml: placement, reflectance, surface, how the mesh is read or the catalogue of defects differ"
+    differs = (
+        "part.yaml: placement, reflectance, regions, surface, bounces, how the mesh is read or the catalogue of defects "
+        "differ"
+    )
     assert differs in refused()
     bench.edit("part.yaml", "R_d: 46.0", "R_d: 45.0")
     text = bench.part.read_text(encoding="utf-8")
-    bench.part.write_text(text + "surface: {waviness_deg: 0.1, waviness_mm: 1.5}\n", encoding="utf-8")
-    assert differs in refused()
+    region = "{name: a, box_mm: {low: [0, 0, 0], high: [9, 9, 99]}, reflectance: {R_d: 9, R_s: 9, sigma_rad: 0.1}}"
+    changes = ("surface: {waviness_deg: 0.1, waviness_mm: 1.5}", "inspection: {bounces: 1}", f"regions: [{region}]")
+    for change in changes:
+        bench.part.write_text(f"{text}{change}\n", encoding="utf-8")
+        assert differs in refused()
     bench.part.write_text(text, encoding="utf-8")
     bench.edit("rig.yaml", "gain: 0.8", "gain: 0.81")
     assert "rig.yaml: camera, sensor, lights or stage differ" in refused()

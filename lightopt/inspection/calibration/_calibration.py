@@ -77,8 +77,8 @@ class Calibration:
         now = calibration_fingerprint(rig, part, options)
         parts = {
             "rig": f"{rig.source.path}: camera, sensor, lights or stage",
-            "part": f"{part.source.path}: placement, reflectance, surface, how the mesh is read or the catalogue of "
-            "defects",
+            "part": f"{part.source.path}: placement, reflectance, regions, surface, bounces, how the mesh is read or "
+            "the catalogue of defects",
             "mesh_sha256": f"{part.source.resolve(part.mesh.file)}: the mesh",
         }
         problems = [
@@ -139,8 +139,13 @@ def _shown(value: object) -> str:
 
 def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOptions) -> dict[str, Any]:
     """All that scores depend on, as hashes, and the options: not names, limits of the verdict, or lists of defects."""
-    names = ("name", "postures", "inspection", "defects", "defect_catalogue")
-    of_part: dict[str, bool | set[str]] = {**dict.fromkeys(names, True), "mesh": {"file"}}
+    names = ("name", "postures", "defects", "defect_catalogue")
+    of_part: dict[str, Any] = {**dict.fromkeys(names, True), "mesh": {"file"}}
+    # predictions depend on the bounces, and on the pixels of masks, whatever these are called
+    of_part["inspection"] = set(type(part.inspection).model_fields) - {"bounces"}
+    of_part["regions"] = {"__all__": {"name": True, "mask": {"file"}}}
+    files = (region.mask.file for region in part.regions if region.mask is not None)
+    masks = [file_sha256(part.source.resolve(name)) for name in files]
     if DETECTORS[options.scored_by].uses_catalogue or options.reference == "self":
         del of_part["defect_catalogue"]
     by_synthetic = DETECTORS[options.detector].uses_synthetic
@@ -154,7 +159,7 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
     }
     return {
         "rig": _hash(of_rig),
-        "part": _hash(part.model_dump(mode="json", exclude=of_part)),
+        "part": _hash({**part.model_dump(mode="json", exclude=of_part), "masks": masks}),
         "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
         "options": chosen,
     }
