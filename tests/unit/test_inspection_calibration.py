@@ -256,8 +256,8 @@ def test_another_rig_part_or_way_to_inspect_is_refused(cli, bench, good, taught)
     assert "--min-images: calibration.json was made with 2, found 1" in refused("--min-images", "1")
     bench.edit("part.yaml", "R_d: 45.0", "R_d: 46.0")
     differs = (
-        "part.yaml: placement, reflectance, regions, surface, bounces, how the mesh is read or the catalogue of defects "
-        "differ"
+        "part.yaml: placement, reflectance, regions, surface, bounces, how the mesh is read or the catalogue of "
+        "defects differ"
     )
     assert differs in refused()
     bench.edit("part.yaml", "R_d: 46.0", "R_d: 45.0")
