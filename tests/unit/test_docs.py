@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+from lightopt.config import ReflectanceConfig
 from lightopt.images import read_image_set, write_png
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -126,3 +128,12 @@ def test_the_hardware_that_a_rig_from_zero_is_tried_with_is_one(cli, tmp_path, m
     assert ran.status == 0
     moves = re.findall(r"move to \((.*?)\)", ran.out)
     assert moves == ["0°, 0°", "0°, 82°", "0°, 180°", "0°, 278°", "0°, 0°"]
+
+
+def test_finishes_are_reflectances_of_part_files():
+    page = (ROOT / "docs" / "reference" / "finishes.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^reflectance: .*$", page, re.MULTILINE)
+    assert len(lines) >= 5
+    for line in lines:
+        own = ReflectanceConfig.model_validate(yaml.safe_load(line)["reflectance"])
+        assert own.model == "ggx"

@@ -1,0 +1,130 @@
+"""Put the table of measured finishes into docs/reference/finishes.md, from published fits to measured reflectances.
+
+``python scripts/finish_table.py``. Parameters of the green channel: J. Löw, J. Kronander, A. Ynnerman, J. Unger: BRDF
+models for accurate and efficient rendering of glossy surfaces, ACM Transactions on Graphics 31(1), 2012,
+doi:10.1145/2077341.2077350, whose microfacet model is f = k_D/π + F·G·S/(cosθ_i cosθ_o), S = A/(1 + B·(1 − cosδ))^C.
+Measured by W. Matusik, H. Pfister, M. Brand, L. McMillan: A data-driven reflectance model, SIGGRAPH 2003.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from lightopt.optics import Reflectance, SpecularModel, least_white_level, specular_lobe
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "finishes.md"
+WHITE = 100.0
+MOST_MISFIT = 0.2  # of the nearest form; above it, the surface has a row and no line for part files
+DELTA = np.radians(np.geomspace(0.1, 60.0, 400))
+
+
+class Measured(NamedTuple):
+    """A surface: k_D, A, B, C, and the index of refraction by which F is a dielectric's."""
+
+    finish: str
+    diffuse: float
+    a: float
+    b: float
+    c: float
+    index: float
+
+
+SURFACES = (
+    Measured("chrome", 0.002520, 771.035522, 64661.257812, 1.905420, 99.999413),
+    Measured("chrome steel", 0.008416, 629.395203, 122360.4375, 1.486198, 99.999619),
+    Measured("stainless steel 440", 0.004251, 613.785278, 96436.515625, 1.550240, 99.999336),
+    Measured("nickel", 0.006663, 32.745403, 705.733887, 1.945258, 5.441883),
+    Measured("aluminium bronze", 0.022346, 37.932693, 10482.133789, 0.816737, 2.236525),
+    Measured("aluminium", 0.002017, 1090.751821, 218716.59375, 1.092006, 6.282688),
+    Measured("brass", 0.012504, 1931.137207, 244596.53125, 1.136163, 2.698691),
+    Measured("silver metallic paint", 0.000025, 2.373467, 58.200935, 1.718832, 9.073233),
+    Measured("silver paint", 0.127910, 1.207139, 38.884895, 1.971779, 8.336617),
+    Measured("black oxidised steel", 0.011743, 1.057305, 30.661055, 1.869546, 1.660413),
+    Measured("white paint", 0.312274, 146.118881, 2777.948730, 1.813009, 1.197418),
+    Measured("black phenolic", 0.001674, 99.654602, 8696.112305, 1.524949, 1.839669),
+)
+
+
+def lobe_of(model: SpecularModel, sigma: float) -> np.ndarray:
+    """Values of a lobe at `DELTA`."""
+    lobe = Reflectance(R_d=0.0, R_s=1.0, sigma=sigma, model=model).lobe
+    return np.array([specular_lobe((2.0 * math.sin(0.5 * d)) ** 2, lobe) for d in DELTA])
+
+
+def misfit(values: np.ndarray, wanted: np.ndarray) -> tuple[float, float]:
+    """Root mean square of the logarithm's error, weighted by the light that each angle reflects, and the height."""
+    weight = wanted * np.sin(2.0 * DELTA) * DELTA
+    error = np.log(wanted / np.maximum(values, 1e-12))
+    height = float(np.average(error, weights=weight))
+    return math.sqrt(float(np.average((error - height) ** 2, weights=weight))), math.exp(height)
+
+
+def fitted(name: str, wanted: np.ndarray) -> tuple[SpecularModel, float, float, float]:
+    """The form of the lobe that is nearest to values at `DELTA`: itself, its σ, its height, its misfit."""
+
+    def model(x: np.ndarray) -> tuple[SpecularModel, float]:
+        if name == "two-lobe":
+            share, ratio = 1.0 / (1.0 + math.exp(-x[1])), 1.0 + math.exp(x[2])
+            return SpecularModel(name="two-lobe", wide_share=share, wide_ratio=ratio), math.exp(x[0])
+        return SpecularModel(name="ggx" if name == "ggx" else "torrance-sparrow"), math.exp(x[0])
+
+    best = None
+    for sigma in (0.002, 0.01, 0.05, 0.15):
+        start = [math.log(sigma), -3.0, 1.0] if name == "two-lobe" else [math.log(sigma)]
+        how = {"xatol": 1e-5, "fatol": 1e-8, "maxiter": 4000}
+        found = minimize(lambda x: misfit(lobe_of(*model(x)), wanted)[0], start, method="Nelder-Mead", options=how)
+        if best is None or found.fun < best.fun:
+            best = found
+    assert best is not None
+    form, sigma = model(best.x)
+    error, height = misfit(lobe_of(form, sigma), wanted)
+    return form, sigma, height, error
+
+
+def row(surface: Measured) -> tuple[str, str | None]:
+    """A row of the table, and the line for a part file; None where no form describes the surface."""
+    fresnel = ((surface.index - 1.0) / (surface.index + 1.0)) ** 2
+    wanted = (1.0 + surface.b * (1.0 - np.cos(DELTA))) ** -surface.c
+    peak = math.pi * surface.a * fresnel * WHITE
+    forms = {name: fitted(name, wanted) for name in ("torrance-sparrow", "ggx", "two-lobe")}
+    R_d = surface.diffuse * WHITE
+    chosen = "ggx" if forms["ggx"][3] <= 1.2 * forms["two-lobe"][3] else "two-lobe"
+    form, sigma, height, _ = forms[chosen]
+    own = Reflectance(R_d=R_d, R_s=peak * height, sigma=sigma, model=form)
+    albedo = least_white_level(own) / WHITE
+    keys = f"R_d: {R_d:.3g}, R_s: {peak * height:.4g}"
+    if chosen == "ggx":
+        keys += f", alpha: {2.0 * sigma:.3g}"
+    else:
+        wide = f"R_s_wide: {peak * height * form.wide_share:.4g}, sigma_wide_rad: {sigma * form.wide_ratio:.3g}"
+        keys += f", sigma_rad: {sigma:.3g}, {wide}"
+    misfits = " / ".join(f"{100.0 * one[3]:.0f}" for one in forms.values())
+    block = f"reflectance: {{model: {chosen}, {keys}, white_level: {WHITE:g}}}   # {surface.finish}"
+    described = forms[chosen][3] <= MOST_MISFIT
+    return (
+        f"| {surface.finish} | {chosen if described else 'none'} | {misfits} | {albedo:.2f} |",
+        block if described else None,
+    )
+
+
+def main() -> None:
+    """Compute the table and put it into the page."""
+    rows, blocks = zip(*map(row, SURFACES), strict=True)
+    head = "| surface | nearest form | misfit of one lobe / GGX / two lobes [%] | share of light reflected |"
+    lines = [block for block in blocks if block is not None]
+    text = "\n".join([head, "|---|---|---|---|", *rows, "", "```yaml", *lines, "```"])
+    page = PAGE.read_text(encoding="utf-8")
+    begin, end = "<!-- begin finishes -->", "<!-- end finishes -->"
+    pattern = re.compile(f"{re.escape(begin)}.*?{re.escape(end)}", re.DOTALL)
+    PAGE.write_text(pattern.sub(lambda _: f"{begin}\n{text}\n{end}", page), encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
