@@ -211,7 +211,7 @@ class RegionConfig(RegionPlaceConfig):
     def _scales_of_the_part(cls, own: ReflectanceConfig) -> ReflectanceConfig:
         given = sorted(own.model_fields_set & {"full_scale", "white_level"})
         if given:
-            raise complaint(f"{' and '.join(given)} of the part's own reflectance count for its regions; remove them")
+            raise complaint(f"regions have {' and '.join(given)} of the part's own reflectance; remove it here")
         return own
 
 

@@ -75,7 +75,8 @@ class RegionPlaceConfig(fields.Frozen):
     colour: _Colour | None = None
     """Faces of this colour in the mesh file: #RRGGBB as CAD programs show it (STEP, .glb), or as painted (.ply)."""
     group: fields.Text | None = None
-    """Faces of the group, object, solid or material of this name in the mesh file (STEP, .glb, .obj)."""
+    """Faces of this name in the mesh file: a group, object or material (.obj), a node, mesh or material (.glb), a part
+    of an assembly (STEP)."""
     faces_at_mm: _Points | None = None
     """Points in the mesh file's coordinates [mm]: the CAD face at each; of meshes, the surface up to its creases."""
     box_mm: BoxConfig | None = None
@@ -93,5 +94,5 @@ class RegionPlaceConfig(fields.Frozen):
         if not given:
             raise fields.absent(f"missing key: give one of {keys}", *PLACES)
         if len(given) > 1:
-            raise fields.complaint(f"{' and '.join(given)} are given together; expected only one of {keys}")
+            raise fields.absent(f"{' and '.join(given)} are given together; expected only one of {keys}", *given)
         return mask

@@ -6,6 +6,8 @@ Everything is in the frame of the part's file [mm].
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -16,6 +18,8 @@ from lightopt.core.errors import InputError
 from lightopt.geometry._load_mesh import LoadedMesh
 from lightopt.geometry._topology import merge_rows
 from lightopt.geometry._triangle_mesh import SurfaceFinder, TriangleMesh, face_normals
+
+Result = TypeVar("Result")
 
 FARTHEST_MM = 0.5
 """A point that names a face is no farther from it than this [mm]."""
@@ -191,7 +195,7 @@ Region = NamedRegion | ColouredRegion | RegionAtPoints | BoxRegion | MaskRegion
 
 
 def mesh_with_regions(
-    loaded: LoadedMesh, regions: Sequence[Region], *, most: int, fail: Callable[[int, str], InputError]
+    loaded: LoadedMesh, regions: Sequence[Region], *, most: int, place: Callable[[int], str]
 ) -> TriangleMesh:
     """The mesh with each face's material: 1 for the first region, and so on; 0 outside of all.
 
@@ -199,27 +203,35 @@ def mesh_with_regions(
     light at a place does not depend on the border, but for that of interpolated normals of cut faces.
 
     most: Number of faces that is not exceeded
-    fail: Error of a region, by its index and what is wrong with it
-    Raises InputError: A region has no surface, or none that is not in another one before it; see the kinds of region
+    place: Beginning of a message about a region, by its index
+    Raises InputError: Of all regions without surface, or without any that is not in another one before; see the kinds
+        of region
     """
+    problems: list[str] = []
+
+    def tried(number: int, step: Callable[[], Result]) -> Result | None:
+        try:
+            return step()
+        except InputError as error:
+            problems.extend(f"{place(number)}: {text}" for text in error.args)
+            return None
+
     for number, region in enumerate(regions):
         if isinstance(region, BoxRegion | MaskRegion):
-            try:
-                loaded = region.cut(loaded, most=most)
-            except InputError as error:
-                raise fail(number, str(error)) from error
+            loaded = tried(number, partial(region.cut, loaded, most=most)) or loaded
     material = np.zeros(len(loaded.mesh.faces), np.uint8)
     for number, region in enumerate(regions):
-        try:
-            own = region.faces(loaded)
-        except InputError as error:
-            raise fail(number, str(error)) from error
-        if not own.any():
-            raise fail(number, "no surface of the part is in this region")
+        own = tried(number, partial(region.faces, loaded))
+        if own is None:
+            continue
         free = own & (material == 0)
-        if not free.any():
-            raise fail(number, "all of its surface is in regions before it; place it before them")
+        if not own.any():
+            problems.append(f"{place(number)}: no surface of the part is in this region")
+        elif not free.any():
+            problems.append(f"{place(number)}: all of its surface is in regions before it; place it before them")
         material[free] = number + 1
+    if problems:
+        raise InputError(*dict.fromkeys(problems))
     return replace(loaded.mesh, material=material)
 
 

@@ -20,6 +20,7 @@ from lightopt.geometry._mesh_formats import RawMesh, check_budget, joined
 
 _LARGEST_MM, _SMALLEST_MM = 1000.0, 0.1
 _MM_PER_GLB_UNIT = 1000.0
+_MATERIAL = re.compile(r"mat_\d+")
 
 # The first pass only has to learn the size, in a time that does not depend on the unit: relative to the edges.
 _COARSE_LINEAR, _COARSE_ANGULAR = 0.2, 0.5
@@ -63,7 +64,9 @@ def read_step(
     check_budget(name, glb_triangle_count(name, split_glb(name, fine)[0]), max_triangles)
     raw = joined(name, parse_glb(name, fine), "STEP", repeats_vertices=True)
     warnings = (f"the CAD kernel reported while reading the STEP file: {output}",) if output else ()
-    return replace(raw, vertices=raw.vertices * _MM_PER_GLB_UNIT, warnings=warnings)
+    # the kernel numbers colours: its names of materials mean nothing
+    own = tuple(replace(one, names=tuple(n for n in one.names if not _MATERIAL.fullmatch(n))) for one in raw.pieces)
+    return replace(raw, vertices=raw.vertices * _MM_PER_GLB_UNIT, warnings=warnings, pieces=own)
 
 
 def declared_unit_mm(data: bytes) -> float | None:

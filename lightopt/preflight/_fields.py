@@ -100,6 +100,7 @@ def _mirrored(checked: CheckedScene, sample: PostureSamples, tilt: float) -> tup
     mirrored = 2.0 * np.einsum("rik,ik->ri", normals, v)[..., None] * normals - v
     ends = some.points + 1e2 * checked.caster.radius * mirrored
     blocked = _blocked(checked.caster, some, ends) | (np.einsum("rik,ik->ri", mirrored, some.facets) <= 0.0)
+    blocked |= ~checked.glossy(some)
     return some, np.where(blocked[..., None], some.points, ends)
 
 

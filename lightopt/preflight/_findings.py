@@ -5,7 +5,10 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.arrays import Bool
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, RayCaster
 from lightopt.lights import PanelLight
@@ -87,6 +90,12 @@ class CheckedScene:
     scene: Scene
     caster: RayCaster
     samples: tuple[PostureSamples, ...]
+
+    def glossy(self, surface: SurfacePoints) -> Bool:
+        """Which points have a specular lobe, shape (k,); all of a part without regions."""
+        if surface.material is None:
+            return np.ones(len(surface), np.bool_)
+        return np.array([own.R_s > 0.0 for own in self.scene.reflectances])[surface.material]
 
     def at_posture(self, index: int) -> str:
         return self.part.source.at("postures", index)

@@ -79,13 +79,13 @@ def check_levels(checked: CheckedScene) -> Iterator[Finding]:
     """The brightest diffuse level at exposure 1 against saturation."""
     reflectance, sensor = checked.scene.reflectance, checked.scene.sensor
     where = checked.part.source.at("reflectance")
-    if all(one.R_d == 0.0 and one.R_s == 0.0 for one in checked.scene.reflectances):
+    if all(one.R_d == 0.0 and one.R_s == 0.0 for one in checked.scene.shown):
         yield Finding("warning", "levels", "R_d and R_s are both 0: every image will be black", where)
         return
     # in levels of the reflectance's full scale, as R_d is
     saturation = (sensor.saturated_from - sensor.black_level) / sensor.max_level * reflectance.full_scale
     brightest = max(checked.scene.lights, key=lambda light: light.total_weight)
-    level = max(one.R_d for one in checked.scene.reflectances) * brightest.total_weight
+    level = max(one.R_d for one in checked.scene.shown) * brightest.total_weight
     peak, mirrored = max((highlight_level(checked.scene, one), one.name) for one in checked.scene.lights)
     values = {
         "diffuse_level": level,

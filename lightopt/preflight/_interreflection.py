@@ -12,7 +12,7 @@ NOTED_SHARE, WARNED_SHARE = 0.01, 0.05  # of the surface in view
 
 def check_mirrored_part(checked: CheckedScene) -> Iterator[Finding]:
     """Share of the surface in view that mirrors the part, in place of the lights and the dark box; none if it is 0."""
-    if all(one.R_s == 0.0 for one in checked.scene.reflectances):
+    if all(one.R_s == 0.0 for one in checked.scene.shown):
         return
     for index, sample in enumerate(checked.samples):
         front = np.flatnonzero(sample.surface.front)
@@ -21,7 +21,7 @@ def check_mirrored_part(checked: CheckedScene) -> Iterator[Finding]:
         some = sample.surface.take(front[:: max(1, len(front) // POINTS)])
         mirrored = 2.0 * np.einsum("ik,ik->i", some.normals, some.views)[:, None] * some.normals - some.views
         meets = checked.caster.next_hit(some.points, some.facets, mirrored) >= 0
-        share = float(np.mean(meets & (np.einsum("ik,ik->i", mirrored, some.facets) > 0.0)))
+        share = float(np.mean(checked.glossy(some) & meets & (np.einsum("ik,ik->i", mirrored, some.facets) > 0.0)))
         if share == 0.0:
             continue
         text = f"posture {sample.posture}: {percent(share)} of the surface in view mirrors the part itself"

@@ -9,23 +9,29 @@ from lightopt.preflight._findings import CheckedScene, Finding, percent
 
 
 def check_regions(checked: CheckedScene) -> Iterator[Finding]:
-    """Area of each region, and its share of the pixels that show the part; none for a part without regions."""
-    material = checked.scene.mesh.material
+    """Area of each region, and its share of the pixels that show the part; nothing for a part without regions."""
+    material, regions = checked.scene.mesh.material, checked.scene.regions
     if material is None:
         return
-    count = len(checked.scene.reflectances)
-    area = np.bincount(material, face_areas(checked.scene.mesh), count)
-    pixels = np.zeros(count)
+    area = np.bincount(material, face_areas(checked.scene.mesh), len(regions) + 1)
+    pixels = np.zeros(len(regions) + 1)
     for sample in checked.samples:
         seen = sample.surface.material
         assert seen is not None
-        pixels += sample.step**2 * np.bincount(seen[sample.surface.front], minlength=count)
-    for number, region in enumerate(checked.scene.regions, 1):
-        shown = float(pixels[number] / max(pixels.sum(), 1.0))
-        text = f"{region.name}: {area[number]:.4g} mm², {percent(float(area[number] / area.sum()))} of the surface; "
-        text += f"{percent(shown)} of the pixels that show the part, over all postures"
-        if not pixels[number]:
-            text += ". The camera does not see it: check where the region is, or add postures that show it"
-        values = {"region": region.name, "area_mm2": float(area[number]), "share_of_pixels": shown}
-        level = "ok" if pixels[number] else "warning"
-        yield Finding(level, "region", text, checked.part.source.at("regions", number - 1), values)
+        pixels += sample.step**2 * np.bincount(seen[sample.surface.front], minlength=len(pixels))
+    shares = pixels / max(float(pixels.sum()), 1.0)
+    names = ["outside the regions", *(region.name for region in regions)]
+    texts = [
+        f"{name} {own:.4g} mm² ({percent(own / area.sum())}), {percent(share)} of the pixels"
+        for name, own, share in zip(names, area.tolist(), shares.tolist(), strict=True)
+    ]
+    text = "of the surface, and of the pixels that show it in all postures: " + "; ".join((*texts[1:], texts[0]))
+    where, values = checked.part.source.at("regions"), dict(zip(names, shares.tolist(), strict=True))
+    yield Finding("ok", "regions", text, where, values)
+    if area[0] == 0.0:
+        text = "no surface is outside the regions: the part's own reflectance is not used"
+        yield Finding("note", "regions", text, checked.part.source.at("reflectance"))
+    for number, region in enumerate(regions):
+        if not pixels[number + 1]:
+            text = f"the camera does not see {region.name}: check where the region is, or add postures that show it"
+            yield Finding("warning", "regions", text, checked.part.source.at("regions", number))

@@ -81,6 +81,11 @@ class PanelVisibility:
     coarse: UInt8
     penumbra: Bool
 
+    @classmethod
+    def empty(cls, count: int) -> "PanelVisibility":
+        """That of so many points, to be filled in."""
+        return cls(np.empty(count, np.uint8), np.empty(count, np.bool_))
+
 
 def panel_to_shade(panel: PanelLight, caster: RayCaster) -> PanelLight | ConvergedPanel:
     """A panel with the points that its file has, or converged where these are ``auto``; other lights as they are.
@@ -442,13 +447,13 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
     normal = half[None] / length
     surface = SurfacePoints(origin, normal, normal, view[None], np.ones(1, np.bool_))
     if isinstance(light, SurfaceLight):
-        lobes = (shade_light(surface, light, reflectance=own, caster=None)[1] for own in scene.reflectances)
-        return max(float(own.R_s * lobe[0]) for own, lobe in zip(scene.reflectances, lobes, strict=True))
+        lobes = (shade_light(surface, light, reflectance=own, caster=None)[1] for own in scene.shown)
+        return max(float(own.R_s * lobe[0]) for own, lobe in zip(scene.shown, lobes, strict=True))
     whole = replace(light, points="auto")
     panel = converged_panel(whole, centre=origin[0], radius=1.0)
     at: dict[str, Any] = {"sample": np.zeros(1, np.intp), "shape": (1, 1), "caster": None}
-    lobes = (shade_converged(surface, panel, reflectance=own, **at)[1] for own in scene.reflectances)
-    level = max(float(own.R_s * lobe[0]) for own, lobe in zip(scene.reflectances, lobes, strict=True))
+    lobes = (shade_converged(surface, panel, reflectance=own, **at)[1] for own in scene.shown)
+    level = max(float(own.R_s * lobe[0]) for own, lobe in zip(scene.shown, lobes, strict=True))
     return level * light.total_weight / whole.total_weight
 
 

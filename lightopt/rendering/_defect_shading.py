@@ -1,4 +1,4 @@
-"""The samples of an image that are shaded again, with their own normals or reflectances: in defects and in regions.
+"""The samples of an image that lie in defects, which are shaded again: with their own normals and reflectances.
 
 Defects are microns deep. So a sample stays where it is, sees what it would see, and is in the shadows that it would be
 in, on a surface without defects; only its normal, R_d, R_s and σ are others. Where a turned normal faces away from the
@@ -20,11 +20,11 @@ from lightopt.rendering._surface import SurfacePoints
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ChangedSamples:
-    """Samples of one reflectance that lie in defects or in a region of the part, j of them.
+class DefectSamples:
+    """Samples of one reflectance that lie in defects, j of them.
 
     index: Of each among the samples of the surface, shape (j,)
-    label: Index of the defect, shape (j,); −1 for none
+    label: Index of the defect, shape (j,)
     surface: The points with the normals of the disturbed surface
     reflectance: Of all of them
     """
@@ -46,7 +46,7 @@ class ChangedSamples:
         """Diffuse and specular levels under a panel [grey level], two arrays of shape (j,).
 
         panel: Part frame
-        visibility: What the surface without defects sees of a converged panel, from :func:`shade_converged`
+        visibility: What the undisturbed surface sees of a converged panel, from :func:`shade_converged`
         sample, shape: As :func:`shade_converged` takes them, of all samples of the surface
         """
         r = self.reflectance
@@ -67,36 +67,30 @@ class ChangedSamples:
         return r.R_d * diffuse, r.R_s * specular
 
 
-def changed_samples(
+def defect_samples(
     defects: Sequence[PlacedDefect], surface: SurfacePoints, reflectances: Sequence[Reflectance]
-) -> tuple[ChangedSamples, ...]:
-    """The samples of a surface that lie in defects or are not of material 0, sorted by what they reflect."""
+) -> tuple[DefectSamples, ...]:
+    """The samples of a surface that lie in defects, sorted by what they reflect; none without defects.
+
+    reflectances: By the samples' materials
+    """
     marks = mark_surface(defects, surface.points, surface.normals)
-    if marks is None and surface.material is None:
+    if marks is None:
         return ()
-    count = len(surface)
-    normals, label = surface.normals, np.full(count, -1, np.int32)
-    kind, different = np.zeros((count, 3)), np.zeros(count, np.bool_)
-    kind[:, 1:] = 1.0
-    if marks is not None:
-        normals = normals.copy()
-        normals[marks.index], label[marks.index], different[marks.index] = marks.normals, marks.label, True
-        kind[marks.index, 1:] = np.stack([marks.R_d_factor, marks.sigma_factor], axis=1)
-    if surface.material is not None:
-        kind[:, 0] = surface.material
-        different |= surface.material > 0
+    material = np.zeros(len(marks.index)) if surface.material is None else surface.material[marks.index]
+    kinds = np.stack([material, marks.R_d_factor, marks.sigma_factor], axis=1)
+    different, group = np.unique(kinds, axis=0, return_inverse=True)
     # the back of a face is black, and has no defects
-    index = np.flatnonzero(different & surface.front)
-    own_kinds, group = np.unique(kind[index], axis=0, return_inverse=True)
-    groups: list[ChangedSamples] = []
-    for number, (material, R_d_factor, sigma_factor) in enumerate(own_kinds.tolist()):
-        own = index[group.ravel() == number]
-        plain = reflectances[int(material)]
+    front = surface.front[marks.index]
+    groups: list[DefectSamples] = []
+    for number, (own_material, R_d_factor, sigma_factor) in enumerate(different.tolist()):
+        own = np.flatnonzero((group.ravel() == number) & front)
+        index, plain = marks.index[own], reflectances[int(own_material)]
         groups.append(
-            ChangedSamples(
-                index=own,
-                label=label[own],
-                surface=replace(surface.take(own), normals=normals[own]),
+            DefectSamples(
+                index=index,
+                label=marks.label[own],
+                surface=replace(surface.take(index), normals=marks.normals[own]),
                 reflectance=plain.changed(R_d_factor=R_d_factor, sigma_factor=sigma_factor),
             )
         )

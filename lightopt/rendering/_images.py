@@ -20,6 +20,7 @@ from lightopt.core.transforms import Posture
 from lightopt.core.vectors import dot, vector_at
 from lightopt.geometry import Hits, Patches, RayCaster
 from lightopt.lights import SurfaceLight
+from lightopt.optics import Reflectance
 from lightopt.rendering._bounced_images import bounced_bands
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
@@ -30,7 +31,7 @@ from lightopt.rendering._converged_panel import (
     shade_light,
     shadow_targets,
 )
-from lightopt.rendering._defect_shading import ChangedSamples, changed_samples
+from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._direct_view import direct_levels
 from lightopt.rendering._interreflection import PartLight
 from lightopt.rendering._lens_means import TYPICAL_VIEWS, lens_means
@@ -338,7 +339,7 @@ class _PostureJob:
         columns = _centres(left * n, right * n) / n + self.offset[0]
         hits, smooth = self._trace(columns, rows)
         surface = self._wavy(smooth)
-        marked = self._changed(surface)
+        marked = self._in_defects(surface)
         grid = (len(rows), len(columns))
         own = slice(self.halo, grid[0] - self.halo)
         target = (slice(top, bottom), slice(left, right))
@@ -349,7 +350,7 @@ class _PostureJob:
         else:
             centre_hits, centres = self._trace(_centres(left, right), _centres(top, bottom))
             centre_places = _places(centre_hits.ray, right - left, 0, bottom - top, top, left)
-            self._store_geometry(centre_hits, centres, self._changed(centres), centre_places)
+            self._store_geometry(centre_hits, centres, self._in_defects(centres), centre_places)
         sample = hits.ray.astype(np.intp)
         passed = None
         if self.view.camera.dims:
@@ -365,7 +366,7 @@ class _PostureJob:
 
     def _light(
         self,
-        marked: tuple[ChangedSamples, ...],
+        marked: tuple[DefectSamples, ...],
         number: int,
         light: tuple[Float64, Float64, PanelVisibility | None],
         sample: Index,
@@ -373,9 +374,8 @@ class _PostureJob:
         passed: Float64 | None,
     ) -> Iterator[tuple[Float32, Float64]]:
         # the arrays of an image, and what its light, from `_shade`, makes of the samples for each [grey level]
-        reflectance, image, panel = self.scene.reflectance, self.images[number], self.panels[number]
-        d, s, visibility = light
-        diffuse, specular = reflectance.R_d * d, reflectance.R_s * s
+        image, panel = self.images[number], self.panels[number]
+        diffuse, specular, visibility = light
         for some in marked:
             diffuse[some.index], specular[some.index] = some.light(
                 panel, visibility, sample=sample, shape=grid, caster=self.shadow_caster
@@ -423,7 +423,7 @@ class _PostureJob:
         # to the shadows' refinement the rays of a pixel are neighbours, those of two pixels are not
         grid = (len(pixels) * (n + 1), n)
         sample = hits.ray.astype(np.intp) + hits.ray // n**2 * n
-        marked, lights = self._changed(surface), self._shade(surface, numbers, sample, grid)
+        marked, lights = self._in_defects(surface), self._shade(surface, numbers, sample, grid)
         for number, light in zip(numbers, lights, strict=True):
             own = np.isin(pixels, self.rough[number], assume_unique=True)
             for target, values in self._light(marked, number, light, sample, grid, passed):
@@ -468,22 +468,43 @@ class _PostureJob:
         normals = waviness.normals(points, surface.normals @ place.rotation) @ place.rotation.T
         return replace(surface, normals=normals)
 
-    def _changed(self, surface: SurfacePoints) -> tuple[ChangedSamples, ...]:
-        return changed_samples(self.scene.defects, surface, self.scene.reflectances)
+    def _in_defects(self, surface: SurfacePoints) -> tuple[DefectSamples, ...]:
+        return defect_samples(self.scene.defects, surface, self.scene.reflectances)
 
     def _shade(
         self, surface: SurfacePoints, numbers: list[int], sample: Index, grid: tuple[int, int]
     ) -> list[tuple[Float64, Float64, PanelVisibility | None]]:
-        # of lights that are shaded together
-        caster, reflectance = self.shadow_caster, self.scene.reflectance
-        panel = self.panels[numbers[0]]
+        # diffuse and specular levels of lights that are shaded together, and what the samples see of them
+        parts = [
+            (index, self._shade_material(some, numbers, sample[index], grid, own))
+            for index, some, own in surface.by_material(self.scene.reflectances)
+        ]
+        if surface.material is None:
+            return parts[0][1]
+        count, merged = len(surface), list[tuple[Float64, Float64, PanelVisibility | None]]()
+        for i, number in enumerate(numbers):
+            diffuse, specular = np.empty(count), np.empty(count)
+            seen = PanelVisibility.empty(count) if isinstance(self.panels[number], ConvergedPanel) else None
+            for index, lights in parts:
+                diffuse[index], specular[index], own_seen = lights[i]
+                if seen is not None and own_seen is not None:
+                    seen.coarse[index], seen.penumbra[index] = own_seen.coarse, own_seen.penumbra
+            merged.append((diffuse, specular, seen))
+        return merged
+
+    def _shade_material(
+        self, surface: SurfacePoints, numbers: list[int], sample: Index, grid: tuple[int, int], own: Reflectance
+    ) -> list[tuple[Float64, Float64, PanelVisibility | None]]:
+        caster, panel = self.shadow_caster, self.panels[numbers[0]]
         if isinstance(panel, ConvergedPanel):
-            return [shade_converged(surface, panel, sample=sample, shape=grid, reflectance=reflectance, caster=caster)]
+            d, s, seen = shade_converged(surface, panel, sample=sample, shape=grid, reflectance=own, caster=caster)
+            return [(own.R_d * d, own.R_s * s, seen)]
         if isinstance(panel, SurfaceLight):
             channels = [light for n in numbers if isinstance(light := self.panels[n], SurfaceLight)]
-            both = shade_surface_lights(surface, channels, reflectance=reflectance, caster=caster)
-            return [(d, s, None) for d, s in zip(*both, strict=True)]
-        return [(*shade_light(surface, panel, reflectance=reflectance, caster=caster), None)]
+            both = shade_surface_lights(surface, channels, reflectance=own, caster=caster)
+            return [(own.R_d * d, own.R_s * s, None) for d, s in zip(*both, strict=True)]
+        d, s = shade_light(surface, panel, reflectance=own, caster=caster)
+        return [(own.R_d * d, own.R_s * s, None)]
 
     def _means(self, values: Float64, hits: Hits, grid: tuple[int, int], own: slice) -> Float64:
         # over the samples of each pixel; 0 where a ray misses the part
@@ -494,7 +515,7 @@ class _PostureJob:
         return samples.reshape(rows // n, n, columns // n, n).mean(axis=(1, 3))
 
     def _store_geometry(
-        self, hits: Hits, surface: SurfacePoints, marked: tuple[ChangedSamples, ...], places: _Places
+        self, hits: Hits, surface: SurfacePoints, marked: tuple[DefectSamples, ...], places: _Places
     ) -> None:
         g = self.geometry
         if g is None:

@@ -1,11 +1,12 @@
 """The regions of a part file, found on the part's mesh."""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
 from lightopt.config import PartConfig, RegionConfig
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.geometry import (
     BoxRegion,
     ColouredRegion,
@@ -23,15 +24,24 @@ from lightopt.images import read_png
 def mesh_of_regions(loaded: LoadedMesh, part: PartConfig) -> TriangleMesh:
     """The mesh of a part in the file's coordinates [mm], with the materials of the part's regions.
 
-    Raises InputError: A region that the mesh does not have, or whose mask cannot be read
+    Raises InputError: Regions that the mesh does not have, or whose masks cannot be read
     """
 
-    def fail(number: int, problem: str) -> InputError:
-        name = part.regions[number].name
-        return InputError(f'{part.source.at("regions", number)}: region "{name}": {problem}')
+    def place(number: int) -> str:
+        return f'{part.source.at("regions", number)}: region "{part.regions[number].name}"'
 
-    regions = [_region(part, own) for own in part.regions]
-    return mesh_with_regions(loaded, regions, most=part.mesh.max_triangles, fail=fail)
+    def unreadable() -> Iterator[str]:
+        for number, own in enumerate(part.regions):
+            if own.mask is not None:
+                try:
+                    read_png(part.source.resolve(own.mask.file), colour=True)
+                except InputError as error:
+                    yield f"{place(number)}: {error.args[0]}"
+
+    refuse(list(unreadable()))
+    return mesh_with_regions(
+        loaded, [_region(part, own) for own in part.regions], most=part.mesh.max_triangles, place=place
+    )
 
 
 def _region(part: PartConfig, own: RegionConfig) -> Region:

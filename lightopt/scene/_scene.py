@@ -85,9 +85,16 @@ class Scene:
         return (self.reflectance, *(region.reflectance for region in self.regions))
 
     @property
+    def shown(self) -> tuple[Reflectance, ...]:
+        """Those that the surface has anywhere."""
+        if self.mesh.material is None:
+            return self.reflectances
+        return tuple(self.reflectances[number] for number in np.unique(self.mesh.material))
+
+    @property
     def sharpest(self) -> Reflectance:
         """The reflectance with the narrowest specular lobe."""
-        return min(self.reflectances, key=lambda one: one.sigma if one.R_s > 0.0 else math.inf)
+        return min(self.shown, key=lambda one: one.sigma if one.R_s > 0.0 else math.inf)
 
     @property
     def pivot(self) -> Float64:

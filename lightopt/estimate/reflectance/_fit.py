@@ -92,7 +92,11 @@ def fit_diffuse(
     options, run = options or FitOptions(), run or RunContext()
     points = options.points[0] if options.points else None
     setup = prepare_fit(rig, part, image_set, points, options, run)
-    result = _with_regions(_fit_diffuse(setup), setup, _fit_diffuse)
+    try:
+        result = _fit_diffuse(setup)
+    except InputError as error:
+        result = _unfitted_outside(setup, error, "diffuse")
+    result = _with_regions(result, setup, _fit_diffuse)
     run.warn(*result.warnings)
     return result
 
@@ -159,7 +163,15 @@ def fit_specular(
     def prepared(points: Points | None, model: ModelName | None) -> FitSetup:
         return prepare_fit(rig, part, image_set, points, options, run, model=model)
 
-    first, models = _fit_form(lambda model: prepared(choices[0], model), options)
+    try:
+        first, models = _fit_form(lambda model: prepared(choices[0], model), options)
+    except InputError as error:
+        if not part.regions or len(choices) > 1:
+            raise
+        setup = prepared(choices[0], None)
+        result = _with_regions(_unfitted_outside(setup, error, "specular"), setup, _fit_specular_region)
+        run.warn(*result.warnings)
+        return result
     for points in choices:
         result, setup, samples = first if points == choices[0] else _fit_one(prepared(points, first[0].model.name))
         row = None
@@ -199,6 +211,27 @@ def _fit_specular_region(setup: FitSetup) -> FitResult:
     return replace(_validated(fitted), models=models)
 
 
+def _unfitted_outside(setup: FitSetup, error: InputError, kind: Literal["diffuse", "specular"]) -> FitResult:
+    # of a part whose surface outside the regions is not determined by the images
+    options, own = setup.options, setup.scene.reflectance
+    if not setup.scene.regions or options.gain or options.dark:
+        raise error
+    return FitResult(
+        kind=kind,
+        method="likelihood",
+        model=own.model,
+        points=setup.scene.lights[0].points,
+        values=(FittedValue(name="R_d", value=own.R_d), *_unfitted(setup)),
+        fitted=(),
+        registration=setup.registration,
+        file_placement=setup.file_placement,
+        warnings=(
+            *setup.warnings,
+            f"outside the regions: not fitted, it keeps the reflectance of the part file: {error.args[0]}",
+        ),
+    )
+
+
 def _with_regions(result: FitResult, setup: FitSetup, fit: Callable[[FitSetup], FitResult]) -> FitResult:
     # and the fits of the part's regions, with the placement, gains and dark level of the first
     if not setup.scene.regions:
@@ -214,6 +247,8 @@ def _with_regions(result: FitResult, setup: FitSetup, fit: Callable[[FitSetup], 
             return RegionFit(name=name, refused=error.args[0])
 
     regions = tuple(fitted(number, region.name) for number, region in enumerate(setup.scene.regions, 1))
+    if not result.fitted and not any(region.result for region in regions):
+        raise InputError(result.warnings[-1], *(f"region {one.name}: {one.refused}" for one in regions))
     noted = [f"region {one.name}: {text}" for one in regions for text in one.warnings]
     return replace(result, regions=regions, warnings=(*result.warnings, *noted))
 
