@@ -14,7 +14,7 @@ from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, 
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
-from lightopt.optics import Reflectance, Sensor, SpecularModel, least_white_level
+from lightopt.optics import DiffuseForm, Reflectance, Sensor, SpecularModel, least_white_level
 from lightopt.scene._camera import (
     Distortion,
     Lens,
@@ -102,8 +102,18 @@ def _reflectance(part: PartConfig, *, seen: bool) -> Reflectance:
         wide_ratio=1.0 if own.sigma_wide_rad is None else own.sigma_wide_rad / own.sigma,
         refractive_index=own.refractive_index,
     )
+    diffuse = DiffuseForm(
+        exponent=1.0 if own.diffuse_exponent is None else own.diffuse_exponent,
+        roughness=own.oren_nayar_roughness or 0.0,
+    )
     reflectance = Reflectance(
-        R_d=own.R_d, R_s=own.R_s, sigma=own.sigma, full_scale=own.full_scale, model=model, white_level=own.white_level
+        R_d=own.R_d,
+        R_s=own.R_s,
+        sigma=own.sigma,
+        full_scale=own.full_scale,
+        model=model,
+        diffuse=diffuse,
+        white_level=own.white_level,
     )
     if seen and own.white_level is not None and own.white_level < (least := least_white_level(reflectance)):
         raise InputError(

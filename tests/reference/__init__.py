@@ -9,7 +9,7 @@ from __future__ import annotations
 from ._casting import Hits, blocked, closest, trace
 from ._emitters import Emitter, emitter
 from ._frames import Camera, Light, posed, posed_normals
-from ._lobes import fresnel, specular
+from ._lobes import diffuse, fresnel, specular
 from ._matched_filter import matched_filter, summed_blocks
 from ._panel import equally_spaced, panel_radiance, product_rule, subtract_convex
 from ._shading import LayerImage, in_shadow, point_terms, render
@@ -22,6 +22,7 @@ __all__ = [
     "Light",
     "blocked",
     "closest",
+    "diffuse",
     "emitter",
     "equally_spaced",
     "fresnel",

@@ -16,7 +16,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
-from lightopt.optics import Reflectance, Sensor, SpecularModel
+from lightopt.optics import DiffuseForm, Reflectance, Sensor, SpecularModel
 from lightopt.rendering import (
     UNLIT,
     WHOLE,
@@ -147,7 +147,8 @@ def collect_samples(
             seen = visibility_of_lights(pixels, [pixels.view.lights[i] for i in own], caster, threads=threads)
             verdicts = dict(zip(own, seen, strict=True))
         draw = draws.setdefault((posture, _entry(pixels.view.lights[light])), light)
-        groups += _choose(pixels, verdicts[light], posture, light, draw, caster, budget, uniform, threads)
+        how = caster, scene.reflectance.diffuse, budget, uniform, threads
+        groups += _choose(pixels, verdicts[light], posture, light, draw, *how)
         progress((done + 1) / len(wanted))
     return _assemble(scene, groups, tuple(observations), threads)
 
@@ -201,8 +202,9 @@ def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
     def evenly(group: SampleGroup) -> SampleGroup:
         if group.layer is None:
             return group
-        panel = replace(group.layer.light, points="auto")
-        return replace(group, layer=light_layer(group.layer.surface, panel, caster, threads=samples.threads))
+        layer, panel = group.layer, replace(group.layer.light, points="auto")
+        even = light_layer(layer.surface, panel, caster, form=layer.form, threads=samples.threads)
+        return replace(group, layer=even)
 
     groups = tuple(map(evenly, samples.groups))
     return replace(samples, groups=groups, diffuse=np.concatenate([group.diffuse for group in groups]))
@@ -215,6 +217,7 @@ def _choose(
     light: int,
     draw: int,  # number that the pixels are drawn by
     caster: RayCaster,
+    form: DiffuseForm,
     budget: int,
     uniform: bool,
     threads: int | None,
@@ -222,7 +225,7 @@ def _choose(
     panel = pixels.view.lights[light]
     whole = np.flatnonzero(pixels.clean & (verdict == WHOLE))
     unlit = np.flatnonzero(pixels.clean & (verdict == UNLIT))
-    layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
+    layer = light_layer(pixels.surface.take(whole), panel, caster, form=form, threads=threads)
     angle = np.zeros(len(whole)) if uniform else layer.deflection
     keep, share = _by_octave(angle, budget, (posture, draw))
     few, few_share = _by_octave(np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, draw))

@@ -14,7 +14,7 @@ from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import Placement
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
-from lightopt.optics import Reflectance
+from lightopt.optics import DiffuseForm, Reflectance
 from lightopt.rendering import (
     UNLIT,
     WHOLE,
@@ -89,16 +89,21 @@ def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> Part
 
 
 def _layers(
-    surface: SurfacePoints, group: Sequence[PanelLight], caster: RayCaster, lobes: Sequence[Reflectance], threads: int
+    surface: SurfacePoints,
+    group: Sequence[PanelLight],
+    caster: RayCaster,
+    form: DiffuseForm,
+    lobes: Sequence[Reflectance],
+    threads: int,
 ) -> Iterator[Float64]:
     # diffuse light, and specular light for each lobe, of channels of a light or of one panel, shape (lights, n) each
     channels = [light for light in group if isinstance(light, SurfaceLight)]
     if channels:
-        yield light_of_channels(surface, channels, None, threads=threads)[0]
+        yield light_of_channels(surface, channels, form, threads=threads)[0]
         for lobe in lobes:
             yield light_of_channels(surface, channels, lobe, diffuse=False, threads=threads)[1]
         return
-    layer = light_layer(surface, group[0], caster, threads=1)
+    layer = light_layer(surface, group[0], caster, form=form, threads=1)
     yield layer.diffuse[None]
     for lobe in lobes:
         yield layer.specular(lobe, threads=1)[None]
@@ -144,7 +149,8 @@ def light_at(
         whole = verdicts == WHOLE
         found = np.stack([np.where(whole | (verdicts == UNLIT), 0.0, np.nan)] * (1 + len(sigmas)))
         seen = np.flatnonzero(whole.any(axis=0))
-        for place, level in enumerate(_layers(surface.take(seen), group, caster, lobes, threads_of_group)):
+        layers = _layers(surface.take(seen), group, caster, scene.reflectance.diffuse, lobes, threads_of_group)
+        for place, level in enumerate(layers):
             found[place][:, seen] = np.where(whole[:, seen], level, found[place][:, seen])
         for i, image in enumerate(pixels.images):
             for panel, own in zip(group, found.swapaxes(0, 1), strict=True):
