@@ -12,7 +12,7 @@ from ._frames import Camera, Light, posed, posed_normals
 from ._lobes import diffuse, fresnel, specular
 from ._matched_filter import matched_filter, summed_blocks
 from ._panel import equally_spaced, panel_radiance, product_rule, subtract_convex
-from ._shading import LayerImage, in_shadow, point_terms, render
+from ._shading import LayerImage, in_shadow, lambert, point_terms, render
 
 __all__ = [
     "Camera",
@@ -27,6 +27,7 @@ __all__ = [
     "equally_spaced",
     "fresnel",
     "in_shadow",
+    "lambert",
     "matched_filter",
     "panel_radiance",
     "point_terms",
