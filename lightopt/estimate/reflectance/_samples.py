@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -199,14 +199,24 @@ def _entry(light: PanelLight) -> int | str:
 def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
     """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again."""
 
-    def evenly(group: SampleGroup) -> SampleGroup:
-        if group.layer is None:
-            return group
-        layer, panel = group.layer, replace(group.layer.light, points="auto")
-        even = light_layer(layer.surface, panel, caster, form=layer.form, threads=samples.threads)
-        return replace(group, layer=even)
+    def evenly(layer: LightLayer) -> LightLayer:
+        panel = replace(layer.light, points="auto")
+        return light_layer(layer.surface, panel, caster, form=layer.form, threads=samples.threads)
 
-    groups = tuple(map(evenly, samples.groups))
+    return _with_layers(samples, evenly)
+
+
+def with_form(samples: Samples, form: DiffuseForm, caster: RayCaster) -> Samples:
+    """The same pixels with another form of the diffuse component; no ray is cast again."""
+
+    def formed(layer: LightLayer) -> LightLayer:
+        return light_layer(layer.surface, layer.light, caster, form=form, threads=samples.threads)
+
+    return _with_layers(samples, formed)
+
+
+def _with_layers(samples: Samples, of: Callable[[LightLayer], LightLayer]) -> Samples:
+    groups = tuple(g if g.layer is None else replace(g, layer=of(g.layer)) for g in samples.groups)
     return replace(samples, groups=groups, diffuse=np.concatenate([group.diffuse for group in groups]))
 
 
