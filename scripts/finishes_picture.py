@@ -1,19 +1,24 @@
-"""Draw docs/pictures/finishes.png: the sample knob with each form of the lobe, all reflecting as much light.
+"""Draw docs/pictures/finishes.png and diffuse-forms.png.
 
-``python scripts/finishes_picture.py [PNG]``. All four lights; the fourth root of the levels, by one highest level.
+``python scripts/finishes_picture.py``. finishes.png: the sample knob with each form of the lobe, all reflecting as much
+light, under all four lights; the fourth root of the levels, by one highest level. diffuse-forms.png: a sphere with each
+form of the diffuse component under one panel; levels.
 """
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from PIL import Image, ImageDraw
 
 from lightopt import build_scene, render
-from lightopt.optics import Reflectance, SpecularModel
+from lightopt.core.arrays import Float64
+from lightopt.geometry import TriangleMesh
+from lightopt.optics import LAMBERT, DiffuseForm, Reflectance, SpecularModel
+from lightopt.scene import Scene
 
 ROOT = Path(__file__).resolve().parent.parent
 WIDTH, HEIGHT, TITLE, CROP = 640, 480, 18, 90
@@ -25,25 +30,60 @@ FINISHES = {
     "two-lobe, sigma 0.003 and 0.03": Reflectance(R_d=4.0, R_s=2.087e6, sigma=0.003, model=TWO_LOBES),
     "ggx, alpha 0.06": Reflectance(R_d=4.0, R_s=15_650.0, sigma=0.03, model=GGX),
 }
+DIFFUSE_FORMS = {
+    "Lambert": LAMBERT,
+    "diffuse_exponent: 0.7": DiffuseForm(exponent=0.7),
+    "diffuse_exponent: 1.5": DiffuseForm(exponent=1.5),
+    "oren_nayar_roughness: 0.4": DiffuseForm(roughness=0.4),
+    "oren_nayar_roughness: 1": DiffuseForm(roughness=1.0),
+}
+RADIUS, BALL_WIDTH, BALL_HEIGHT, BALL_CROP = 22.0, 320, 240, 50
 
 
-def finishes_picture(target: Path) -> None:
-    """Draw the picture."""
+def _scene(width: int, height: int) -> Scene:
     scene = build_scene(ROOT / "configs/rigs/four-panel.yaml", ROOT / "configs/parts/cover-knob.yaml", points="auto")
-    scale = WIDTH / scene.camera.width
-    camera = replace(scene.camera, width=WIDTH, height=HEIGHT, pixel_size=scene.camera.pixel_size / scale)
-    tiles, top = [], 0.0
-    for title, reflectance in FINISHES.items():
-        own = replace(scene, camera=camera, reflectance=reflectance, postures=scene.postures[:1])
-        level = sum(image.level for image in next(iter(render(own, supersample=2))).lights)
-        top = top or float(level.max())
-        shown = np.clip((level[:, CROP:-CROP] / top) ** 0.25, 0.0, 1.0) * 255.0
-        tile = Image.new("L", (shown.shape[1], HEIGHT + TITLE), 255)
-        tile.paste(Image.fromarray(shown.astype(np.uint8)), (0, TITLE))
+    scale = width / scene.camera.width
+    camera = replace(scene.camera, width=width, height=height, pixel_size=scene.camera.pixel_size / scale)
+    return replace(scene, camera=camera, postures=scene.postures[:1])
+
+
+def _sum_of_lights(scene: Scene) -> Float64:
+    return np.sum([image.level for image in next(iter(render(scene, supersample=2))).lights], axis=0, dtype=np.float64)
+
+
+def _save(target: Path, pictures: dict[str, Float64]) -> None:
+    # side by side, of levels from 0 to 1
+    tiles = []
+    for title, shown in pictures.items():
+        tile = Image.new("L", (shown.shape[1], shown.shape[0] + TITLE), 255)
+        tile.paste(Image.fromarray((255.0 * np.clip(shown, 0.0, 1.0)).astype(np.uint8)), (0, TITLE))
         ImageDraw.Draw(tile).text((4, 3), title, fill=0)
         tiles.append(np.asarray(tile))
     Image.fromarray(np.concatenate(tiles, axis=1)).save(target, optimize=True)
 
 
+def finishes_picture(target: Path) -> None:
+    """Draw the sample knob with each form of the lobe."""
+    scene = _scene(WIDTH, HEIGHT)
+    levels = {name: _sum_of_lights(replace(scene, reflectance=one))[:, CROP:-CROP] for name, one in FINISHES.items()}
+    top = next(iter(levels.values())).max()
+    _save(target, {name: (level / top) ** 0.25 for name, level in levels.items()})
+
+
+def diffuse_forms_picture(target: Path) -> None:
+    """Draw a sphere with each form of the diffuse component."""
+    ball = trimesh.creation.icosphere(subdivisions=6, radius=RADIUS)
+    normals = np.asarray(ball.vertices) / RADIUS
+    scene = _scene(BALL_WIDTH, BALL_HEIGHT)
+    scene = replace(scene, mesh=TriangleMesh(np.asarray(ball.vertices), ball.faces, normals), lights=scene.lights[:1])
+    matte = Reflectance(R_d=255.0, R_s=0.0, sigma=0.05)
+    levels = {
+        name: _sum_of_lights(replace(scene, reflectance=replace(matte, diffuse=form)))[:, BALL_CROP:-BALL_CROP] / 255.0
+        for name, form in DIFFUSE_FORMS.items()
+    }
+    _save(target, levels)
+
+
 if __name__ == "__main__":
-    finishes_picture(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs" / "pictures" / "finishes.png")
+    finishes_picture(ROOT / "docs" / "pictures" / "finishes.png")
+    diffuse_forms_picture(ROOT / "docs" / "pictures" / "diffuse-forms.png")

@@ -31,6 +31,7 @@ _UNCONVERGED_HELP = "Exit with status 0 even if the fit did not converge."
 AllowUnconverged = Annotated[bool, common.output_option("--allow-unconverged", help=_UNCONVERGED_HELP)]
 FREE = ("gain", "dark")
 MODELS = ("torrance-sparrow", "ggx", "two-lobe")
+DIFFUSE_FORMS = ("lambert", "exponent", "oren-nayar")
 
 
 def fit_diffuse(
@@ -95,6 +96,12 @@ def fit_specular(
         help="Form of the specular lobe. auto: fit each form and select the one that predicts left-out lights best.",
         show_default="as the part file says",
     ),
+    diffuse: str | None = common.model_option(
+        None,
+        metavar="|".join(DIFFUSE_FORMS),
+        help="Form of the diffuse component. exponent, oren-nayar: fit the exponent or the roughness as well.",
+        show_default="as the part file says",
+    ),
     validate: bool = common.model_option(
         True, "--validate/--no-validate", help="Cross-validate: predict each light from the other lights."
     ),
@@ -124,6 +131,7 @@ def fit_specular(
     paper = PaperOptions(lambda_s1=lambda_s1, lambda_s2=lambda_s2, sigma_step=sigma_step, **start)
     options = FitOptions(method=method, register=register, pixels=pixels, write_noise=write_noise, paper=paper)
     options = replace(options, joint=joint, validate=validate, model=_model(model))
+    options = replace(options, diffuse=_diffuse_form(diffuse))
     options = _complete("specular", options, free, points)
     converged = _run("specular", rig, part, images, out, options, force, threads, quiet=quiet, verbose=verbose)
     _require(converged or allow_unconverged)
@@ -170,6 +178,12 @@ def _run(
 def _model(name: str | None) -> Any:
     if name is not None and name not in (*MODELS, "auto"):
         raise InputError(f'--model: expected {", ".join(MODELS)} or auto, found "{name}"')
+    return name
+
+
+def _diffuse_form(name: str | None) -> Any:
+    if name is not None and name not in DIFFUSE_FORMS:
+        raise InputError(f'--diffuse: expected {", ".join(DIFFUSE_FORMS[:-1])} or {DIFFUSE_FORMS[-1]}, found "{name}"')
     return name
 
 

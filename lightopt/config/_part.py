@@ -138,13 +138,18 @@ _KEYS_OF_MODELS = {
 
 
 class ReflectanceConfig(Frozen):
-    """Reflection of the surface: Lambert's diffuse part and a specular lobe."""
+    """Reflection of the surface: a diffuse component and a specular lobe."""
 
     model: Literal["torrance-sparrow", "ggx", "two-lobe"] = "torrance-sparrow"
     """Form of the specular lobe. torrance-sparrow: Gaussian in the angle between normal and half vector; ggx: with the
     long tails of plated and ground metal; two-lobe: a narrow and a wide Gaussian one, as of chrome."""
     R_d: fields.Coefficient
     """Diffuse coefficient [levels of full_scale]."""
+    diffuse_exponent: Annotated[float, Field(ge=0.5, le=5), expecting("a number from 0.5 to 5")] | None = None
+    """Power of N·L in the diffuse component, instead of Lambert's 1: above 1 it falls faster as the light leans."""
+    oren_nayar_roughness: Annotated[float, Field(ge=0, le=1), expecting("a number from 0 to 1")] | None = None
+    """Roughness of Oren and Nayar's diffuse component, instead of Lambert's: 0 is Lambert's, and rougher surfaces are
+    brighter where camera and light are on the same side, up to their edges. Not with diffuse_exponent."""
     R_s: fields.Coefficient
     """Specular coefficient [levels of full_scale]."""
     sigma_rad: _Sigma | None = Field(default=None, validate_default=True)
@@ -164,6 +169,13 @@ class ReflectanceConfig(Frozen):
     white_level: fields.Positive | None = None
     """Level of a white diffuse surface that faces a light of gain 1 at the origin [levels of full_scale]. It says which
     share of light the part reflects, for light from the part to itself; such that the part reflects 65 % if absent."""
+
+    @field_validator("oren_nayar_roughness")
+    @classmethod
+    def _instead_of_an_exponent(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and info.data.get("diffuse_exponent") is not None:
+            raise complaint("the diffuse component has one form: diffuse_exponent is given, too")
+        return value
 
     @field_validator("refractive_index")
     @classmethod

@@ -14,14 +14,18 @@ from lightopt.optics._lens import (
 )
 from lightopt.optics._reflection_model import (
     EVERYWHERE as EVERYWHERE,
+    LAMBERT as LAMBERT,
     MAX_LOBE_EXPONENT as MAX_LOBE_EXPONENT,
     MIN_COS_VIEW as MIN_COS_VIEW,
     NARROW_CHORD_SQUARED as NARROW_CHORD_SQUARED,
+    DiffuseForm as DiffuseForm,
     Lobe as Lobe,
     ModelName as ModelName,
     Reflectance as Reflectance,
     SpecularModel as SpecularModel,
+    diffuse_term as diffuse_term,
     farthest_exponent as farthest_exponent,
+    is_lambert as is_lambert,
     lambert as lambert,
     light_factor as light_factor,
     lobe_of_width as lobe_of_width,

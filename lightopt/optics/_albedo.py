@@ -7,7 +7,8 @@ faces that light. Hence the surface's BRDF is
     f = (R_d + R_s / (cosθ_i cosθ_o) · exp(−δ²/(2σ²))) / (π·W)
 
 and its albedo, where it is seen along its normal, (R_d + (1/π) ∫ R_s exp(−δ²/(2σ²)) · 4 cosδ dω_H) / W. Other lobes
-take the place of the Gaussian one, with their factors for the directions of light and view.
+take the place of the Gaussian one, with their factors for the directions of light and view. Of other forms of diffuse
+light the mean albedo counts, that of light which arrives evenly from all sides.
 """
 
 import math
@@ -15,7 +16,7 @@ import math
 import numpy as np
 
 from lightopt.core.arrays import Float64
-from lightopt.optics._reflection_model import Lobe, Reflectance, light_factor
+from lightopt.optics._reflection_model import FUJII_SCALE, DiffuseForm, Lobe, Reflectance, light_factor
 
 DEFAULT_ALBEDO = 0.65
 """Share of light that a surface of unknown white level reflects: that of chrome plating."""
@@ -49,9 +50,20 @@ def _factors(delta: Float64, lobe: Lobe) -> Float64:
     return np.array([light_factor(max(0.0, math.cos(2.0 * d)), 2.0 * math.cos(d), lobe) for d in delta])
 
 
+def diffuse_albedo(form: DiffuseForm) -> float:
+    """Mean albedo of diffuse light times W per unit of R_d: 1 of Lambert's.
+
+    (1/π)·∫ cos^q dω = 2/(q + 1); of Fujii's form as Portsmouth et al. have it.
+    """
+    if form.exponent != 1.0:
+        return 2.0 / (form.exponent + 1.0)
+    mean = 2.0 / 3.0 - 28.0 / (15.0 * math.pi)
+    return (1.0 + mean * form.roughness) / (1.0 + FUJII_SCALE * form.roughness)
+
+
 def least_white_level(reflectance: Reflectance) -> float:
     """Level W at which the surface reflects all light: with a lower one, it would reflect more than it gets."""
-    return reflectance.R_d + reflectance.R_s * specular_sum(reflectance)
+    return reflectance.R_d * diffuse_albedo(reflectance.diffuse) + reflectance.R_s * specular_sum(reflectance)
 
 
 def white_level(reflectance: Reflectance) -> float:

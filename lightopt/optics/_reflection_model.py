@@ -1,9 +1,15 @@
-"""The reflection model: Lambert's diffuse component and a specular lobe, as functions of cosines.
+"""The reflection model: a diffuse component and a specular lobe, as functions of cosines.
 
 The lobe is Torrance and Sparrow's of the paper (equation 3), a sum of two of them, or the one of GGX:
 
     B. Walter, S. R. Marschner, H. Li, K. E. Torrance: Microfacet models for refraction through rough surfaces,
     Eurographics Symposium on Rendering 2007, equations 20, 33 and 34, doi:10.2312/EGWR/EGSR07/195-206
+
+The diffuse component is Lambert's (equation 2), a power of N·L, or Oren and Nayar's in the form of Fujii, which has an
+albedo of at most 1 in all directions:
+
+    Y. Fujii: A tiny improvement of Oren-Nayar reflectance model, mimosa-pudica.net/improved-oren-nayar.html
+    J. Portsmouth, P. Kutz, S. Hill: EON: A practical energy-preserving rough diffuse BRDF, arXiv:2410.18026
 """
 
 from __future__ import annotations
@@ -28,6 +34,24 @@ EVERYWHERE = 1e30
 
 NARROW_CHORD_SQUARED = 0.25
 """Lobes where |N − H|² is less than this, δ < 0.505 rad, are computed without branches."""
+
+
+FUJII_SCALE = 0.5 - 2.0 / (3.0 * math.pi)
+"""c of 1/(1 + c·r), by which Fujii's form of roughness r is scaled: its albedo along the normal, 1 at the horizon."""
+
+
+class DiffuseForm(NamedTuple):
+    """Form of the diffuse component, apart from R_d; one of the two is Lambert's.
+
+    exponent: Power of N·L; 1 is Lambert's law
+    roughness: r of Oren and Nayar's component in Fujii's form, from 0, Lambert's law, to 1
+    """
+
+    exponent: float = 1.0
+    roughness: float = 0.0
+
+
+LAMBERT = DiffuseForm()
 
 
 class Lobe(NamedTuple):
@@ -90,6 +114,7 @@ class Reflectance:
         GGX, α/2, with which both models have the same curvature where they are brightest
     full_scale: Level that the coefficients call full scale [grey level]
     model: The lobe's form
+    diffuse: The form of the diffuse component
     white_level: Level of a white diffuse surface that faces a light of weight 1 [grey level]; None where not known
     """
 
@@ -98,6 +123,7 @@ class Reflectance:
     sigma: float
     full_scale: float = 255.0
     model: SpecularModel = SpecularModel()
+    diffuse: DiffuseForm = LAMBERT
     white_level: float | None = None
 
     @property
@@ -141,6 +167,28 @@ class Reflectance:
 def lambert(n_dot_l: float) -> float:
     """Diffuse component per unit of R_d (paper, equation 2)."""
     return max(0.0, n_dot_l)
+
+
+@kernel
+def is_lambert(form: DiffuseForm) -> bool:
+    return (form.exponent == 1.0) & (form.roughness == 0.0)
+
+
+@kernel
+def diffuse_term(n_dot_l: float, n_dot_v: float, l_dot_v: float, form: DiffuseForm) -> float:
+    """Diffuse component per unit of R_d in any form; :func:`lambert` is the faster one of Lambert's.
+
+    Oren and Nayar's: N·L · (1 + r·s/t) / (1 + c·r), s = L·V − (N·L)·(N·V), t = max(N·L, N·V) where s is above 0 and 1
+    where it is not (Fujii). An interpolated normal that is turned away from the camera has N·V = 0.
+    """
+    if n_dot_l <= 0.0:
+        return 0.0
+    if form.exponent != 1.0:
+        return n_dot_l**form.exponent
+    n_dot_v = max(0.0, n_dot_v)
+    s = l_dot_v - n_dot_l * n_dot_v
+    t = max(n_dot_l, n_dot_v) if s > 0.0 else 1.0
+    return (n_dot_l + form.roughness * s * (n_dot_l / t)) / (1.0 + FUJII_SCALE * form.roughness)
 
 
 @kernel

@@ -20,7 +20,7 @@ from lightopt.core.threads import end_if_stopped
 from lightopt.core.vectors import Vector
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight, panel_grid, panel_numbers
-from lightopt.optics import Reflectance
+from lightopt.optics import LAMBERT, Reflectance
 from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._penumbra_cells import ConvergedLight
@@ -109,7 +109,7 @@ def shade_light(
         diffuse, specular = shade_surface_lights(surface, (light,), reflectance=reflectance, caster=caster)
         return diffuse[0], specular[0]
     assert light.points != "auto"
-    return shade_points(surface, light, points=light.points, lobe=reflectance.lobe, caster=caster)
+    return shade_points(surface, light, points=light.points, reflectance=reflectance, caster=caster)
 
 
 def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> ConvergedPanel:
@@ -127,10 +127,10 @@ def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> Con
     tilts = [towards, *(towards + leaning for leaning in leanings)]
     normals = [Vector(*(tilt / np.linalg.norm(tilt))) for tilt in tilts]
     places = list(itertools.product(positions, normals))
-    exact = [rectangle_diffuse(p, n, panel, WHOLE_PANEL, 24) for p, n in places]
+    exact = [rectangle_diffuse(p, n, n, panel, WHOLE_PANEL, LAMBERT, 24) for p, n in places]
     count = 0
     for count in (2, 3, 4, 6, 8, 12, 16, 20):
-        found = [rectangle_diffuse(p, n, panel, WHOLE_PANEL, count) for p, n in places]
+        found = [rectangle_diffuse(p, n, n, panel, WHOLE_PANEL, LAMBERT, count) for p, n in places]
         if max(abs(a - b) for a, b in zip(found, exact, strict=True)) <= DIFFUSE_TOLERANCE:
             break
     distance = float(np.linalg.norm(light.centre - centre))
@@ -306,6 +306,7 @@ def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> Con
         total * reflectance.R_d,
         total * reflectance.R_s,
         reflectance.lobe,
+        reflectance.diffuse,
         converged.nodes,
     )
 

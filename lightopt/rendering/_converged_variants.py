@@ -1,6 +1,7 @@
 """The converged panel on variants of a surface: integrals that are shared where they are linear, and left out early.
 
-Diffuse light is linear in the normal as long as the panel is above its horizon, so one vector serves all variants.
+Lambert's diffuse light is linear in the normal as long as the panel is above its horizon, so one vector serves all
+variants.
 The lobe is integrated for those variants alone that it can reach. Where a part hides some of the panel, the panel is
 taken in 4 × 4 cells, each seen or hidden as its centre is.
 """
@@ -14,7 +15,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, dot, minus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_grid, panel_numbers, panel_point
-from lightopt.optics import Lobe, farthest_exponent, lobe_of_width, specular_divisor
+from lightopt.optics import DiffuseForm, Lobe, farthest_exponent, is_lambert, lobe_of_width, specular_divisor
 from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes
 from lightopt.rendering._panel_quadrature import (
     NODES,
@@ -83,7 +84,8 @@ def _levels(
     variants: VariantNumbers,
     levels: Float64,
 ) -> None:
-    lean, R_d, R_s, inverse, most, form = variants
+    lean, R_d, R_s, inverse, most, form, diffuse = variants
+    linear = is_lambert(diffuse)
     for i in range(len(points)):
         if number[i] == 0:
             continue
@@ -98,12 +100,12 @@ def _levels(
             lowest = dot(turned, light)
             lowest -= 0.5 * abs(dot(turned, panel.across))
             lowest -= 0.5 * abs(dot(turned, panel.along))
-            if lowest >= 0.0:
+            if linear and lowest >= 0.0:
                 d = dot(turned, towards)
             elif whole:
-                d = rectangle_diffuse(p, turned, panel, WHOLE_PANEL, panel_nodes)
+                d = rectangle_diffuse(p, turned, v, panel, WHOLE_PANEL, diffuse, panel_nodes)
             else:
-                d = _cells_diffuse(p, turned, panel, panel_nodes, cells[i])
+                d = _cells_diffuse(p, turned, v, panel, diffuse, panel_nodes, cells[i])
             s = 0.0
             n_dot_v = dot(turned, v)
             if n_dot_v > 0.0:
@@ -145,7 +147,9 @@ def _light_vector(p: Vector, panel: PanelNumbers, count: int, cells: Bool, whole
 
 
 @kernel
-def _cells_diffuse(p: Vector, n: Vector, panel: PanelNumbers, count: int, cells: Bool) -> float:
+def _cells_diffuse(
+    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, form: DiffuseForm, count: int, cells: Bool
+) -> float:
     few = math.ceil(2.0 * count / CELLS)
     total = 0.0
     for row in range(CELLS):
@@ -154,7 +158,7 @@ def _cells_diffuse(p: Vector, n: Vector, panel: PanelNumbers, count: int, cells:
             if cells[row * CELLS + column]:
                 s0 = column / CELLS - 0.5
                 area = Rectangle(s0, s0 + 1.0 / CELLS, t0, t0 + 1.0 / CELLS)
-                total += rectangle_diffuse(p, n, panel, area, few)
+                total += rectangle_diffuse(p, n, v, panel, area, form, few)
     return total
 
 

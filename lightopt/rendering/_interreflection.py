@@ -24,7 +24,17 @@ from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, dot, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster, TriangleMesh, resolve_hits
 from lightopt.lights import PanelLight, SurfaceLight
-from lightopt.optics import Lobe, Reflectance, light_factor, specular_divisor, specular_lobe, white_level
+from lightopt.optics import (
+    DiffuseForm,
+    Lobe,
+    Reflectance,
+    diffuse_term,
+    is_lambert,
+    light_factor,
+    specular_divisor,
+    specular_lobe,
+    white_level,
+)
 from lightopt.rendering._converged_panel import ConvergedPanel, isolated_levels, panel_to_shade
 from lightopt.rendering._surface import SurfacePoints, surface_at
 from lightopt.scene import Scene
@@ -99,12 +109,16 @@ class PartLight:
         happen to meet. They are to be shared with the points around.
         """
         factor = self.reflectance.R_d / white_level(self.reflectance)
-        return self._converged(surface, _cosine_rays, factor, DIFFUSE_CELLS, MOST_OF_A_RAY, threads)
+        return self._converged(surface, self._diffuse_rays, factor, DIFFUSE_CELLS, MOST_OF_A_RAY, threads)
 
     def specular(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
         """As :meth:`diffuse`, what the lobe adds, which has no glints."""
         factor = self.reflectance.R_s / (math.pi * white_level(self.reflectance))
         return self._converged(surface, self._lobe_rays, factor, LOBE_CELLS, math.inf, threads)
+
+    def _diffuse_rays(self, surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
+        form = self.reflectance.diffuse
+        return _rays_by_cosine(surface.normals, surface.facets, surface.views, form, point, u, turn)
 
     def _lobe_rays(self, surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
         return _lobe_rays(surface.normals, surface.facets, surface.views, self.reflectance.lobe, point, u, turn)
@@ -122,9 +136,8 @@ class PartLight:
         # sees says how many more it takes, and is no part of the mean, which would miss what first rays missed
         step, area = max(1, _RAYS_AT_ONCE // (cells[0] * cells[1])), 1.0 / (cells[0] * cells[1])
         # half vectors turn by half of what directions do between rays
-        angle = 0.5 * math.sqrt(
-            area * (2.0 * math.pi if rays is _cosine_rays else 16.0 * math.pi * (SPREAD * self.reflectance.sigma) ** 2)
-        )
+        of_lobe = 16.0 * math.pi * (SPREAD * self.reflectance.sigma) ** 2
+        angle = 0.5 * math.sqrt(area * (2.0 * math.pi if rays == self._diffuse_rays else of_lobe))
 
         def chunk(start: int) -> Float64:
             some = surface.take(slice(start, start + step))
@@ -202,7 +215,7 @@ class PartLight:
             front = surface.take(np.flatnonzero(surface.front))
             nodes, white = _cells(len(front), NESTED_CELLS), white_level(self.reflectance)
             for coefficient, rays in (
-                (self.reflectance.R_d / white, _cosine_rays),
+                (self.reflectance.R_d / white, self._diffuse_rays),
                 (self.reflectance.R_s / (math.pi * white), self._lobe_rays),
             ):
                 seen = self._seen(front, rays, *nodes, lambda met: self._levels(met, bounces - 1))
@@ -335,19 +348,19 @@ def _solid_angle(delta: float, lobe: Lobe) -> float:
     return narrowing / density
 
 
-def _cosine_rays(surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
-    return _rays_by_cosine(surface.normals, surface.facets, point, u, turn)
-
-
 @kernel
 def _rays_by_cosine(
-    normals: Float64, facets: Float64, point: Index, u: Float64, turn: Float64
+    normals: Float64, facets: Float64, views: Float64, form: DiffuseForm, point: Index, u: Float64, turn: Float64
 ) -> tuple[Float64, Float64]:
-    # as dense as N·l
+    # as dense as N·l; weights are diffuse light over that of Lambert's
     directions, weights = np.empty((len(point), 3)), np.zeros(len(point))
     for k in range(len(point)):
         way = _turned(vector_at(normals, point[k]), math.asin(math.sqrt(u[k])), turn[k])
         directions[k, 0], directions[k, 1], directions[k, 2] = way
         if dot(vector_at(facets, point[k]), way) > 0.0:
             weights[k] = 1.0
+            if not is_lambert(form):
+                n, v = vector_at(normals, point[k]), vector_at(views, point[k])
+                cosine = math.sqrt(1.0 - u[k])
+                weights[k] = diffuse_term(cosine, dot(n, v), dot(way, v), form) / cosine
     return directions, weights

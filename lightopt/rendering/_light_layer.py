@@ -18,7 +18,7 @@ from lightopt.core.threads import in_threads
 from lightopt.core.vectors import Vector, divided, dot, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, panel_grid, panel_numbers, panel_point
-from lightopt.optics import Lobe, Reflectance
+from lightopt.optics import LAMBERT, DiffuseForm, Lobe, Reflectance
 from lightopt.rendering._converged_panel import channel_groups, converged_panel
 from lightopt.rendering._panel_quadrature import (
     NO_LOBE,
@@ -41,6 +41,7 @@ class LightLayer:
 
     surface: The points, part frame
     diffuse: Per unit of R_d, shape (n,)
+    form: Of the diffuse light
     deflection: About the least angle δ between the normal and the half vectors of the panel's points [rad], shape (n,):
         nothing narrower than this reaches the camera as a highlight
     grid: The panel's point lights [mm], shape (m, 3); none of them for the converged panel
@@ -50,6 +51,7 @@ class LightLayer:
     surface: SurfacePoints
     light: PanelLight
     diffuse: Float64
+    form: DiffuseForm
     deflection: Float64
     grid: Float64
     nodes: int
@@ -98,21 +100,23 @@ def specular_of_layers(
 
 
 def light_layer(
-    surface: SurfacePoints, light: PanelLight, caster: RayCaster, *, threads: int | None = None
+    surface: SurfacePoints, light: PanelLight, caster: RayCaster, *, form: DiffuseForm, threads: int | None = None
 ) -> LightLayer:
     """The diffuse layer of a panel, and what its specular layers need.
 
     surface: Points that see the whole panel, part frame
     light: Part frame; with its own number of points
     caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for
+    form: Of the diffuse light
     """
     if isinstance(light, SurfaceLight):
-        (diffuse,), _ = light_of_channels(surface, [light], None, threads=threads)
+        (diffuse,), _ = light_of_channels(surface, [light], form, threads=threads)
         none = np.zeros((0, 3))
         return LightLayer(
             surface=surface,
             light=light,
             diffuse=diffuse,
+            form=form,
             deflection=least_deflection(surface, light),
             grid=none,
             nodes=0,
@@ -126,14 +130,17 @@ def light_layer(
     diffuse = np.zeros(len(surface))
     deflection = np.zeros(len(surface))
 
+    geometry = surface.points, surface.normals, surface.views
+
     def chunk(start: int) -> None:
         end = min(start + _CHUNK, len(surface))
-        s = surface
-        _diffuse_and_deflection(s.points, s.normals, s.views, grid, panel, nodes, start, end, diffuse, deflection)
+        _diffuse_and_deflection(*geometry, grid, panel, form, nodes, start, end, diffuse, deflection)
 
     in_threads(chunk, range(0, len(surface), _CHUNK), threads)
     diffuse *= light.total_weight
-    return LightLayer(surface=surface, light=light, diffuse=diffuse, deflection=deflection, grid=grid, nodes=nodes)
+    return LightLayer(
+        surface=surface, light=light, diffuse=diffuse, form=form, deflection=deflection, grid=grid, nodes=nodes
+    )
 
 
 @kernel
@@ -159,7 +166,7 @@ def _specular(
             continue
         total = 0.0
         for k in range(len(grid)):
-            _, s = point_terms(p, n, v, n_dot_v, vector_at(grid, k), panel, lobe)
+            _, s = point_terms(p, n, v, n_dot_v, vector_at(grid, k), panel, lobe, LAMBERT)
             total += s
         result[i] = total / len(grid)
 
@@ -171,6 +178,7 @@ def _diffuse_and_deflection(
     views: Float64,
     grid: Float64,
     panel: PanelNumbers,
+    form: DiffuseForm,
     panel_nodes: int,
     start: int,
     end: int,
@@ -181,12 +189,11 @@ def _diffuse_and_deflection(
         p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
         deflection[i] = _deflection(p, n, v, panel)
         if len(grid) == 0:
-            diffuse[i] = rectangle_diffuse(p, n, panel, WHOLE_PANEL, panel_nodes)
+            diffuse[i] = rectangle_diffuse(p, n, v, panel, WHOLE_PANEL, form, panel_nodes)
             continue
         total = 0.0
         for k in range(len(grid)):
-            # no specular term: any view will do
-            d, _ = point_terms(p, n, n, 0.0, vector_at(grid, k), panel, NO_LOBE)
+            d, _ = point_terms(p, n, v, 0.0, vector_at(grid, k), panel, NO_LOBE, form)
             total += d
         diffuse[i] = total / len(grid)
 

@@ -22,10 +22,13 @@ from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, pl
 from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
 from lightopt.optics import (
     EVERYWHERE,
+    LAMBERT,
     MAX_LOBE_EXPONENT,
     NARROW_CHORD_SQUARED,
+    DiffuseForm,
     Lobe,
     Reflectance,
+    is_lambert,
     light_factor,
     narrow_gaussian,
     narrow_lobe,
@@ -45,6 +48,9 @@ _NEGLIGIBLE_SHARE = NEGLIGIBLE_EXPONENT / MAX_LOBE_EXPONENT
 WINDOW_EXPONENT = 14.0
 
 WINDOW_MARGIN = 1.15  # the window is widened by this, since the exponent is only nearly quadratic
+
+# nodes a side of a whole panel where Oren and Nayar's component has a bend on it, and further ones where it has none
+_BENT_NODES, _FURTHER_NODES = 12, 2
 
 _GRAZING = 1e-3
 _LINEARISATIONS = 3
@@ -94,10 +100,41 @@ class _Horizon(NamedTuple):
 
 
 @kernel
-def rectangle_diffuse(p: Vector, n: Vector, panel: PanelNumbers, area: Rectangle, count: int) -> float:
-    """Diffuse light, per unit of R_d, of a rectangle of a panel of total weight 1, by `count` nodes along each side."""
-    # no specular term: any view will do
-    return _integrals(p, n, n, 0.0, panel, area, NO_LOBE, count, count)[0]
+def rectangle_diffuse(
+    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, area: Rectangle, form: DiffuseForm, count: int
+) -> float:
+    """Diffuse light, per unit of R_d, of a rectangle of a panel of total weight 1.
+
+    count: Nodes along each side that Lambert's form needs
+    """
+    if not is_lambert(form):
+        count = diffuse_nodes(p, n, v, panel, area, form, count)
+    return _integrals(p, n, v, 0.0, panel, area, NO_LOBE, form, count, count)[0]
+
+
+@kernel
+def diffuse_nodes(
+    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, area: Rectangle, form: DiffuseForm, count: int
+) -> int:
+    """Nodes along each side of a rectangle that a form needs, by the number that Lambert's does.
+
+    Oren and Nayar's component bends where (L − (N·L)·N)·V changes its sign, and where N·L is N·V. Between it is a
+    polynomial of L, of degree 2 at most.
+    """
+    count += _FURTHER_NODES
+    if form.roughness == 0.0:
+        return count
+    n_dot_v = max(0.0, dot(n, v))
+    across = minus(v, scaled(n, n_dot_v))
+    ahead = steep = 0
+    for corner in range(4):
+        s, t = area.s1 if corner % 2 else area.s0, area.t1 if corner // 2 else area.t0
+        light = minus(panel_point(panel, s, t), p)
+        ahead += dot(light, across) > 0.0
+        steep += dot(light, n) > n_dot_v * length(light)
+    if ahead % 4 == 0 and (ahead == 0 or steep % 4 == 0):
+        return count
+    return max(count, math.ceil(_BENT_NODES * max(area.s1 - area.s0, area.t1 - area.t0)))
 
 
 @kernel
@@ -109,6 +146,7 @@ def _integrals(
     panel: PanelNumbers,
     area: Rectangle,
     lobe: Lobe,
+    form: DiffuseForm,
     count_s: int,
     count_t: int,
 ) -> tuple[float, float]:
@@ -128,7 +166,7 @@ def _integrals(
             row_d = row_s = 0.0
             for j in range(count_s):
                 q = panel_point(panel, r0 + (r1 - r0) * NODES[count_s, j], t)
-                d, s = point_terms(p, n, v, n_dot_v, q, panel, lobe)
+                d, s = point_terms(p, n, v, n_dot_v, q, panel, lobe, form)
                 row_d += WEIGHTS[count_s, j] * d
                 row_s += WEIGHTS[count_s, j] * s
             part_d += WEIGHTS[count_t, i] * (r1 - r0) * row_d
@@ -252,7 +290,7 @@ def _gaussian_light(
     count_t = max(node_count(c, gt, window.t0 - t, window.t1 - t), least_t)
     if _horizon(p, n, panel, window).lowest > 0.0:
         return _lobe_above_horizon(p, n, v, n_dot_v, panel, window, lobe, count_s, count_t)
-    return _integrals(p, n, v, n_dot_v, panel, window, lobe, count_s, count_t)[1]
+    return _integrals(p, n, v, n_dot_v, panel, window, lobe, LAMBERT, count_s, count_t)[1]
 
 
 @kernel
@@ -287,7 +325,7 @@ def _tailed_light(
         for j in range(count_s):
             u = u0 + (u1 - u0) * NODES[count_s, j]
             q = panel_point(panel, centre_s + width_s * math.sinh(u), at_t)
-            _, value = point_terms(p, n, v, n_dot_v, q, panel, lobe)
+            _, value = point_terms(p, n, v, n_dot_v, q, panel, lobe, LAMBERT)
             row += WEIGHTS[count_s, j] * math.cosh(u) * value
         total += WEIGHTS[count_t, i] * math.cosh(w) * row * (u1 - u0)
     return total * width_s * width_t * (w1 - w0)
@@ -382,7 +420,7 @@ def _lobe_above_horizon(
         widest = max(widest, chord[k])
     if widest >= NARROW_CHORD_SQUARED:
         # δ of 29° or more, where only a rough surface shows a lobe
-        return _integrals(p, n, v, n_dot_v, panel, area, lobe, count_s, count_t)[1]
+        return _integrals(p, n, v, n_dot_v, panel, area, lobe, LAMBERT, count_s, count_t)[1]
     return total * width * height / specular_divisor(n_dot_v, lobe)
 
 

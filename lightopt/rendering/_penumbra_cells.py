@@ -22,7 +22,7 @@ from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import dot, vector_at
 from lightopt.lights import PanelNumbers
-from lightopt.optics import Lobe
+from lightopt.optics import DiffuseForm, Lobe
 from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
 
 # what a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle
@@ -44,6 +44,7 @@ class ConvergedLight(NamedTuple):
 
     diffuse_level, specular_level: Grey levels per unit of the two terms: R_d and R_s times the panel's total weight
     lobe: Of the specular term
+    form: Of the diffuse term
     nodes: Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission; a cell needs fewer
     """
 
@@ -51,6 +52,7 @@ class ConvergedLight(NamedTuple):
     diffuse_level: float
     specular_level: float
     lobe: Lobe
+    form: DiffuseForm
     nodes: int
 
 
@@ -158,7 +160,7 @@ def add_visible_cells(
                     end += 1
                 area = Rectangle(s[i] + column * cell - 0.5, s[i] + end * cell - 0.5, t0, t0 + cell)
                 order = max(2, math.ceil(light.nodes * (area.s1 - area.s0))) if kind == VISIBLE else few
-                d = rectangle_diffuse(p, normal, panel, area, order)
+                d = rectangle_diffuse(p, normal, v, panel, area, light.form, order)
                 g = 0.0
                 if glossy:
                     g = rectangle_specular(p, normal, v, n_dot_v, panel, area, lobe, light.nodes)
@@ -208,7 +210,7 @@ def add_crossed_cells(
                     s0, s1 = s[i] + runs[j, 0] * cell - 0.5, s[i] + runs[j, 1] * cell - 0.5
                     t0, t1 = t[i] + runs[j, 2] * cell - 0.5, t[i] + runs[j, 3] * cell - 0.5
                     area = Rectangle(s0, s1, t0, t1)
-                    terms[k, 0] += rectangle_diffuse(p, normal, panel, area, few)
+                    terms[k, 0] += rectangle_diffuse(p, normal, v, panel, area, light.form, few)
                     if glossy:
                         terms[k, 1] += rectangle_specular(p, normal, v, n_dot_v, panel, area, lobe, light.nodes)
 

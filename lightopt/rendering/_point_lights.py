@@ -12,7 +12,11 @@ from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, attenuated, panel_grid, panel_numbers
 from lightopt.optics import (
     NARROW_CHORD_SQUARED,
+    DiffuseForm,
     Lobe,
+    Reflectance,
+    diffuse_term,
+    is_lambert,
     lambert,
     light_factor,
     narrow_gaussian,
@@ -31,13 +35,14 @@ _LEAST_SHARE = 0.25
 
 @kernel
 def point_terms(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, q: Vector, panel: PanelNumbers, lobe: Lobe
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, q: Vector, panel: PanelNumbers, lobe: Lobe, form: DiffuseForm
 ) -> tuple[float, float]:
     """Diffuse and specular terms, per unit of R_d and R_s, of one point light of weight 1 (paper, equations 2 and 3).
 
     p, n, v: Surface point [mm], its unit normal and unit view direction
     n_dot_v: cosθ_o; 0 leaves the specular term out
     q: The point light [mm], a point of the panel
+    form: Of the diffuse term
     """
     light = minus(q, p)
     r2 = dot(light, light)
@@ -46,7 +51,10 @@ def point_terms(
     if n_dot_l <= 0.0:
         return 0.0, 0.0
     weight = attenuated(1.0, panel, r2, dot(panel.outward, light))
-    diffuse = weight * lambert(n_dot_l)
+    if is_lambert(form):
+        diffuse = weight * lambert(n_dot_l)
+    else:
+        diffuse = weight * diffuse_term(n_dot_l, dot(n, v), dot(light, v), form)
     if n_dot_v <= 0.0:
         return diffuse, 0.0
     half = plus(light, v)
@@ -78,7 +86,7 @@ def _near_lobe(n_dot_h: float, length_squared: float, lobe: Lobe) -> bool:
 
 
 def shade_points(
-    surface: SurfacePoints, light: PanelLight, *, points: int, lobe: Lobe, caster: RayCaster | None
+    surface: SurfacePoints, light: PanelLight, *, points: int, reflectance: Reflectance, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of a panel of m points, per unit of R_d and R_s; two arrays of shape (k,).
 
@@ -88,7 +96,7 @@ def shade_points(
     # points are independent of each other: chunks bound the memory whatever m is
     step = max(1, PAIRS_AT_ONCE // points)
     chunks = [
-        _shade_chunk(surface.take(slice(start, start + step)), light, points, lobe, caster)
+        _shade_chunk(surface.take(slice(start, start + step)), light, points, reflectance, caster)
         for start in range(0, len(surface), step)
     ]
     if len(chunks) == 1:
@@ -98,7 +106,7 @@ def shade_points(
 
 
 def _shade_chunk(
-    surface: SurfacePoints, light: PanelLight, points: int, lobe: Lobe, caster: RayCaster | None
+    surface: SurfacePoints, light: PanelLight, points: int, reflectance: Reflectance, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     end_if_stopped()
     grid = panel_grid(light, points)
@@ -111,7 +119,8 @@ def _shade_chunk(
         clear,
         panel_numbers(light),
         light.total_weight / points,
-        lobe,
+        reflectance.lobe,
+        reflectance.diffuse,
     )
 
 
@@ -167,6 +176,7 @@ def add_points(
     panel: PanelNumbers,
     weight: float,
     lobe: Lobe,
+    form: DiffuseForm,
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of point lights, per unit of R_d and R_s; two arrays of shape (k,).
 
@@ -174,6 +184,7 @@ def add_points(
     targets: The point lights [mm], shape (m, 3)
     clear: Whether nothing is on the way from a light to a point, shape (m, k)
     weight: Of each light
+    form: Of the diffuse light
     """
     diffuse, specular = np.zeros(len(points)), np.zeros(len(points))
     # the processor works on several points at once in loops without branches over numbers that lie side by side
@@ -211,6 +222,12 @@ def add_points(
                 near[j] = lit & (n_dot_v[j] > 0.0) & _near_lobe(dot(normal, half), length_squared, lobe)
                 if not lobe.plain:
                     factors[j] = light_factor(max(n_dot_l, 0.0), math.sqrt(length_squared), lobe)
+            if not is_lambert(form):
+                for j in range(count):
+                    if terms[j] > 0.0:
+                        light, view = minus(q, column_at(p, j)), column_at(v, j)
+                        l_dot_v = dot(light, view) / math.sqrt(r2[j])
+                        terms[j] = diffuse_term(terms[j], n_dot_v[j], l_dot_v, form)
             for j in range(count):
                 own_diffuse[j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * terms[j])
             all_at_once = lobe.plain and np.count_nonzero(near[:count]) > _LEAST_SHARE * count

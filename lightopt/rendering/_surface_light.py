@@ -33,9 +33,12 @@ from lightopt.lights import (
 from lightopt.optics import (
     EVERYWHERE,
     NARROW_CHORD_SQUARED,
+    DiffuseForm,
     Lobe,
     Reflectance,
+    diffuse_term,
     farthest_exponent,
+    is_lambert,
     light_factor,
     narrow_gaussian,
     narrow_lobe,
@@ -116,15 +119,34 @@ def element_weights(e: Element, pattern: Pattern, b: int, weights: Float64) -> N
 
 
 @kernel
-def diffuse_of_element(p: Vector, n: Vector, places: Float64, light: Float64, weights: Float64, found: Float64) -> None:
+def diffuse_of_element(
+    p: Vector,
+    n: Vector,
+    v: Vector,
+    form: DiffuseForm,
+    places: Float64,
+    light: Float64,
+    weights: Float64,
+    found: Float64,
+) -> None:
     # light of an element per unit of R_d, for each term of the pattern: Σ weight · light · cosα · (N·L) / r²
     found[:] = 0.0
     for k in range(len(places)):
         towards = minus(vector_at(places, k), p)
         r2 = dot(towards, towards)
         value = max(0.0, dot(n, towards)) * max(0.0, -dot(vector_at(light, k), towards)) / (r2 * r2)
+        if not is_lambert(form) and value > 0.0:
+            value *= _share_of_lambert(n, v, towards, form)
         for b in range(len(weights)):
             found[b] += weights[b, k] * value
+
+
+@kernel
+def _share_of_lambert(n: Vector, v: Vector, towards: Vector, form: DiffuseForm) -> float:
+    # diffuse light of another form over that of Lambert's, above the horizon
+    towards = scaled(towards, 1.0 / length(towards))
+    n_dot_l = dot(n, towards)
+    return diffuse_term(n_dot_l, dot(n, v), dot(towards, v), form) / n_dot_l
 
 
 @kernel
@@ -536,6 +558,7 @@ def _add_elements(
     pattern: Pattern,
     group: Index,
     clear: Bool,
+    form: DiffuseForm,
     lobe: Lobe,
     most: float,
     diffuse: Float64,
@@ -570,6 +593,11 @@ def _add_elements(
                         r2 = dot(towards, towards)
                         facing = max(0.0, dot(column_at(n, j), towards)) * max(0.0, -dot(shining, towards))
                         value[j] = facing / (r2 * r2)
+                    if not is_lambert(form):
+                        for j in range(count):
+                            if value[j] > 0.0:
+                                towards = minus(q, column_at(p, j))
+                                value[j] *= _share_of_lambert(column_at(n, j), column_at(v, j), towards, form)
                     for b in range(terms):
                         to = diffuse[group[m], b, first : first + count]
                         for j in range(count):
@@ -778,7 +806,8 @@ def _shade_chunk(
     specular = np.zeros((len(elements), len(pattern.terms), size))
     geometry = surface.points, surface.normals, surface.views
     diffusing = clear if reflectance.R_d > 0.0 else np.zeros_like(clear)
-    _add_elements(*geometry, elements, pattern, channels.group, diffusing, lobe, most, diffuse, specular)
+    form = reflectance.diffuse
+    _add_elements(*geometry, elements, pattern, channels.group, diffusing, form, lobe, most, diffuse, specular)
     specular[..., ~surface.front] = 0.0
     if caster is not None and hidden.any():
         # in the channel where they are brightest
@@ -821,7 +850,7 @@ def _free_pieces(surface: SurfacePoints, elements: Float64, caster: RayCaster, e
 def light_of_channels(
     surface: SurfacePoints,
     lights: Sequence[SurfaceLight],
-    reflectance: Reflectance | None,
+    reflectance: Reflectance | DiffuseForm,
     *,
     diffuse: bool = True,
     threads: int | None = None,
@@ -829,11 +858,11 @@ def light_of_channels(
     """Diffuse and specular light at points that see all of a light, per unit of R_d and R_s; shapes (channels, k).
 
     lights: The channels, of the same gain
-    reflectance: With the lobe; None for diffuse light alone
+    reflectance: With the lobe; a form for diffuse light alone
     diffuse: Whether diffuse light is wanted; it is 0 otherwise
     """
-    if reflectance is None:
-        reflectance = Reflectance(R_d=float(diffuse), R_s=0.0, sigma=1e-3)
+    if isinstance(reflectance, DiffuseForm):
+        reflectance = Reflectance(R_d=float(diffuse), R_s=0.0, sigma=1e-3, diffuse=reflectance)
     else:
         reflectance = replace(reflectance, R_d=float(diffuse), R_s=MOST_R_S_SIGMA_2 / reflectance.sigma**2)
     # light is per unit of R_s: only where it is negligible depends on R_s

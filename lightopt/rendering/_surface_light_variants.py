@@ -20,6 +20,7 @@ from lightopt.optics import (
     NARROW_CHORD_SQUARED,
     Lobe,
     farthest_exponent,
+    is_lambert,
     light_factor,
     lobe_of_width,
     narrow_gaussian,
@@ -161,7 +162,8 @@ def _variant_sums(
 ) -> None:
     # levels of the variants of each point under each channel, shape (channels, t, k). The light of the elements of a
     # group is summed, of which a channel has `shares`, shape (channels, groups, b)
-    lean, R_d, R_s, inverse, most, form = variants
+    lean, R_d, R_s, inverse, most, form, diffuse = variants
+    linear = is_lambert(diffuse)
     sharpest, reach = inverse.max(), 0.0
     ends = np.empty(len(inverse))
     for t in range(len(inverse)):
@@ -185,10 +187,11 @@ def _variant_sums(
             height, turn = dot(n, middle), farthest * length(middle)
             if height + turn <= -e.reach:
                 continue
-            above = height - turn >= e.reach
-            _set_vector_light(p, places[m], light[m], weights[m], whole)
+            above = linear and height - turn >= e.reach
+            if linear:
+                _set_vector_light(p, places[m], light[m], weights[m], whole)
             if above:
-                # diffuse light is linear in the normal
+                # Lambert's light is linear in the normal
                 towards[g] += whole
             half, spread = half_vector_cone(p, v, e.centre, e.reach)
             far = spread < math.pi and length(minus(n, half)) - spread - farthest > reach
@@ -201,11 +204,11 @@ def _variant_sums(
                     height = dot(turned, middle)
                     if height <= -e.reach:
                         continue
-                    if height >= e.reach:
+                    if linear and height >= e.reach:
                         for b in range(terms):
                             sums[g, t, b] += R_d[t] * dot(vector_at(whole, b), turned)
                     else:
-                        diffuse_of_element(p, turned, places[m], light[m], weights[m], found)
+                        diffuse_of_element(p, turned, v, diffuse, places[m], light[m], weights[m], found)
                         for b in range(terms):
                             sums[g, t, b] += R_d[t] * found[b]
                 if far or n_dot_v[t] <= 0.0:

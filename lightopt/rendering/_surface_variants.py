@@ -23,9 +23,12 @@ from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, attenuated, 
 from lightopt.optics import (
     MIN_COS_VIEW,
     NARROW_CHORD_SQUARED,
+    DiffuseForm,
     Lobe,
     Reflectance,
+    diffuse_term,
     farthest_exponent,
+    is_lambert,
     lambert,
     light_factor,
     lobe_of_width,
@@ -229,7 +232,15 @@ def _point_variants(
         clear = clear_targets(replace(surface, normals=surface.facets), grid, caster, geometric=False)
     numbers, weight = panel_numbers(light), light.total_weight / light.points
     diffuse, specular = add_points(
-        surface.points, surface.normals, surface.views, grid, clear, numbers, weight, reflectance.lobe
+        surface.points,
+        surface.normals,
+        surface.views,
+        grid,
+        clear,
+        numbers,
+        weight,
+        reflectance.lobe,
+        reflectance.diffuse,
     )
     # large arrays that NumPy makes have large pages
     varied = np.empty((len(variants.lean), len(surface)), dtype)
@@ -249,6 +260,7 @@ def _point_variants(
             0.5 / variants.sigma**2,
             _most_exponents(variants.R_s, light.total_weight, MIN_COS_VIEW),
             reflectance.lobe,
+            reflectance.diffuse,
         ),
         varied,
     )
@@ -271,6 +283,7 @@ def _with_plain(variants: SurfaceVariants, weight: float) -> VariantNumbers:
         inverse=0.5 / np.concatenate([[reflectance.sigma], variants.sigma]) ** 2,
         most=_most_exponents(R_s, 1.0, 1.0),
         lobe=reflectance.lobe,
+        diffuse=reflectance.diffuse,
     )
 
 
@@ -308,7 +321,7 @@ def _point_kernel(
 ) -> None:
     # levels of the variants, shape (t, k)
     count, lights = len(points), len(grid)
-    lean, R_d, R_s, inverse, most, form = variants  # taken from a tuple, an array's references are counted
+    lean, R_d, R_s, inverse, most, form, diffuse = variants  # taken from a tuple, an array's references are counted
     frames, sums, towards = np.zeros(18 * _AT_ONCE), np.zeros(4 * _AT_ONCE), np.zeros(3 * _AT_ONCE)
     rays, boxes, lit = np.zeros((lights, 8 * _AT_ONCE)), np.zeros((lights + 1, 2, 3)), np.zeros(lights, np.bool_)
     for first in range(0, count, _AT_ONCE):
@@ -328,14 +341,14 @@ def _point_kernel(
                 least_chord = farthest_exponent(most[t], lobe) / inverse[t]
                 # of a row's slice the compiler knows that no index counts from the end: it takes several at once
                 own = varied[t, first : first + number]
-                # light is linear in the normal where all that arrives is above the horizon
-                above, shiny = _extreme(normal, boxes, lights, 0) > 0.0, False
+                # Lambert's light is linear in the normal where all that arrives is above the horizon
+                above, shiny = is_lambert(diffuse) and _extreme(normal, boxes, lights, 0) > 0.0, False
                 for k in range(lights):
                     shiny |= lit[k] and 2.0 - 2.0 * _extreme(normal, boxes, k, 1) <= least_chord + 1e-9
                 if above and not shiny:
                     _fill_products(normal, R_d[t], towards, own)
                 else:
-                    variant = normal, R_d[t], R_s[t], lobe, least_chord
+                    variant = normal, R_d[t], R_s[t], diffuse, lobe, least_chord
                     _fill_variant(rays, boxes, lit, frames, variant, sums, own)
         else:
             varied[:, first : first + number] = 0.0
@@ -436,22 +449,29 @@ def _fill_variant(
     boxes: Float64,
     lit: Bool,
     frames: Float64,
-    variant: tuple[Vector, float, float, Lobe, float],
+    variant: tuple[Vector, float, float, DiffuseForm, Lobe, float],
     sums: Float64,
     varied: Levels,
 ) -> None:
-    # levels of a variant, by its normal, R_d, R_s, lobe and the least |N − H|² without a lobe. Rows of
-    # `sums`: diffuse and specular light, N·V, and |N − H|², infinite where there is no lobe
+    # levels of a variant, by its normal, R_d, R_s, form of diffuse light, lobe and the least |N − H|² without a lobe.
+    # Rows of `sums`: diffuse and specular light, N·V, and |N − H|², infinite where there is no lobe
     number = len(varied)
-    normal, R_d, R_s, lobe, least_chord = variant
+    normal, R_d, R_s, diffuse, lobe, least_chord = variant
     for j in range(number):
         sums[j] = sums[_AT_ONCE + j] = 0.0
         sums[2 * _AT_ONCE + j] = dot(normal, _vector(frames, 15, j))
     for k in range(len(rays)):
         if not lit[k]:
             continue
-        for j in range(number):
-            sums[j] += rays[k, 6 * _AT_ONCE + j] * lambert(dot(normal, _ray_vector(rays, k, 0, j)))
+        if is_lambert(diffuse):
+            for j in range(number):
+                sums[j] += rays[k, 6 * _AT_ONCE + j] * lambert(dot(normal, _ray_vector(rays, k, 0, j)))
+        else:
+            for j in range(number):
+                light = _ray_vector(rays, k, 0, j)
+                l_dot_v = dot(light, _vector(frames, 15, j))
+                term = diffuse_term(dot(normal, light), sums[2 * _AT_ONCE + j], l_dot_v, diffuse)
+                sums[j] += rays[k, 6 * _AT_ONCE + j] * term
         if 2.0 - 2.0 * _extreme(normal, boxes, k, 1) > least_chord + 1e-9:
             continue
         some = 0

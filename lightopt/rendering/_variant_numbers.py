@@ -5,7 +5,7 @@ from typing import NamedTuple
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector
-from lightopt.optics import Lobe
+from lightopt.optics import DiffuseForm, Lobe
 
 
 class VariantNumbers(NamedTuple):
@@ -17,6 +17,7 @@ class VariantNumbers(NamedTuple):
     most: The lobe is negligible where it is less than e^−most of its height, for the view that it is brightest in,
         shape (t,)
     lobe: Form of all lobes, of any width
+    diffuse: Form of the diffuse light of all
     """
 
     lean: Float64
@@ -25,6 +26,7 @@ class VariantNumbers(NamedTuple):
     inverse: Float64
     most: Float64
     lobe: Lobe
+    diffuse: DiffuseForm
 
 
 @kernel

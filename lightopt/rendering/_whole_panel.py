@@ -8,7 +8,7 @@ from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import column_at, dot, minus, scaled
 from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
-from lightopt.optics import Lobe, lambert, specular_divisor
+from lightopt.optics import Lobe, is_lambert, lambert, specular_divisor
 from lightopt.rendering._panel_quadrature import (
     NODES,
     WEIGHTS,
@@ -35,7 +35,8 @@ def whole_panel(
     index: Of the points, shape (j,)
     terms: Shape (k, 2)
     """
-    panel, lobe, nodes = light.panel, light.lobe, light.nodes
+    panel, lobe, form, nodes = light.panel, light.lobe, light.form, light.nodes
+    plain = is_lambert(form)
     # the processor works on several points at once in loops without branches over numbers that lie side by side
     p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
     diffuse, above, near = np.empty(_AT_ONCE), np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE, np.bool_)
@@ -53,7 +54,7 @@ def whole_panel(
             near[j] = not out_of_reach(column_at(p, j), normal, column_at(v, j), panel, lobe)
             specular[j] = 0.0
             diffuse[j] = 0.0
-        for a in range(nodes):
+        for a in range(nodes if plain else 0):
             for b in range(nodes):
                 q = panel_point(panel, NODES[nodes, b] - 0.5, NODES[nodes, a] - 0.5)
                 weight = WEIGHTS[nodes, a] * WEIGHTS[nodes, b]
@@ -68,8 +69,8 @@ def whole_panel(
         for j in range(count):
             i = index[first + j]
             point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
-            if not above[j]:
-                diffuse[j] = rectangle_diffuse(point, normal, panel, WHOLE_PANEL, nodes)
+            if not (plain and above[j]):
+                diffuse[j] = rectangle_diffuse(point, normal, view, panel, WHOLE_PANEL, form, nodes)
             terms[i, 0], terms[i, 1] = diffuse[j], specular[j]
             if near[j]:
                 terms[i, 1] = rectangle_specular(

@@ -14,7 +14,7 @@ from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, 
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
-from lightopt.optics import Reflectance, Sensor, SpecularModel, least_white_level, white_level
+from lightopt.optics import DiffuseForm, Reflectance, Sensor, SpecularModel, least_white_level, white_level
 from lightopt.scene._camera import (
     Distortion,
     Lens,
@@ -122,8 +122,18 @@ def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, see
         wide_ratio=1.0 if own.sigma_wide_rad is None else own.sigma_wide_rad / own.sigma,
         refractive_index=own.refractive_index,
     )
+    diffuse = DiffuseForm(
+        exponent=1.0 if own.diffuse_exponent is None else own.diffuse_exponent,
+        roughness=own.oren_nayar_roughness or 0.0,
+    )
     reflectance = Reflectance(
-        R_d=own.R_d, R_s=own.R_s, sigma=own.sigma, full_scale=full_scale, model=model, white_level=white
+        R_d=own.R_d,
+        R_s=own.R_s,
+        sigma=own.sigma,
+        full_scale=full_scale,
+        model=model,
+        diffuse=diffuse,
+        white_level=white,
     )
     if seen and white is not None and white < (least := least_white_level(reflectance)):
         raise InputError(

@@ -245,7 +245,7 @@ def _diffuse_responses(
     found = np.zeros((len(surface.points), len(numbers)))
     for number in range(len(numbers)):
         own = picture_light(light, (block == number).reshape(shape).astype(np.float64))
-        found[:, number] = scene.reflectance.R_d * light_of_channels(surface, [own], None)[0][0]
+        found[:, number] = scene.reflectance.R_d * light_of_channels(surface, [own], scene.reflectance.diffuse)[0][0]
     share = 1.0 / np.bincount(block)[block]
     means = sparse.csr_array((share, (block, np.arange(len(block)))), shape=(len(numbers), len(block)))
     return found, means

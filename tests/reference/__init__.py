@@ -9,10 +9,10 @@ from __future__ import annotations
 from ._casting import Hits, blocked, closest, trace
 from ._emitters import Emitter, emitter
 from ._frames import Camera, Light, posed, posed_normals
-from ._lobes import fresnel, specular
+from ._lobes import diffuse, fresnel, specular
 from ._matched_filter import matched_filter, summed_blocks
 from ._panel import equally_spaced, panel_radiance, product_rule, subtract_convex
-from ._shading import LayerImage, in_shadow, point_terms, render
+from ._shading import LayerImage, in_shadow, lambert, point_terms, render
 
 __all__ = [
     "Camera",
@@ -22,10 +22,12 @@ __all__ = [
     "Light",
     "blocked",
     "closest",
+    "diffuse",
     "emitter",
     "equally_spaced",
     "fresnel",
     "in_shadow",
+    "lambert",
     "matched_filter",
     "panel_radiance",
     "point_terms",

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ._shading import SMALLEST_COS_VIEW, dot, unit
+from ._shading import SMALLEST_COS_VIEW, dot, lambert, unit
 
 
 @dataclass(frozen=True)
@@ -116,19 +116,20 @@ class Emitter:
             total += (factor * np.maximum(0, dot(shining, away)) / dot(away, away) ** 1.5).sum()
         return total
 
-    def light(self, point, normal, view, sigma, *, visible=None, diffuse_cells=48):
+    def light(self, point, normal, view, sigma, *, visible=None, diffuse_cells=48, form=lambert):
         """I_d per R_d and I_s per R_s (equations (2), (3) under an area light) at one point.
 
         visible: of places (..., 3) from the point; all where None
+        form: diffuse light per unit of R_d, as `point_terms` takes it
         """
         diffuse = specular = 0.0
         for patch in self.patches:
-            diffuse += self._sum(patch, patch.grid(diffuse_cells), point, normal, view, None, visible)
+            diffuse += self._sum(patch, patch.grid(diffuse_cells), point, normal, view, None, visible, form)
             cells = self._cut(patch, point, normal, view, sigma)
             specular += self._sum(patch, cells, point, normal, view, sigma, visible)
         return diffuse, specular
 
-    def _sum(self, patch, cells, point, normal, view, sigma, visible):
+    def _sum(self, patch, cells, point, normal, view, sigma, visible, form=None):
         if not len(cells):
             return 0.0
         places, shining, factor = self.world(*patch.nodes(cells, 2 if sigma is None else 4))
@@ -140,7 +141,7 @@ class Emitter:
         if visible is not None:
             strength = strength * visible(places)
         if sigma is None:
-            return float((strength * np.maximum(0, cosine)).sum())
+            return float((strength * form(normal, view, to_light)).sum())
         # |N − H| = 2 sin(δ/2), which is accurate near zero
         away = normal - unit(to_light + view)
         delta = 2 * np.arcsin(np.minimum(1, np.sqrt(dot(away, away)) / 2))

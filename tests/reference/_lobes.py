@@ -1,4 +1,4 @@
-"""Specular lobes by the formulas of their papers, in plain NumPy."""
+"""Diffuse components and specular lobes by the formulas of their papers, in plain NumPy."""
 
 import numpy as np
 
@@ -24,6 +24,26 @@ def specular(normal, view, light, reflectance):
         index = model.refractive_index
         value = value * fresnel(np.sum(half * light, axis=-1), index) / fresnel(np.float64(1.0), index)
     return np.where((n_dot_l > 0.0) & (n_dot_v > 0.0), value, 0.0)
+
+
+def diffuse(normal, view, light, form):
+    """Diffuse light per unit of R_d, of unit vectors of shape (…, 3).
+
+    Oren and Nayar's with their angles: sinα tanβ cosφ, α the larger one of θ_i and θ_o and β the smaller one, where
+    cosφ is above 0; and sinθ_i sinθ_o cosφ where it is not (Fujii).
+    """
+    cos_i, cos_o = np.sum(normal * light, axis=-1), np.sum(normal * view, axis=-1)
+    if form.exponent != 1.0:
+        return np.maximum(0.0, cos_i) ** form.exponent
+    theta_i, theta_o = np.arccos(np.clip(cos_i, 0.0, 1.0)), np.arccos(np.clip(cos_o, 0.0, 1.0))
+    flat_i, flat_o = light - cos_i[..., None] * normal, view - cos_o[..., None] * normal
+    lengths = np.linalg.norm(flat_i, axis=-1) * np.linalg.norm(flat_o, axis=-1)
+    cos_phi = np.sum(flat_i * flat_o, axis=-1) / np.maximum(lengths, 1e-300)
+    beta = np.minimum(np.minimum(theta_i, theta_o), 0.5 * np.pi - 1e-9)
+    ahead = np.sin(np.maximum(theta_i, theta_o)) * np.tan(beta) * cos_phi
+    behind = np.sin(theta_i) * np.sin(theta_o) * cos_phi
+    scale = 1.0 + (0.5 - 2.0 / (3.0 * np.pi)) * form.roughness
+    return np.maximum(0.0, cos_i) * (1.0 + form.roughness * np.where(cos_phi > 0.0, ahead, behind)) / scale
 
 
 def fresnel(cosine, index):

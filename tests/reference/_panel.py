@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from ._casting import blocked
-from ._shading import dot, point_terms, shadow_point
+from ._shading import dot, lambert, point_terms, shadow_point
 
 CHUNK = 2**15  # pairs of pixel and node shaded together, as many as stay in a processor's cache
 
@@ -31,7 +31,7 @@ def equally_spaced(n):
     return u.ravel(), v.ravel(), np.full(n * n, 1 / n**2)
 
 
-def panel_radiance(hits, light, *, R_d, R_s, sigma, triangles=None, rule=None):
+def panel_radiance(hits, light, *, R_d, R_s, sigma, form=lambert, triangles=None, rule=None):
     """I_d and I_s (N,) of a panel with its output spread evenly, at front-facing hits.
 
     `triangles` cast shadows, tested by a ray to every node; without them only the horizons do. Where a shadow's
@@ -39,7 +39,7 @@ def panel_radiance(hits, light, *, R_d, R_s, sigma, triangles=None, rule=None):
     """
     u, v, weights = product_rule(64) if rule is None else rule
     sources = light.at(u, v)
-    diffuse, specular = np.zeros(len(hits.face)), np.zeros(len(hits.face))
+    sum_d, sum_s = np.zeros(len(hits.face)), np.zeros(len(hits.face))
     step = max(1, CHUNK // len(weights))
     for start in range(0, len(hits.face), step):
         part = slice(start, start + step)
@@ -50,10 +50,10 @@ def panel_radiance(hits, light, *, R_d, R_s, sigma, triangles=None, rule=None):
             for i in range(len(ends)):  # from the surface point, which all its rays share, to the nodes
                 near = may_hide(light, ends[i], triangles)
                 visible[i] &= ~blocked(ends[i], sources, triangles[near])
-        I_d, I_s = point_terms(seen, light, sources, R_d=R_d, R_s=R_s, sigma=sigma)
-        diffuse[part] = light.gain * (np.where(visible, I_d, 0) @ weights)
-        specular[part] = light.gain * (np.where(visible, I_s, 0) @ weights)
-    return diffuse, specular
+        I_d, I_s = point_terms(seen, light, sources, R_d=R_d, R_s=R_s, sigma=sigma, form=form)
+        sum_d[part] = light.gain * (np.where(visible, I_d, 0) @ weights)
+        sum_s[part] = light.gain * (np.where(visible, I_s, 0) @ weights)
+    return sum_d, sum_s
 
 
 def may_hide(light, point, triangles):
@@ -138,7 +138,7 @@ def triangle_rule(a, b, c, n):
     return uv[:, 0], uv[:, 1], w
 
 
-def subtract_convex(hits, light, diffuse, specular, corners, *, R_d, R_s, sigma, n=64):
+def subtract_convex(hits, light, diffuse, specular, corners, *, n=64, **reflection):
     """`panel_radiance` less the light that a convex body hides, integrated over the hidden polygon.
 
     Returns the two components and whether the body's shadow edge crosses the panel (penumbra).
@@ -158,7 +158,7 @@ def subtract_convex(hits, light, diffuse, specular, corners, *, R_d, R_s, sigma,
         one = hits[i : i + 1]
         for k in range(1, len(polygon) - 1):
             rule = triangle_rule(polygon[0], polygon[k], polygon[k + 1], n)
-            hidden = panel_radiance(one, light, R_d=R_d, R_s=R_s, sigma=sigma, rule=rule)
+            hidden = panel_radiance(one, light, **reflection, rule=rule)
             diffuse[i] -= hidden[0][0]
             specular[i] -= hidden[1][0]
     return diffuse, specular, penumbra

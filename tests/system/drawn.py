@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 from captured import observe
+from reference import lambert
 
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
@@ -26,10 +27,12 @@ def draw_images(
     R_d: float,
     R_s: float,
     exposures: Sequence[float],
+    form: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] = lambert,
 ) -> tuple[Observation, ...]:
     """Noisy images of all postures under all lights.
 
-    lobe: Specular light per unit of R_s, of unit normals, views and directions of light, shape (k, 3) each
+    lobe, form: Specular light per unit of R_s and diffuse light per unit of R_d, of unit normals, views and directions
+        of light, shape (k, 3) each
     """
     images = []
     for number, posture in enumerate(scene.postures):
@@ -41,8 +44,8 @@ def draw_images(
                 place = panel.centre + 0.5 * (s * panel.size[0] * panel.across + t * panel.size[1] * panel.along)
                 towards = place - surface.points
                 towards /= np.linalg.norm(towards, axis=1)[:, None]
-                n_dot_l = np.einsum("ij,ij->i", surface.normals, towards)
-                value = R_d * np.maximum(0.0, n_dot_l) + R_s * lobe(surface.normals, surface.views, towards)
+                directions = surface.normals, surface.views, towards
+                value = R_d * form(*directions) + R_s * lobe(*directions)
                 total += 0.25 * of_s * of_t * value
             lit = panel_visibility(pixels, panel, caster) != UNLIT
             level = np.zeros(pixels.shape, np.float32)

@@ -11,7 +11,7 @@ from functools import partial
 
 import pytest
 from drawn import draw_images
-from reference import specular
+from reference import diffuse, specular
 
 from lightopt import build_scene
 from lightopt.core.errors import InputError
@@ -19,7 +19,7 @@ from lightopt.estimate.reflectance import FitOptions
 from lightopt.estimate.reflectance._fit import _fit_one
 from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.reflectance._validation import leave_lights_out, model_row
-from lightopt.optics import Reflectance, SpecularModel
+from lightopt.optics import LAMBERT, DiffuseForm, Reflectance, SpecularModel
 from lightopt.rendering import cast_rays_at
 
 TRUTHS = {
@@ -47,9 +47,9 @@ def scene_and_caster(shared_bench):
     return scene, cast_rays_at(scene)
 
 
-def setup_of(scene, caster, images, model):
+def setup_of(scene, caster, images, model, form=None):
     reflectance = replace(scene.reflectance, model=SpecularModel(name=model))
-    options = FitOptions(joint=True, pixels=20_000)
+    options = FitOptions(joint=True, pixels=20_000, diffuse=form)
     return FitSetup(replace(scene, reflectance=reflectance), caster, images, options=options)
 
 
@@ -79,3 +79,57 @@ def test_coefficients_and_form_of_the_lobe_are_found(scene_and_caster, truth):
     # one Gaussian lobe is a special case of two
     pair = {truth, "two-lobe"} if truth == "torrance-sparrow" else {truth}
     assert all(row.rms > 1.1 * rows[truth].rms for name, row in rows.items() if name not in pair)
+
+
+FORMS = {"exponent": DiffuseForm(exponent=1.3), "oren-nayar": DiffuseForm(roughness=0.5)}
+
+
+def drawn_with(scene, caster, own):
+    how = {"R_d": own.R_d, "R_s": own.R_s, "exposures": (1.0, 1 / 16), "form": partial(diffuse, form=own.diffuse)}
+    return draw_images(scene, caster, partial(specular, reflectance=own), **how)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["torrance-sparrow", "ggx"])
+@pytest.mark.parametrize("name", FORMS)
+def test_exponent_and_roughness_are_found(scene_and_caster, name, model):
+    scene, caster = scene_and_caster
+    own = replace(TRUTHS[model], R_d=90.0, diffuse=FORMS[name])
+    result, _, _ = _fit_one(setup_of(scene, caster, drawn_with(scene, caster, own), model, name))
+    truth = coefficients(own)
+    truth |= {"diffuse_exponent": own.diffuse.exponent, "oren_nayar_roughness": own.diffuse.roughness}
+    assert result.fitted[-1] == ("diffuse_exponent" if name == "exponent" else "oren_nayar_roughness")
+    for key in result.fitted:
+        found = next(v for v in result.values if v.name == key)
+        assert found.value == pytest.approx(truth[key], rel=0.01), key
+        assert abs(found.value - truth[key]) <= 4.0 * found.standard_error + 1e-3 * truth[key], key
+    assert result.diffuse == pytest.approx(own.diffuse, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_roughness_that_images_deny_is_refused(scene_and_caster):
+    scene, caster = scene_and_caster
+    own = replace(TRUTHS["torrance-sparrow"], R_d=90.0, diffuse=DiffuseForm(exponent=1.5))
+    with pytest.raises(InputError, match="do not determine oren_nayar_roughness, whose best value is"):
+        _fit_one(setup_of(scene, caster, drawn_with(scene, caster, own), "torrance-sparrow", "oren-nayar"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FORMS)
+def test_diffuse_coefficient_is_that_of_its_form(scene_and_caster, name):
+    scene, caster = scene_and_caster
+    own = replace(TRUTHS["torrance-sparrow"], R_d=90.0, diffuse=FORMS[name])
+    images = drawn_with(scene, caster, own)
+    rms = {}
+    for form in (own.diffuse, LAMBERT):
+        some = replace(scene, reflectance=replace(scene.reflectance, diffuse=form))
+        result, setup, samples = _fit_one(setup_of(some, caster, images, "torrance-sparrow"))
+        left_out = leave_lights_out(setup, samples, result.estimate)
+        rms[form] = model_row("torrance-sparrow", left_out, result.estimate).rms
+        if form == own.diffuse:
+            for key, value in coefficients(own).items():
+                found = next(v for v in result.values if v.name == key)
+                assert found.value == pytest.approx(value, rel=0.005), key
+                assert abs(found.value - value) <= 4.0 * found.standard_error + 1e-3 * value, key
+    print({form: round(value, 3) for form, value in rms.items()})
+    assert rms[LAMBERT] > 2.0 * rms[own.diffuse]

@@ -488,10 +488,38 @@ def test_the_form_of_the_lobe_is_chosen_and_written(cli, bench):
     assert reflectance.alpha == pytest.approx(0.08, rel=0.02)
 
 
+@pytest.mark.slow
+def test_the_form_of_the_diffuse_component_is_fitted_and_written(cli, bench):
+    bench.edit("part.yaml", "R_d: 45.0", "R_d: 90, diffuse_exponent: 1.4")
+    images = bench.folder / "images"
+    rendered = cli("render", bench.rig, bench.part, "-o", images, "-q", "--noise", 2, "--exposures", "1,1/16")
+    assert rendered.status == 0, rendered.err
+    bench.edit("part.yaml", "R_d: 90, diffuse_exponent: 1.4", "R_d: 30, oren_nayar_roughness: 0.3")
+    options = ("--joint", "--pixels", 5000, "--no-validate", "--diffuse")
+    for form, key in (("exponent", "diffuse_exponent"), ("lambert", None)):
+        out = bench.folder / form
+        found = cli("fit-specular", bench.rig, bench.part, images, "-o", out, *options, form)
+        assert found.status == 0, found.err
+        reflectance = load_part(out / "part.fitted.yaml").reflectance
+        assert reflectance.oren_nayar_roughness is None
+        if key is None:
+            assert reflectance.diffuse_exponent is None
+        else:
+            assert reflectance.diffuse_exponent == pytest.approx(1.4, rel=0.01)
+            assert reflectance.R_d == pytest.approx(90.0, rel=0.01)
+            assert re.search(rf"{key} +1\.", found.out)
+        written = json.loads((out / "fit.json").read_text())["diffuse"]
+        assert written["exponent"] == pytest.approx(reflectance.diffuse_exponent or 1.0, rel=1e-4)
+        assert written["oren_nayar_roughness"] == 0.0
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--model", "phong"], ["--model", "ggx", "found"]),
+        (["--diffuse", "phong"], ["--diffuse: expected lambert, exponent or oren-nayar", "found"]),
+        (["--diffuse", "exponent"], ["another R_d", "joint"]),
+        (["--diffuse", "exponent", "--joint", "--method", "paper"], ["--method paper"]),
         (["--method", "paper", "--model", "auto"], ["--method paper", "one Gaussian lobe"]),
         (["--method", "paper", "--model", "ggx"], ["one Gaussian lobe", "ggx"]),
     ],

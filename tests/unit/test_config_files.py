@@ -468,6 +468,13 @@ def test_missing_keys_are_described(folder: Path) -> None:
             ["at most R_s, 100", "more than sigma_rad"],
         ),
         ("model: phong, sigma_rad: 0.05", ["model", "ggx"]),
+        ("sigma_rad: 0.05, diffuse_exponent: 0", ["diffuse_exponent: expected a number from 0.5 to 5, found 0"]),
+        ("sigma_rad: 0.05, oren_nayar_roughness: 1.5", ["oren_nayar_roughness: expected a number from 0 to 1"]),
+        (
+            "sigma_rad: 0.05, oren_nayar_roughness: 0.3, diffuse_exponent: 1.12",
+            ["oren_nayar_roughness: the diffuse component has one form: diffuse_exponent is given, too"],
+        ),
+        ("sigma_rad: 0.05, oren_nayar_sigma: 0.3", ['unknown key "oren_nayar_sigma"; did you mean']),
         ("sigma_rad: 0.05, refractive_index: [2.0]", ["refractive_index", "[n, k]"]),
         ("sigma_rad: 0.05, refractive_index: [2.0, -1.0]", ["refractive_index", "above 0"]),
     ],

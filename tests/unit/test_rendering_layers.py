@@ -10,7 +10,7 @@ import pytest
 
 from lightopt import build_scene, render
 from lightopt.config import load_rig
-from lightopt.optics import Reflectance
+from lightopt.optics import LAMBERT, Reflectance
 from lightopt.rendering import UNLIT, WHOLE, cast_rays_at, light_layer, mask_pixels, specular_of_layers, trace_pixels
 from lightopt.rendering._pixels import LEFT_OUT, panel_visibility
 from lightopt.rendering._surface import GRAZING_COSINE
@@ -32,7 +32,7 @@ def test_layers_are_the_renderers(shared_bench, points, sigma):
         for panel, image in zip(pixels.view.lights, images.lights, strict=True):
             visibility = panel_visibility(pixels, panel, caster)
             whole = np.flatnonzero(visibility == WHOLE)
-            layer = light_layer(pixels.surface.take(whole), panel, caster)
+            layer = light_layer(pixels.surface.take(whole), panel, caster, form=LAMBERT)
             place = pixels.row[whole], pixels.column[whole]
             assert len(whole) > 3000
             diffuse = scene.reflectance.R_d * layer.diffuse
@@ -72,7 +72,7 @@ def test_threads_do_not_matter(shared_bench):
         pixels = trace_pixels(scene, scene.postures[1], caster, threads=threads)
         panel = pixels.view.lights[1]
         whole = np.flatnonzero(panel_visibility(pixels, panel, caster, threads=threads) == WHOLE)
-        layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
+        layer = light_layer(pixels.surface.take(whole), panel, caster, form=LAMBERT, threads=threads)
         layers.append((layer.diffuse, layer.specular(of_width(0.05), threads=threads)))
     assert all(np.array_equal(a, b) for a, b in zip(*layers, strict=True))
 
@@ -84,7 +84,7 @@ def test_the_deflection_is_never_more_than_that_of_a_point_of_the_panel(shared_b
     pixels = trace_pixels(scene, scene.postures[0], caster)
     panel = pixels.view.lights[0]
     whole = np.flatnonzero(panel_visibility(pixels, panel, caster) == WHOLE)
-    layer = light_layer(pixels.surface.take(whole), panel, caster)
+    layer = light_layer(pixels.surface.take(whole), panel, caster, form=LAMBERT)
     sigma = 0.05
     bound = np.exp(-0.5 * (layer.deflection / sigma) ** 2) / 0.1
     assert np.all(layer.specular(of_width(sigma)) <= 1.05 * bound + 1e-12)
@@ -147,7 +147,7 @@ def test_layers_of_channels_are_those_of_each(shared_bench):
     pixels = trace_pixels(scene, scene.postures[0], caster)
     some = np.flatnonzero(pixels.clean)[::7]
     layers = [
-        light_layer(pixels.surface.take(some[: 500 + (k == 2)]), light, caster)
+        light_layer(pixels.surface.take(some[: 500 + (k == 2)]), light, caster, form=LAMBERT)
         for k, light in enumerate(pixels.view.lights)
     ]
     together = specular_of_layers(layers, of_width(0.0475))

@@ -130,12 +130,15 @@ def test_sensor_and_reflectance_arrive(block):
         "{bit_depth: 8, read_noise_levels: 0.8, electrons_per_level: 60}",
         "{bit_depth: 12, saturation_level: 4080, black_level: 64, read_noise_levels: 2, electrons_per_level: 5}",
     )
-    block.edit("part.yaml", "sigma_rad: 0.0475", "sigma_rad: 0.1, full_scale: 1000")
+    block.edit("part.yaml", "sigma_rad: 0.0475", "sigma_rad: 0.1, full_scale: 1000, diffuse_exponent: 1.12")
     scene = build_scene(block.rig, block.part)
     s, r = scene.sensor, scene.reflectance
     assert (s.bit_depth, s.saturated_from, s.black_level) == (12, 4080, 64)
     assert (s.read_noise_levels, s.electrons_per_level) == (2, 5)
     assert (r.R_d, r.R_s, r.sigma, r.full_scale) == (45.0, 12500, 0.1, 1000)
+    assert r.diffuse == (1.12, 0.0)
+    block.edit("part.yaml", "diffuse_exponent: 1.12", "oren_nayar_roughness: 0.3")
+    assert build_scene(block.rig, block.part).reflectance.diffuse == (1.0, 0.3)
 
 
 @pytest.mark.parametrize("coefficients", ["{k1: -1.5}", "{k1: 0.5, k2: -9}", "{p1: 3}"])

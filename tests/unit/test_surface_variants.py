@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reference import specular
+from reference import diffuse, specular
 
 from lightopt.config import RigConfig
 from lightopt.lights import PanelLight
-from lightopt.optics import Reflectance, SpecularModel
+from lightopt.optics import LAMBERT, DiffuseForm, Reflectance, SpecularModel
 from lightopt.rendering import SurfacePoints, shade_variants_together, surface_variants
 from lightopt.rendering._converged_panel import converged_panel, shade_converged
 from lightopt.rendering._surface_light import shade_surface_lights
@@ -17,9 +17,11 @@ from lightopt.rendering._surface_variants import NEGLIGIBLE_LEVEL, shade_variant
 from lightopt.scene import build_lights
 
 MODELS = {
-    "torrance-sparrow": SpecularModel(),
-    "ggx": SpecularModel(name="ggx", refractive_index=(1.98, 3.74)),
-    "two-lobe": SpecularModel(name="two-lobe", wide_share=0.03, wide_ratio=5.0),
+    "torrance-sparrow": (SpecularModel(), LAMBERT),
+    "ggx": (SpecularModel(name="ggx", refractive_index=(1.98, 3.74)), LAMBERT),
+    "two-lobe": (SpecularModel(name="two-lobe", wide_share=0.03, wide_ratio=5.0), LAMBERT),
+    "exponent": (SpecularModel(), DiffuseForm(exponent=1.4)),
+    "oren-nayar": (SpecularModel(), DiffuseForm(roughness=0.7)),
 }
 POINTS = 700  # more than are computed together, and no multiple of them
 SLOPES = np.radians([0.0, 2.0, 2.0, 12.0, 30.0, 0.0])
@@ -79,8 +81,7 @@ def plain_levels(surface, references, panel, slope, direction, reflectance):
             if panel.inverse_square:
                 weight = weight * panel.distance**2 / r2
             weight = weight * np.maximum(0.0, light @ panel.outward) ** panel.emission_exponent
-            n_dot_l = (normals * light).sum(axis=1)
-            total += weight * reflectance.R_d * np.maximum(0.0, n_dot_l)
+            total += weight * reflectance.R_d * diffuse(normals, surface.views, light, reflectance.diffuse)
             total += weight * reflectance.R_s * specular(normals, surface.views, light, reflectance)
     return total
 
@@ -91,7 +92,8 @@ def plain_levels(surface, references, panel, slope, direction, reflectance):
 def test_levels_are_those_of_the_equations(model, sigma, further):
     """Narrow lobes that few points are near, and wide ones that the series of narrow ones does not reach."""
     surface, references = surface_of(np.random.default_rng(5))
-    reflectance = Reflectance(R_d=45.0, R_s=4000.0, sigma=sigma, model=MODELS[model])
+    lobe, form = MODELS[model]
+    reflectance = Reflectance(R_d=45.0, R_s=4000.0, sigma=sigma, model=lobe, diffuse=form)
     (variants,) = surface_variants(
         slope=SLOPES, direction=DIRECTIONS, R_d_factor=R_D_FACTOR, sigma_factor=SIGMA_FACTOR, reflectances=[reflectance]
     )
@@ -128,7 +130,9 @@ def test_variants_of_whole_lights_are_the_light_on_other_surfaces(kind, model, s
     surface, references = surface_of(np.random.default_rng(5))
     few = np.arange(0, POINTS, 5)
     surface, references = surface.take(few), references[few]
-    reflectance = Reflectance(R_d=45.0, R_s=4000.0 * (0.05 / sigma) ** 2, sigma=sigma, model=MODELS[model])
+    lobe, form = MODELS[model]
+    R_s = 4000.0 * (0.05 / sigma) ** 2
+    reflectance = Reflectance(R_d=45.0, R_s=R_s, sigma=sigma, model=lobe, diffuse=form)
     if kind == "panel":
         light = replace(panel_at(1.0, 0.4), points="auto")
         light = converged_panel(light, centre=np.zeros(3), radius=25.0)
@@ -152,10 +156,11 @@ def test_variants_of_whole_lights_are_the_light_on_other_surfaces(kind, model, s
         if kind == "panel":
             sample, shape = 2 * np.arange(len(few)), (1, 2 * len(few))
             how = {"sample": sample, "shape": shape, "reflectance": reflectance, "caster": None}
-            diffuse, specular_light, _ = shade_converged(leaning, light, **how)
+            diffuse_light, specular_light, _ = shade_converged(leaning, light, **how)
         else:
-            (diffuse,), (specular_light,) = shade_surface_lights(leaning, [light], reflectance=reflectance, caster=None)
-        expected = reflectance.R_d * diffuse + reflectance.R_s * specular_light
+            how = {"reflectance": reflectance, "caster": None}
+            (diffuse_light,), (specular_light,) = shade_surface_lights(leaning, [light], **how)
+        expected = reflectance.R_d * diffuse_light + reflectance.R_s * specular_light
         # a few points stand for a panel, and a few nodes for an element, to a few per cent of most lobes
         off = np.abs(found.varied[t] - expected) > 0.03 * expected + 0.02 * expected.max()
         assert off.mean() <= 0.02

@@ -11,6 +11,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
+from lightopt.estimate.reflectance._diffuse_form import KEYS, fit_diffuse_form
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance, refit
 from lightopt.estimate.reflectance._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
@@ -37,7 +38,7 @@ from lightopt.estimate.reflectance._result import (
     negative_black_level_warnings,
     separate_region_warnings,
 )
-from lightopt.estimate.reflectance._samples import Samples, evenly_lit, subsample
+from lightopt.estimate.reflectance._samples import Samples, evenly_lit, subsample, with_form
 from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, prepare_fit
 from lightopt.estimate.reflectance._validation import (
     ModelRow,
@@ -50,7 +51,7 @@ from lightopt.estimate.reflectance._validation import (
 )
 from lightopt.estimate.reflectance._wide_lobe import fit_wide_lobe
 from lightopt.images import ImageSet
-from lightopt.optics import ModelName, Reflectance, farthest_exponent
+from lightopt.optics import LAMBERT, ModelName, Reflectance, farthest_exponent
 from lightopt.scene import coarse_points
 
 HIGHLIGHT_LEVEL = 0.1  # pixels that a highlight lights by less than this are diffuse only [grey level at exposure 1]
@@ -157,6 +158,8 @@ def fit_specular(
     Raises InputError: images that are not the rig's or not the part's, or that do not determine R_s and σ.
     """
     options, run = options or FitOptions(), run or RunContext()
+    if options.diffuse is not None and not options.joint:
+        raise InputError("another form of the diffuse component has another R_d: fit that, too, with option 'joint'")
     tried: list[tuple[FitResult, FitSetup, Samples, PointsRow | None]] = []
     choices: list[Points | None] = [*options.points] or [None]
 
@@ -164,7 +167,7 @@ def fit_specular(
         return prepare_fit(rig, part, image_set, points, options, run, model=model)
 
     try:
-        first, models = _fit_form(lambda model: prepared(choices[0], model), options)
+        first, models = _fit_lobe(lambda model: prepared(choices[0], model), options)
     except InputError as error:
         if not part.regions or len(choices) > 1:
             raise
@@ -188,7 +191,7 @@ def fit_specular(
     return result
 
 
-def _fit_form(
+def _fit_lobe(
     prepared: Callable[[ModelName | None], FitSetup], options: FitOptions
 ) -> tuple[_Fitted, tuple[ModelRow, ...]]:
     # with the form of the lobe that the options name or want chosen
@@ -207,7 +210,8 @@ def _validated(fitted: _Fitted, save_prediction: SavePrediction | None = None) -
 
 
 def _fit_specular_region(setup: FitSetup) -> FitResult:
-    fitted, models = _fit_form(setup.with_form, setup.options)
+    start = setup if setup.options.diffuse is None else setup.with_form(LAMBERT)
+    fitted, models = _fit_lobe(start.with_lobe, setup.options)
     return replace(_validated(fitted), models=models)
 
 
@@ -220,6 +224,7 @@ def _unfitted_outside(setup: FitSetup, error: InputError, kind: Literal["diffuse
         kind=kind,
         method="likelihood",
         model=own.model,
+        diffuse=own.diffuse,
         points=setup.scene.lights[0].points,
         values=(FittedValue(name="R_d", value=own.R_d), *_unfitted(setup)),
         fitted=(),
@@ -290,7 +295,15 @@ def _fit_one(setup: FitSetup) -> _Fitted:
         record = paper_specular(samples, options.paper, R_d=reflectance.R_d, progress=setup.run.stage("sweeping σ"))
         return _paper_result(setup, samples, record), setup, samples
     samples = setup.collect()
-    wide = None
+    wide = formed = None
+    if options.diffuse in ("exponent", "oren-nayar"):
+        if samples.model.name == "two-lobe":
+            raise InputError(
+                "model two-lobe: the wide lobe and the form of the diffuse component are not fitted at once; give the "
+                "form in the part file"
+            )
+        formed = fit_diffuse_form(samples, options.diffuse, caster=setup.caster, freed=options.freed, run=setup.run)
+        setup, samples = setup.with_form(formed.form), with_form(samples, formed.form, setup.caster)
     if samples.model.name == "two-lobe":
         wide = fit_wide_lobe(samples, freed=options.freed, held=setup.held, run=setup.run)
         setup, samples = setup.with_model(wide.model), replace(samples, model=wide.model)
@@ -299,12 +312,16 @@ def _fit_one(setup: FitSetup) -> _Fitted:
     placed = refuse_unexplained_images(setup, samples, found, quality)
     refuse_out_of_range(found, float(found.R_s * samples.specular(found.sigma).max()), samples.model)
     values = fitted_values(found, full_scale=reflectance.full_scale, model=samples.model, wide=wide)
+    if formed is not None:
+        values = formed.values(found, values, samples.model.width_key)
     interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in setup.observations}
     warnings = [*setup.warnings, *convergence_warnings(found)]
     warnings += separate_region_warnings(values)
     warnings += fit_warnings(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
     result = _result("specular", setup, samples, found, quality, values, warnings)
+    if formed is not None:
+        result = replace(result, fitted=(*result.fitted, KEYS[formed.name]))
     return replace(result, correlation=found.correlation(LOG_R_S, LOG_SIGMA)), setup, samples
 
 
@@ -332,6 +349,7 @@ def _result(
         kind=kind,
         method="likelihood",
         model=samples.model,
+        diffuse=setup.scene.reflectance.diffuse,
         points=setup.scene.lights[0].points,
         values=values,
         fitted=("R_d",) if kind == "diffuse" else specular,
@@ -424,6 +442,7 @@ def _paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | Paper
         kind="diffuse" if isinstance(paper, PaperDiffuse) else "specular",
         method="paper",
         model=own.model,
+        diffuse=own.diffuse,
         points=setup.scene.lights[0].points,
         values=tuple(FittedValue(name=name, value=value) for name, value in values.items()),
         fitted=tuple(fitted),

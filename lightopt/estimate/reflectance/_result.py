@@ -23,12 +23,13 @@ from lightopt.estimate.reflectance._validation import LeftOut, ModelRow, PointsR
 from lightopt.estimate.reflectance._wide_lobe import WideLobe
 from lightopt.estimate.registration import Placement, Registration
 from lightopt.images import ImageSet, ResultFolder
-from lightopt.optics import SpecularModel
+from lightopt.optics import DiffuseForm, SpecularModel
 from lightopt.scene import Scene
 
 PART_NAME = "part.fitted.yaml"
 RIG_NAME = "rig.fitted.yaml"
 FIT_NAME = "fit.json"
+DIFFUSE_KEYS = ("diffuse_exponent", "oren_nayar_roughness")  # of part files
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class FitResult:
     kind: Literal["diffuse", "specular"]
     method: Literal["likelihood", "paper"]
     model: SpecularModel  # the specular lobe
+    diffuse: DiffuseForm
     points: int | Literal["auto"]  # point lights per panel, or ``"auto"``
     values: tuple[FittedValue, ...]
     fitted: tuple[str, ...]  # names of the values that were fitted and belong in the part file
@@ -119,7 +121,13 @@ class FitResult:
     @property
     def not_left_out(self) -> tuple[str, ...]:
         """Parameters that validation takes from all images, also from those of the light that is left out."""
-        freed = (("its own gain", self.gains), ("the black level", self.dark), ("the part's placement", self.placement))
+        form = "".join(name for name in self.fitted if name in DIFFUSE_KEYS) or None
+        freed = (
+            ("its own gain", self.gains),
+            ("the black level", self.dark),
+            ("the part's placement", self.placement),
+            (form or "", form),
+        )
         return tuple(name for name, value in freed if value is not None)
 
     def as_dict(self) -> dict[str, Any]:
@@ -135,6 +143,7 @@ class FitResult:
             "kind": self.kind,
             "method": self.method,
             "model": self.model.name,
+            "diffuse": {"exponent": self.diffuse.exponent, "oren_nayar_roughness": self.diffuse.roughness},
             "points": self.points,
             "fitted": list(self.fitted),
             "values": {v.name: v.as_dict() for v in self.values},
@@ -362,6 +371,10 @@ def _reflectance_values(
         values[(*keys, "model")] = result.model.name
         superseded = [name for name in fitted_names(SpecularModel(name=own.model)) if name not in result.fitted]
         values |= {(*keys, name): None for name in superseded}
+    if (own.diffuse_exponent or 1.0, own.oren_nayar_roughness or 0.0) != result.diffuse:
+        # of another form than that of the fit
+        given = [key for key in DIFFUSE_KEYS if getattr(own, key) is not None and key not in result.fitted]
+        values |= {(*keys, key): None for key in given}
     return values
 
 

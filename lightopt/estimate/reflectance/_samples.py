@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
-from lightopt.optics import Reflectance, Sensor, SpecularModel
+from lightopt.optics import DiffuseForm, Reflectance, Sensor, SpecularModel
 from lightopt.rendering import (
     UNLIT,
     WHOLE,
@@ -147,7 +147,8 @@ def collect_samples(
             seen = visibility_of_lights(pixels, [pixels.view.lights[i] for i in own], caster, threads=threads)
             verdicts = dict(zip(own, seen, strict=True))
         draw = draws.setdefault((posture, _entry(pixels.view.lights[light])), light)
-        groups += _choose(pixels, verdicts[light], posture, light, draw, caster, budget, uniform, threads)
+        how = caster, scene.reflectance.diffuse, budget, uniform, threads
+        groups += _choose(pixels, verdicts[light], posture, light, draw, *how)
         progress((done + 1) / len(wanted))
     return _assemble(scene, groups, tuple(observations), threads)
 
@@ -198,13 +199,24 @@ def _entry(light: PanelLight) -> int | str:
 def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
     """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again."""
 
-    def evenly(group: SampleGroup) -> SampleGroup:
-        if group.layer is None:
-            return group
-        panel = replace(group.layer.light, points="auto")
-        return replace(group, layer=light_layer(group.layer.surface, panel, caster, threads=samples.threads))
+    def evenly(layer: LightLayer) -> LightLayer:
+        panel = replace(layer.light, points="auto")
+        return light_layer(layer.surface, panel, caster, form=layer.form, threads=samples.threads)
 
-    groups = tuple(map(evenly, samples.groups))
+    return _with_layers(samples, evenly)
+
+
+def with_form(samples: Samples, form: DiffuseForm, caster: RayCaster) -> Samples:
+    """The same pixels with another form of the diffuse component; no ray is cast again."""
+
+    def formed(layer: LightLayer) -> LightLayer:
+        return light_layer(layer.surface, layer.light, caster, form=form, threads=samples.threads)
+
+    return _with_layers(samples, formed)
+
+
+def _with_layers(samples: Samples, of: Callable[[LightLayer], LightLayer]) -> Samples:
+    groups = tuple(g if g.layer is None else replace(g, layer=of(g.layer)) for g in samples.groups)
     return replace(samples, groups=groups, diffuse=np.concatenate([group.diffuse for group in groups]))
 
 
@@ -215,6 +227,7 @@ def _choose(
     light: int,
     draw: int,  # number that the pixels are drawn by
     caster: RayCaster,
+    form: DiffuseForm,
     budget: int,
     uniform: bool,
     threads: int | None,
@@ -223,7 +236,7 @@ def _choose(
     own = pixels.clean if pixels.surface.material is None else pixels.clean & (pixels.surface.material == 0)
     whole = np.flatnonzero(own & (verdict == WHOLE))
     unlit = np.flatnonzero(own & (verdict == UNLIT))
-    layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
+    layer = light_layer(pixels.surface.take(whole), panel, caster, form=form, threads=threads)
     angle = np.zeros(len(whole)) if uniform else layer.deflection
     keep, share = _by_octave(angle, budget, (posture, draw))
     few, few_share = _by_octave(np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, draw))

@@ -26,7 +26,7 @@ from lightopt.estimate.registration import (
 )
 from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet
-from lightopt.optics import ModelName, Reflectance, SpecularModel
+from lightopt.optics import LAMBERT, DiffuseForm, ModelName, Reflectance, SpecularModel
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene, scene_of_region
 
@@ -47,6 +47,7 @@ class FitOptions:
     pixels: Approximate number of pixels to use, over all images.
     model: Form of the specular lobe, instead of the part file's; auto for that by which left-out lights are predicted
         best.
+    diffuse: Form of the diffuse component, whose exponent or roughness is fitted, too; None for that of the part file.
     write_noise: Whether to write the noise of the images into the rig file.
     """
 
@@ -60,6 +61,7 @@ class FitOptions:
     validate: bool = True
     write_noise: bool = False
     model: ModelName | Literal["auto"] | None = None
+    diffuse: Literal["lambert", "exponent", "oren-nayar"] | None = None
     paper: PaperOptions = field(default_factory=PaperOptions)
 
     @property
@@ -105,7 +107,7 @@ class FitSetup:
             sensor = replace(sensor, black_level=black_level)
         return replace(self, scene=replace(self.scene, lights=lights, sensor=sensor))
 
-    def with_form(self, name: ModelName | None) -> FitSetup:
+    def with_lobe(self, name: ModelName | None) -> FitSetup:
         """The same with a specular lobe of this form; None and that of the part file change nothing."""
         own = self.scene.reflectance.model
         if name in (None, own.name):
@@ -115,6 +117,10 @@ class FitSetup:
     def with_model(self, model: SpecularModel) -> FitSetup:
         """The same with another specular lobe."""
         return replace(self, scene=replace(self.scene, reflectance=replace(self.scene.reflectance, model=model)))
+
+    def with_form(self, form: DiffuseForm) -> FitSetup:
+        """The same with another form of the diffuse component."""
+        return replace(self, scene=replace(self.scene, reflectance=replace(self.scene.reflectance, diffuse=form)))
 
     def collect(self, *, uniform: bool = False) -> Samples:
         """Samples of the images, as many as the options want; `uniform` for the paper's procedure."""
@@ -149,7 +155,9 @@ def prepare_fit(
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False)
-    setup = FitSetup(scene, cast_rays_at(scene), observations, options=options, run=run).with_form(model)
+    setup = FitSetup(scene, cast_rays_at(scene), observations, options=options, run=run).with_lobe(model)
+    if options.diffuse is not None:
+        setup = setup.with_form(LAMBERT)
     if not options.register:
         return setup
     found = register_with_fit(

@@ -14,7 +14,7 @@ from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import Placement
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
-from lightopt.optics import Reflectance
+from lightopt.optics import DiffuseForm, Reflectance
 from lightopt.rendering import (
     UNLIT,
     WHOLE,
@@ -105,21 +105,26 @@ def _layers(
     for index, some, own in surface.by_material(reflectances):
         lobes = [replace(own, sigma=sigma * (own.sigma / first.sigma)) for sigma in sigmas]
         shares = own.R_d / max(first.R_d, LEAST_R_D), own.R_s / max(first.R_s, LEAST_R_S)
-        for place, layer in enumerate(_layers_of_one(some, group, caster, lobes, threads)):
+        for place, layer in enumerate(_layers_of_one(some, group, caster, own.diffuse, lobes, threads)):
             layers[place][:, index] = layer if own is first else shares[place > 0] * layer
     return layers
 
 
 def _layers_of_one(
-    surface: SurfacePoints, group: Sequence[PanelLight], caster: RayCaster, lobes: Sequence[Reflectance], threads: int
+    surface: SurfacePoints,
+    group: Sequence[PanelLight],
+    caster: RayCaster,
+    form: DiffuseForm,
+    lobes: Sequence[Reflectance],
+    threads: int,
 ) -> Iterator[Float64]:
     channels = [light for light in group if isinstance(light, SurfaceLight)]
     if channels:
-        yield light_of_channels(surface, channels, None, threads=threads)[0]
+        yield light_of_channels(surface, channels, form, threads=threads)[0]
         for lobe in lobes:
             yield light_of_channels(surface, channels, lobe, diffuse=False, threads=threads)[1]
         return
-    layer = light_layer(surface, group[0], caster, threads=1)
+    layer = light_layer(surface, group[0], caster, form=form, threads=1)
     yield layer.diffuse[None]
     for lobe in lobes:
         yield layer.specular(lobe, threads=1)[None]
