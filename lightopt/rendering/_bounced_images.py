@@ -15,6 +15,7 @@ from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import dot, length, minus, vector_at
 from lightopt.geometry import Hits
+from lightopt.rendering._caustics import caustic_levels, landed_light
 from lightopt.rendering._interreflection import PartLight
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PinholeCamera, lens_share
@@ -64,6 +65,7 @@ def bounced_bands(
     n, (left, top, right, bottom) = supersample, window
     columns = (np.arange(left * n, right * n) + 0.5) / n + offset[0]
     step = max(1, BAND // n)
+    landed = landed_light(light, (right - left) * (bottom - top) * n * n, threads)
     for first in range(top, bottom, step):
         end = min(first + step, bottom)
         # with the row that the squares of the last rows reach to
@@ -75,6 +77,8 @@ def bounced_bands(
         pixels = []
         for worked_out in (light.diffuse, light.specular):
             values = _over_squares(surface, at, worked_out, threads)
+            if landed and not pixels:
+                values += caustic_levels(landed, camera, surface, at, columns, rows)
             samples = np.zeros((len(values), *at.shape))
             samples[:, at >= 0] = (values if passed is None else values * passed)[:, at[at >= 0]]
             samples = samples[:, : (end - first) * n].reshape(len(values), end - first, n, right - left, n)

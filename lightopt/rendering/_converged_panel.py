@@ -24,7 +24,13 @@ from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._penumbra_cells import ConvergedLight
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
-from lightopt.rendering._point_lights import clear_targets, facing_targets, shade_points, visible_counts
+from lightopt.rendering._point_lights import (
+    add_spread_points,
+    clear_targets,
+    facing_targets,
+    shade_points,
+    visible_counts,
+)
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._surface_light import shade_surface_lights
 from lightopt.rendering._whole_panel import whole_panel
@@ -49,11 +55,14 @@ class ConvergedPanel:
 
     nodes: Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do
     least_distance: From the panel's centre to the sphere around the part [mm]; 0 inside it
+    cells: A side, of which each has a place that stands for it under light that rays gather, another one for each
+        point; 0 where these take the whole panel, too
     """
 
     light: PanelLight
     nodes: int
     least_distance: float
+    cells: int = 0
 
     def points_for(self, sigma: float) -> int | None:
         """Points k² that stand for the panel to a few per cent of the lobe's change; None where that takes too many.
@@ -233,20 +242,34 @@ def _shade_by_one_ray(
     # each point sees all of a panel or nothing, by a ray to one of its places in turn
     seen = surface.front
     if caster is not None:
-        targets = shadow_targets(light.light if isinstance(light, ConvergedPanel) else light)
+        targets = _ray_targets(light)
         own = np.arange(len(surface)) % len(targets) == np.arange(len(targets))[:, None]
         own &= facing_targets(surface, targets, geometric=True)
         seen = caster.visible(surface.points, surface.facets, targets, candidates=own, outside=surface.outside)
         seen = seen.any(axis=0)
-    index = np.flatnonzero(seen)
-    some, terms = surface.take(index), np.zeros((len(surface), 2))
-    if isinstance(light, ConvergedPanel):
-        found = np.zeros((len(some), 2))
-        _add_whole_panel(some, np.ones(len(some), np.bool_), _converged_light(light, reflectance), found)
-        terms[index] = found * light.light.total_weight
+    terms = np.zeros((len(surface), 2))
+    if not isinstance(light, ConvergedPanel):
+        index = np.flatnonzero(seen)
+        found = shade_light(surface.take(index), light, reflectance=reflectance, caster=None)
+        terms[index] = np.stack(found, axis=1)
+        return terms[:, 0], terms[:, 1]
+    if light.cells:
+        # diffuse light is as even as one place shows it
+        cells = light.cells if reflectance.R_s > 0.0 else 1
+        numbers = panel_numbers(light.light)
+        add_spread_points(
+            surface.points, surface.normals, surface.views, seen, numbers, cells, reflectance.lobe, terms
+        )
     else:
-        terms[index] = np.stack(shade_light(some, light, reflectance=reflectance, caster=None), axis=1)
+        _add_whole_panel(surface, seen, _converged_light(light, reflectance), terms)
+    terms *= light.light.total_weight
     return terms[:, 0], terms[:, 1]
+
+
+def _ray_targets(light: PanelLight | ConvergedPanel) -> Float64:
+    if isinstance(light, ConvergedPanel):
+        return panel_grid(light.light, light.cells**2) if light.cells else probe_targets(light.light)
+    return shadow_targets(light)
 
 
 def shade_changed_points(

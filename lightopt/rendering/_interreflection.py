@@ -24,8 +24,9 @@ from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, dot, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster, TriangleMesh, resolve_hits
 from lightopt.lights import PanelLight, SurfaceLight
-from lightopt.optics import Lobe, Reflectance, light_factor, specular_divisor, specular_lobe, white_level
-from lightopt.rendering._converged_panel import ConvergedPanel, isolated_levels, panel_to_shade
+from lightopt.optics import Lobe, Reflectance, SpecularModel, light_factor, specular_divisor, specular_lobe, white_level
+from lightopt.rendering._converged_panel import ConvergedPanel, converged_panel, isolated_levels
+from lightopt.rendering._point_lights import R2_STEPS
 from lightopt.rendering._surface import SurfacePoints, surface_at
 from lightopt.scene import Scene
 
@@ -41,7 +42,7 @@ LEAST_POINTS, MOST_POINTS = 2, 6  # a side, that stand for panels; those of more
 
 _RAYS_AT_ONCE = 1 << 16
 _SHIFT = 0.6180339887498949  # of one row of cells against the next, in cells
-_STEP_U, _STEP_V = 0.7548776662466927, 0.5698402909980532  # 1/g and 1/g² of g³ = g + 1
+_STEP_U, _STEP_V = R2_STEPS
 _SCATTER = 1e3  # by which places are multiplied for starts of the sequence [1/mm]
 
 # directions of rays from some of the points, shape (rays, 3), and weights, 0 where nothing is gathered
@@ -53,7 +54,7 @@ _Levels = Callable[[SurfacePoints], Float64]
 class PartLight:
     """What the light of the part on itself depends on, in one posture.
 
-    lights: Part frame, from :func:`lightopt.rendering.panel_to_shade`
+    lights: Part frame, from :meth:`of_scene`
     blocker: For shadows; None for none
     environment: Level of the surroundings under a light of gain 1 [grey level]
     bounces: From the part to the part
@@ -73,14 +74,13 @@ class PartLight:
     ) -> PartLight:
         """That of a scene's part.
 
-        lights: Part frame; panels get points that the lobe cannot tell apart or, where these are too many, none
+        lights: Part frame; panels get places that the lobe cannot tell apart or, where these are too many, are whole
         """
-        sigma = scene.reflectance.sigma
         return cls(
             mesh=scene.mesh,
             caster=caster,
             blocker=caster if shadows else None,
-            lights=[panel_to_shade(_mirrored_light(light, sigma), caster) for light in lights],
+            lights=[_mirrored_light(light, scene.reflectance.sigma, caster) for light in lights],
             reflectance=scene.reflectance,
             environment=scene.environment,
             bounces=scene.bounces,
@@ -107,7 +107,7 @@ class PartLight:
         return self._converged(surface, self._lobe_rays, factor, LOBE_CELLS, math.inf, threads)
 
     def _lobe_rays(self, surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
-        return _lobe_rays(surface.normals, surface.facets, surface.views, self.reflectance.lobe, point, u, turn)
+        return lobe_rays(surface.normals, surface.facets, surface.views, self.reflectance.lobe, point, u, turn)
 
     def _converged(
         self,
@@ -121,6 +121,9 @@ class PartLight:
         # factor times the mean over the unit square of (u, turn), and about its error. What a first ray of each cell
         # sees says how many more it takes, and is no part of the mean, which would miss what first rays missed
         step, area = max(1, _RAYS_AT_ONCE // (cells[0] * cells[1])), 1.0 / (cells[0] * cells[1])
+        # what the lobe throws on diffuse surface are caustics
+        own = self.reflectance
+        shown = replace(own, R_s=0.0, sigma=1e-3, model=SpecularModel()) if rays is _cosine_rays else own
         # half vectors turn by half of what directions do between rays
         angle = 0.5 * math.sqrt(
             area * (2.0 * math.pi if rays is _cosine_rays else 16.0 * math.pi * (SPREAD * self.reflectance.sigma) ** 2)
@@ -129,14 +132,14 @@ class PartLight:
         def chunk(start: int) -> Float64:
             some = surface.take(slice(start, start + step))
             point, u, turn = _cells(len(some), cells)
-            values, near = factor * self._seen(some, rays, point, u, turn, lambda met: self._hints(met, angle))
+            values, near = factor * self._seen(some, rays, point, u, turn, lambda met: self._hints(met, shown, angle))
             limit = CHANGE + RELATIVE_CHANGE * area * _sums(point, values, len(some))
             spread = np.maximum(_differences(values.reshape(-1, len(some), *cells)).reshape(values.shape), near)
             off = area * np.max(spread / limit[:, point], axis=0)
             sides = np.clip(np.ceil(off ** (2.0 / 3.0)), np.where(off > LEAST_SHARE, 2, 1), MOST_SIDES).astype(np.intp)
             cell, u, turn = _divided(some.points, point, u, turn, sides, cells)
             (values,) = factor * self._seen(
-                some, rays, point[cell], u, turn, lambda met: self._levels(met, self.bounces)
+                some, rays, point[cell], u, turn, lambda met: self._levels(met, self.bounces, shown)
             )
             number = sides[cell] ** 2
             added = area * values / number
@@ -182,22 +185,23 @@ class PartLight:
         seen[..., met] = found
         return seen * weights
 
-    def _hints(self, surface: SurfacePoints, angle: float) -> Float64:
+    def _hints(self, surface: SurfacePoints, shown: Reflectance, angle: float) -> Float64:
         # levels of points that rays met, without shadows, and those of highlights that may be beside them, where
         # normals are uncertain by an angle [rad]; shape (2, lights, k)
-        own = self.reflectance
-        if not self.bounces:
-            return np.zeros((2, len(self.lights), len(surface)))
-        wide = math.hypot(own.sigma, angle)
-        spread = replace(own, R_d=0.0, R_s=own.R_s * (own.sigma / wide) ** 2, sigma=wide)
-        return np.stack([isolated_levels(surface, self.lights, one, None, penumbrae=False) for one in (own, spread)])
+        levels = np.zeros((2, len(self.lights), len(surface)))
+        if self.bounces:
+            wide = math.hypot(shown.sigma, angle)
+            spread = replace(shown, R_d=0.0, R_s=shown.R_s * (shown.sigma / wide) ** 2, sigma=wide)
+            for own, one in zip(levels, (shown, spread) if shown.R_s else (shown,), strict=False):
+                own[:] = isolated_levels(surface, self.lights, one, None, penumbrae=False)
+        return levels
 
-    def _levels(self, surface: SurfacePoints, bounces: int) -> Float64:
-        # levels of points that rays met before so many bounces, shape (1, lights, k)
+    def _levels(self, surface: SurfacePoints, bounces: int, shown: Reflectance) -> Float64:
+        # levels of points that rays met before so many bounces, shape (1, lights, k); shown: for direct light
         levels = np.zeros((1, len(self.lights), len(surface)))
         if not bounces:
             return levels
-        levels[0] = isolated_levels(surface, self.lights, self.reflectance, self.blocker, penumbrae=False)
+        levels[0] = isolated_levels(surface, self.lights, shown, self.blocker, penumbrae=False)
         if surface.front.any() and (bounces > 1 or self.environment):
             front = surface.take(np.flatnonzero(surface.front))
             nodes, white = _cells(len(front), NESTED_CELLS), white_level(self.reflectance)
@@ -205,20 +209,20 @@ class PartLight:
                 (self.reflectance.R_d / white, _cosine_rays),
                 (self.reflectance.R_s / (math.pi * white), self._lobe_rays),
             ):
-                seen = self._seen(front, rays, *nodes, lambda met: self._levels(met, bounces - 1))
+                seen = self._seen(front, rays, *nodes, lambda met: self._levels(met, bounces - 1, self.reflectance))
                 levels[0][:, surface.front] += coefficient * seen.reshape(len(self.lights), len(front), -1).mean(axis=2)
         return levels
 
 
-def _mirrored_light(light: PanelLight, sigma: float) -> PanelLight:
+def _mirrored_light(light: PanelLight, sigma: float, caster: RayCaster) -> PanelLight | ConvergedPanel:
     # a light as the part sees it in itself: the half vectors of a panel's points turn by half of what directions do
     if isinstance(light, SurfaceLight):
         return light
     k = max(LEAST_POINTS, math.ceil(0.5 * max(light.size) / (light.distance * sigma)))
     if light.points != "auto" and light.points >= k * k:
         return light
-    points = k * k if k <= MOST_POINTS else "auto"
-    return replace(light, points=points, normalisation="mean", gain=light.total_weight)
+    whole = replace(light, points="auto", normalisation="mean", gain=light.total_weight)
+    return replace(converged_panel(whole, centre=caster.centre, radius=caster.radius), cells=k if k <= MOST_POINTS else 0)
 
 
 @kernel
@@ -286,11 +290,19 @@ def _turned(n: Vector, angle: float, turn: float) -> Vector:
 
 
 @kernel
-def _lobe_rays(
+def lobe_rays(
     normals: Float64, facets: Float64, views: Float64, lobe: Lobe, point: Index, u: Float64, turn: Float64
 ) -> tuple[Float64, Float64]:
-    # views mirrored by half vectors as dense as a lobe of SPREAD times the width, whose rays meet highlights in its
-    # tail, half of them by the wider of two lobes; dω of light is 4 (V·H) dω of H
+    """Directions in which the lobe of points gathers light, shape (k, 3), and weights, shape (k,).
+
+    The mean of weight times light is ∫ lobe/cosθ_o · light dω. Views are mirrored by half vectors as dense as a lobe of
+    SPREAD times the width, whose rays meet highlights in its tail, half of them by the wider of two lobes; dω of light
+    is 4 (V·H) dω of H.
+
+    normals, facets, views: Of the points, shape (n, 3)
+    point: Of each ray, shape (k,)
+    u, turn: Place of each ray in the unit square, shape (k,)
+    """
     directions, weights = np.empty((len(point), 3)), np.zeros(len(point))
     for k in range(len(point)):
         i = point[k]
