@@ -20,7 +20,6 @@ from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import dot, length, minus, vector_at
 from lightopt.geometry import Hits, face_areas, resolve_hits
 from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, attenuated, panel_numbers, panel_point
-from lightopt.optics import white_level
 from lightopt.rendering._converged_panel import ConvergedPanel
 from lightopt.rendering._interreflection import PartLight, lobe_rays
 from lightopt.rendering._surface import SurfacePoints, surface_at
@@ -77,12 +76,7 @@ def _landed(
 
 
 def _followed(
-    part: PartLight,
-    light: PanelLight | ConvergedPanel,
-    ends: Float64,
-    share: Float64,
-    rays: int,
-    threads: int | None,
+    part: PartLight, light: PanelLight | ConvergedPanel, ends: Float64, share: Float64, rays: int, threads: int | None
 ) -> tuple[LandedLight, Index]:
     # light of so many rays, of which each stratum of the area gets a share, and the strata that it comes from
     before = np.concatenate([[0.0], np.cumsum(share)])
@@ -137,7 +131,7 @@ def _thrown(
     # per area of the face, of which the normal is that of shading
     slope, steep = (np.einsum("ij,ij->i", a, other.views) for a in (other.normals, other.facets))
     shown = np.where(other.front, np.maximum(slope, 0.0) / np.maximum(steep, _LEAST_COSINE), 0.0)
-    factor = own.R_d * own.R_s / (math.pi * white_level(own))
+    factor = own.R_d * own.R_s / (math.pi * part.white)
     return hits.points, other.facets, factor * thrown[hits.ray] * shown, ray[hits.ray]
 
 
@@ -178,12 +172,7 @@ def _panel_places(panel: PanelNumbers, points: Float64, s: Float64, t: Float64) 
 
 
 def caustic_levels(
-    landed: list[LandedLight],
-    camera: PinholeCamera,
-    surface: SurfacePoints,
-    at: Int32,
-    columns: Float64,
-    rows: Float64,
+    landed: list[LandedLight], camera: PinholeCamera, surface: SurfacePoints, at: Int32, columns: Float64, rows: Float64
 ) -> Float64:
     """Diffuse levels that the landed light of each light adds to a grid of samples, shape (lights, k).
 

@@ -24,16 +24,10 @@ from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._penumbra_cells import ConvergedLight
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
-from lightopt.rendering._point_lights import (
-    add_spread_points,
-    clear_targets,
-    facing_targets,
-    shade_points,
-    visible_counts,
-)
+from lightopt.rendering._point_lights import clear_targets, facing_targets, shade_points, visible_counts
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._surface_light import shade_surface_lights
-from lightopt.rendering._whole_panel import whole_panel
+from lightopt.rendering._whole_panel import add_spread_points, whole_panel
 from lightopt.scene import Scene
 
 DIFFUSE_TOLERANCE = 1e-4  # error of the diffuse quadrature per unit of R_d: 0.025 level of 255
@@ -254,12 +248,8 @@ def _shade_by_one_ray(
         terms[index] = np.stack(found, axis=1)
         return terms[:, 0], terms[:, 1]
     if light.cells:
-        # diffuse light is as even as one place shows it
-        cells = light.cells if reflectance.R_s > 0.0 else 1
-        numbers = panel_numbers(light.light)
-        add_spread_points(
-            surface.points, surface.normals, surface.views, seen, numbers, cells, reflectance.lobe, terms
-        )
+        geometry = surface.points, surface.normals, surface.views
+        add_spread_points(*geometry, seen, panel_numbers(light.light), light.cells, reflectance.lobe, terms)
     else:
         _add_whole_panel(surface, seen, _converged_light(light, reflectance), terms)
     terms *= light.light.total_weight

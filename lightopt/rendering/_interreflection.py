@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -26,12 +27,11 @@ from lightopt.geometry import RayCaster, TriangleMesh, resolve_hits
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import Lobe, Reflectance, SpecularModel, light_factor, specular_divisor, specular_lobe, white_level
 from lightopt.rendering._converged_panel import ConvergedPanel, converged_panel, isolated_levels
-from lightopt.rendering._point_lights import R2_STEPS
 from lightopt.rendering._surface import SurfacePoints, surface_at
 from lightopt.scene import Scene
 
 # cells of the unit square of (u, turn), from which directions are made, with a first ray through the middle of each
-LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (6, 8), (2, 4)
+LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (4, 6), (2, 4)
 # errors of a cell that are small enough [grey level], share; and its most further rays along each side
 CHANGE, RELATIVE_CHANGE = 0.2, 0.01
 MOST_SIDES = 8
@@ -42,7 +42,7 @@ LEAST_POINTS, MOST_POINTS = 2, 6  # a side, that stand for panels; those of more
 
 _RAYS_AT_ONCE = 1 << 16
 _SHIFT = 0.6180339887498949  # of one row of cells against the next, in cells
-_STEP_U, _STEP_V = R2_STEPS
+_STEP_U, _STEP_V = 0.7548776662466927, 0.5698402909980532  # 1/g and 1/g² of g³ = g + 1
 _SCATTER = 1e3  # by which places are multiplied for starts of the sequence [1/mm]
 
 # directions of rays from some of the points, shape (rays, 3), and weights, 0 where nothing is gathered
@@ -86,6 +86,11 @@ class PartLight:
             bounces=scene.bounces,
         )
 
+    @cached_property
+    def white(self) -> float:
+        """White level of the part [grey level]."""
+        return white_level(self.reflectance)
+
     @property
     def surroundings(self) -> Float64:
         """Level of the surroundings under each light, shape (lights,)."""
@@ -98,12 +103,12 @@ class PartLight:
         Glints are what single rays add beyond :data:`MOST_OF_A_RAY`: a lamp in a small fillet, which few points' rays
         happen to meet. They are to be shared with the points around.
         """
-        factor = self.reflectance.R_d / white_level(self.reflectance)
+        factor = self.reflectance.R_d / self.white
         return self._converged(surface, _cosine_rays, factor, DIFFUSE_CELLS, MOST_OF_A_RAY, threads)
 
     def specular(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
         """As :meth:`diffuse`, what the lobe adds, which has no glints."""
-        factor = self.reflectance.R_s / (math.pi * white_level(self.reflectance))
+        factor = self.reflectance.R_s / (math.pi * self.white)
         return self._converged(surface, self._lobe_rays, factor, LOBE_CELLS, math.inf, threads)
 
     def _lobe_rays(self, surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
@@ -204,10 +209,10 @@ class PartLight:
         levels[0] = isolated_levels(surface, self.lights, shown, self.blocker, penumbrae=False)
         if surface.front.any() and (bounces > 1 or self.environment):
             front = surface.take(np.flatnonzero(surface.front))
-            nodes, white = _cells(len(front), NESTED_CELLS), white_level(self.reflectance)
+            nodes = _cells(len(front), NESTED_CELLS)
             for coefficient, rays in (
-                (self.reflectance.R_d / white, _cosine_rays),
-                (self.reflectance.R_s / (math.pi * white), self._lobe_rays),
+                (self.reflectance.R_d / self.white, _cosine_rays),
+                (self.reflectance.R_s / (math.pi * self.white), self._lobe_rays),
             ):
                 seen = self._seen(front, rays, *nodes, lambda met: self._levels(met, bounces - 1, self.reflectance))
                 levels[0][:, surface.front] += coefficient * seen.reshape(len(self.lights), len(front), -1).mean(axis=2)
@@ -222,7 +227,8 @@ def _mirrored_light(light: PanelLight, sigma: float, caster: RayCaster) -> Panel
     if light.points != "auto" and light.points >= k * k:
         return light
     whole = replace(light, points="auto", normalisation="mean", gain=light.total_weight)
-    return replace(converged_panel(whole, centre=caster.centre, radius=caster.radius), cells=k if k <= MOST_POINTS else 0)
+    cells = k if k <= MOST_POINTS else 0
+    return replace(converged_panel(whole, centre=caster.centre, radius=caster.radius), cells=cells)
 
 
 @kernel

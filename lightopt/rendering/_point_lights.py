@@ -9,7 +9,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.core.vectors import Vector, column_at, dot, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import PanelLight, PanelNumbers, attenuated, panel_grid, panel_numbers, panel_point
+from lightopt.lights import PanelLight, PanelNumbers, attenuated, panel_grid, panel_numbers
 from lightopt.optics import (
     NARROW_CHORD_SQUARED,
     Lobe,
@@ -23,8 +23,6 @@ from lightopt.rendering._surface import SurfacePoints
 
 # pairs of surface point and point light that are shaded at once: some 60 MiB, and 0.2 s that Ctrl-C waits
 PAIRS_AT_ONCE = 1 << 20
-
-R2_STEPS = 0.7548776662466927, 0.5698402909980532  # 1/g and 1/g² of g³ = g + 1
 
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
 # share of those near the lobe from which on all their lobes are computed at once, and not one by one
@@ -227,30 +225,3 @@ def add_points(
                     value = value / specular_divisor(n_dot_v[j], lobe)
                     own_specular[j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * value)
     return diffuse, specular
-
-
-@kernel
-def add_spread_points(
-    points: Float64, normals: Float64, views: Float64, clear: Bool, panel: PanelNumbers, cells: int, lobe: Lobe, terms: Float64
-) -> None:
-    """Add the light of a panel of weight 1 to the clear points, by a place in each of cells × cells of the panel.
-
-    Places follow the R₂ sequence (Roberts 2018) from point to point: the mean over many points is that of the panel.
-
-    terms: Diffuse and specular light per unit of R_d and R_s, shape (k, 2)
-    """
-    for i in range(len(points)):
-        if not clear[i]:
-            continue
-        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
-        n_dot_v = dot(n, v)
-        s, t = (0.5 + R2_STEPS[0] * i) % 1.0, (0.5 + R2_STEPS[1] * i) % 1.0
-        diffuse = specular = 0.0
-        for a in range(cells):
-            for b in range(cells):
-                q = panel_point(panel, (a + s) / cells - 0.5, (b + t) / cells - 0.5)
-                found = point_terms(p, n, v, n_dot_v, q, panel, lobe)
-                diffuse += found[0]
-                specular += found[1]
-        terms[i, 0] += diffuse / (cells * cells)
-        terms[i, 1] += specular / (cells * cells)
