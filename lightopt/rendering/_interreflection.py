@@ -33,7 +33,7 @@ from lightopt.scene import Scene
 # cells of the unit square of (u, turn), from which directions are made, with a first ray through the middle of each
 LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (4, 6), (2, 4)
 # errors of a cell that are small enough [grey level], share; and its most further rays along each side
-CHANGE, RELATIVE_CHANGE = 0.2, 0.01
+CHANGE, RELATIVE_CHANGE = 0.4, 0.03
 MOST_SIDES = 8
 LEAST_SHARE = 0.05  # of that error, above which a cell gets more than one further ray
 SPREAD = 1.4  # width of the directions of the lobe's rays, in those of the lobe
