@@ -26,7 +26,7 @@ NEAR = 4  # rows and columns around a sample, in which others like it tell its l
 LEAST_NEAR = 5  # number of these
 MOST_TURN = 0.05  # angle between their normals [rad]
 # by how much the middle may differ from the mean of the corners, besides its own error [grey level], share
-CHANGE, RELATIVE_CHANGE = 0.3, 0.02
+CHANGE, RELATIVE_CHANGE = 0.6, 0.05
 SHARED = 65  # rows and columns around a sample that share glints, twice
 MOST_BEND = 0.1  # normals that differ by more from those interpolated between corners divide a square [rad]
 MOST_STEP = 0.1  # and points that are further from those interpolated, as a share of the square's diagonal

@@ -29,7 +29,7 @@ from lightopt.scene import PinholeCamera, pixel_directions, project
 LEAST_RAYS, MOST_RAYS = 1 << 15, 1 << 18  # of a light
 STRATA = 1024  # of the part's area, of which those that throw much light on the part get more rays
 EXPLORING = 4  # one of so many rays looks for these
-LEAST_DENSITY = 0.1  # of rays in the others, in the mean density
+LEAST_DENSITY = 0.25  # of rays in the others, in the mean density
 WINDOWS = (1, 3, 5, 9, 17, 33, 65)  # rows and columns of samples whose light is taken together
 ENOUGH = 24  # rays in a window, by their light
 FOOTPRINTS = 2.0  # of a sample, within which light that lands belongs to it

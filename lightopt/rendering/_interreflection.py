@@ -31,7 +31,7 @@ from lightopt.rendering._surface import SurfacePoints, surface_at
 from lightopt.scene import Scene
 
 # cells of the unit square of (u, turn), from which directions are made, with a first ray through the middle of each
-LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (4, 6), (2, 4)
+LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (6, 8), (2, 4)
 # errors of a cell that are small enough [grey level], share; and its most further rays along each side
 CHANGE, RELATIVE_CHANGE = 0.4, 0.03
 MOST_SIDES = 8
