@@ -11,6 +11,7 @@ from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
 from lightopt.optics import MAX_LOBE_EXPONENT, Lobe, lambert, specular_divisor
 from lightopt.rendering._panel_quadrature import (
     NODES,
+    TAIL_ERROR,
     WEIGHTS,
     WHOLE_PANEL,
     half_vector_cone,
@@ -99,7 +100,7 @@ def _add_smooth(
     for j in range(len(above)):
         point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
         if near[j] and above[j] and dot(normal, view) > 0.0:
-            few = smooth_nodes(point, normal, view, panel.centre, half_diagonal(panel), lobe)
+            few = smooth_nodes(point, normal, view, panel.centre, half_diagonal(panel), lobe, TAIL_ERROR)
             wanted[j] = max(few, panel_nodes)
     for few in range(2, _MOST_EVEN + 1):
         number = 0
