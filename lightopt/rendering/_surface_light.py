@@ -71,8 +71,9 @@ LEAST_LEVEL = 1e-3  # what the lobe of an element adds at most where it is left 
 FAINT_LEVEL, FAINT_NODES = 0.1, 2  # what an element adds at most where so few nodes a side do [grey level]
 FAINT_AT_HORIZON = 0.4  # and where those of diffuse light do, although the horizon may cross it [grey level]
 LEAST_TAIL_NODES = 4
-FULL_ANGLE, MOST_TAIL_ERROR = 0.1, 3e-3  # solid angle of an element that it is for [sr], and the most error, a share
-ELEMENT_ERROR = 0.003  # of what an element adds, which others add to [grey level]
+MANY_NODES = 6  # a side of elements all over which a lobe varies more
+FULL_ANGLE, MOST_TAIL_ERROR = 0.05, 1e-2  # solid angle of an element that it is for [sr], and the most error, a share
+ELEMENT_ERROR = 0.005  # of what an element adds, which others add to [grey level]
 MOST_R_S_SIGMA_2 = 1e3  # R_s·σ² of fits, where R_s is not known [grey level]
 NEGLIGIBLE_LEVEL = 0.02  # elements whose highlight is less are not divided [grey level]
 STEPS = 6  # Newton steps to where the lobe is brightest
@@ -404,7 +405,10 @@ def _add_tailed(
         # singular in u at ±iπ/2, and nearer where it leans across the sides
         leaning = 0.5 * math.pi / (1.0 + 2.0 * abs(b) / math.sqrt(max(a * c, 1e-30)))
         # masking lets the light end at the horizon, not break off: more nodes are enough there
-        times = 2 if _horizon_crosses(p, n, e, area) else 1
+        crossed = _horizon_crosses(p, n, e, area)
+        if not crossed and _height(p, n, e, 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)) <= 0.0:
+            return
+        times = 2 if crossed else 1
         at_s, weights_s = _sinh_nodes(centre_s, width_s, area.s0, area.s1, leaning, error, times)
         at_t, weights_t = _sinh_nodes(centre_t, width_t, area.t0, area.t1, leaning, error, times)
         values = _values_of_nodes(p, n, v, e, at_s, at_t, lobe)
@@ -589,9 +593,7 @@ def _add_elements(
     terms = len(pattern.terms)
     found, limits = np.empty(terms), _most_exponents(normals, views, most, lobe)
     places, light, weights = all_diffuse_nodes(elements, pattern)
-    # more of those of a pattern are needed
     striped = not (terms == 1 and pattern.terms[0, 2] == 0.0)
-    enough = DIFFUSE_NODES + (not striped)
     p, n, v = np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE))
     value, near = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE, np.bool_)
     limit, farthest, greatest = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE)
@@ -627,8 +629,9 @@ def _add_elements(
             if not lobe.plain:
                 nodes = places[m], light[m], weights[m]
                 few = nodes if striped else _nodes(e, pattern, FAINT_NODES)
+                many = nodes if striped else _nodes(e, pattern, MANY_NODES)
                 own_specular = specular[m, :, first:]
-                _add_smooth(p, n, v, near[:count], e, few, nodes, enough, lobe, greatest, work, own_specular)
+                _add_smooth(p, n, v, near[:count], e, few, nodes, many, lobe, greatest, work, own_specular)
             for j in range(count):
                 if near[j]:
                     i = first + j
@@ -648,7 +651,7 @@ def _add_smooth(
     e: Element,
     few: tuple[Float64, Float64, Float64],
     nodes: tuple[Float64, Float64, Float64],
-    enough: int,
+    many: tuple[Float64, Float64, Float64],
     lobe: Lobe,
     greatest: Float64,
     work: Float64,
@@ -656,28 +659,36 @@ def _add_smooth(
 ) -> None:
     # where the lobe is smooth all over an element, which is above the horizon: sets the light of these points from the
     # nodes of diffuse light, and they are no longer `near`. Where the element adds hardly anything, few nodes do
-    faint, smooth, level = np.empty(len(near), np.bool_), np.empty(len(near), np.bool_), np.empty(len(near))
+    rule, level = np.zeros(len(near), np.int64), np.empty(len(near))
+    striped = len(many[0]) == len(nodes[0])
     for j in range(len(near)):
         point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
         towards = minus(e.centre, point)
         half, spread = half_vector_cone(point, view, e.centre, e.reach)
         nearest = max(0.0, length(minus(normal, half)) - spread) if spread < math.pi else 0.0
-        angle = math.pi * e.reach**2 / dot(towards, towards)
-        level[j] = greatest[j] * specular_lobe(nearest * nearest, lobe) * min(angle, math.pi)
-        faint[j] = near[j] & (level[j] < FAINT_LEVEL) & (dot(normal, view) > 0.0)
+        angle = min(math.pi * e.reach**2 / dot(towards, towards), math.pi)
+        level[j] = greatest[j] * specular_lobe(nearest * nearest, lobe) * angle
+        rule[j] = FAINT_NODES if level[j] < FAINT_LEVEL else 0
     for j in range(len(near)):
-        smooth[j] = False
-        if near[j] and not faint[j]:
-            point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
-            lit = dot(normal, minus(e.centre, point)) >= e.reach and dot(normal, view) > 0.0
-            error = min(ELEMENT_ERROR / level[j], 0.1)
-            smooth[j] = lit and smooth_nodes(point, normal, view, e.centre, e.reach, lobe, error) <= enough
-            # masking lets the light of GGX end at the horizon, not break off
-            smooth[j] |= lobe.ggx and level[j] < FAINT_AT_HORIZON and dot(normal, view) > 0.0
-    _add_nodes(p, n, v, faint, few, lobe, work, specular)
-    _add_nodes(p, n, v, smooth, nodes, lobe, work, specular)
+        point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
+        if not near[j] or dot(normal, view) <= 0.0:
+            rule[j] = 0
+        elif rule[j] == 0:
+            if lobe.ggx and level[j] < FAINT_AT_HORIZON:
+                # masking lets its light end at the horizon, not break off
+                rule[j] = DIFFUSE_NODES
+            elif dot(normal, minus(e.centre, point)) >= e.reach:
+                error = min(ELEMENT_ERROR / level[j], 0.1)
+                wanted = smooth_nodes(point, normal, view, e.centre, e.reach, lobe, error)
+                if wanted <= DIFFUSE_NODES + (not striped):
+                    rule[j] = DIFFUSE_NODES
+                elif wanted <= MANY_NODES + 1 and not striped:
+                    rule[j] = MANY_NODES
+    _add_nodes(p, n, v, rule == FAINT_NODES, few, lobe, work, specular)
+    _add_nodes(p, n, v, rule == DIFFUSE_NODES, nodes, lobe, work, specular)
+    _add_nodes(p, n, v, rule == MANY_NODES, many, lobe, work, specular)
     for j in range(len(near)):
-        near[j] &= not (faint[j] or smooth[j])
+        near[j] &= rule[j] == 0
 
 
 @kernel
