@@ -1,8 +1,8 @@
 """Light of the part on itself in images: worked out at some pixels, and interpolated between them where it is smooth.
 
-A square of pixels has nodes at its corners and in its middle. Where the surface in it is smooth and the middle agrees
-with the mean of the corners, the polynomial through the five nodes serves for all of it; otherwise the square is
-divided, at last into single pixels.
+A square of pixels has 3 × 3 nodes. Where the surface in it is smooth and the other nodes agree with the mean of the
+corners beside them, the polynomial through the nodes serves for all of it; otherwise the square is divided, at last
+into single pixels.
 """
 
 from collections.abc import Callable, Iterator
@@ -25,7 +25,8 @@ BAND = 16 * SIDES[0]  # rows of samples that are worked on at once
 NEAR = 4  # rows and columns around a sample, in which others like it tell its level
 LEAST_NEAR = 5  # number of these
 MOST_TURN = 0.05  # angle between their normals [rad]
-# by how much the middle may differ from the mean of the corners, besides its own error [grey level], share
+# by how much nodes may differ from means of corners, of which the polynomial takes account, besides their errors [grey
+# level], share
 CHANGE, RELATIVE_CHANGE = 0.6, 0.05
 SHARED = 65  # rows and columns around a sample that share glints, twice
 MOST_BEND = 0.1  # normals that differ by more from those interpolated between corners divide a square [rad]
@@ -78,7 +79,7 @@ def bounced_bands(
         for worked_out in (light.diffuse, light.specular):
             values = _over_squares(surface, at, worked_out, threads)
             if landed and not pixels:
-                values += caustic_levels(landed, camera, surface, at, columns, rows)
+                values += caustic_levels(landed, camera, surface, at, (columns[0], rows[0]), 1.0 / n)
             samples = np.zeros((len(values), *at.shape))
             samples[:, at >= 0] = (values if passed is None else values * passed)[:, at[at >= 0]]
             samples = samples[:, : (end - first) * n].reshape(len(values), end - first, n, right - left, n)

@@ -172,47 +172,54 @@ def _panel_places(panel: PanelNumbers, points: Float64, s: Float64, t: Float64) 
 
 
 def caustic_levels(
-    landed: list[LandedLight], camera: PinholeCamera, surface: SurfacePoints, at: Int32, columns: Float64, rows: Float64
+    landed: list[LandedLight],
+    camera: PinholeCamera,
+    surface: SurfacePoints,
+    at: Int32,
+    first: tuple[float, float],
+    spacing: float,
 ) -> Float64:
     """Diffuse levels that the landed light of each light adds to a grid of samples, shape (lights, k).
 
     surface: k points, part frame
     at: Number of each sample's point, −1 where there is none, shape (rows, columns)
-    columns, rows: Of the grid, evenly spaced [px]
+    first: Column and row of the first sample [px]
+    spacing: Of the samples [px]
     """
-    if not landed or len(columns) < 2 or len(rows) < 2 or not len(surface):
-        return np.zeros((max(1, len(landed)), len(surface)))
-    areas, reach = _footprints(camera, surface, at, columns, rows)
+    areas, reach = footprints(camera, surface, at, first, spacing)
     image = np.zeros(at.shape)
     seen = at >= 0
     image[seen] = areas[at[seen]]
     levels = np.zeros((len(landed), len(surface)))
     for own, light in zip(levels, landed, strict=True):
         column, row, depth = project(camera, light.points)
-        x = np.rint((column - columns[0]) / (columns[1] - columns[0]))
-        y = np.rint((row - rows[0]) / (rows[1] - rows[0]))
-        inside = (depth > 0.0) & (x >= 0) & (x < len(columns)) & (y >= 0) & (y < len(rows))
-        index = np.flatnonzero(inside)
-        cell = y[index].astype(np.intp) * len(columns) + x[index].astype(np.intp)
+        x, y = np.rint((column - first[0]) / spacing), np.rint((row - first[1]) / spacing)
+        index = np.flatnonzero((depth > 0.0) & (x >= 0) & (x < at.shape[1]) & (y >= 0) & (y < at.shape[0]))
+        cell = y[index].astype(np.intp) * at.shape[1] + x[index].astype(np.intp)
+        # of those that meet the part
+        index, cell = index[at.ravel()[cell] >= 0], cell[at.ravel()[cell] >= 0]
         point = at.ravel()[cell]
         away = np.linalg.norm(light.points[index] - surface.points[point], axis=1)
         alike = np.einsum("ij,ij->i", light.facets[index], surface.facets[point]) > 0.0
-        kept = np.flatnonzero((point >= 0) & alike & (away <= reach[point]))
+        kept = np.flatnonzero(alike & (away <= reach[point]))
         index, cell = index[kept], cell[kept]
         sums = [np.bincount(cell, light.light[index] ** power, at.size).reshape(at.shape) for power in (1, 2)]
         own[at[seen]] = np.where(image > 0.0, _spread(image, *sums), 0.0)[seen]
     return levels
 
 
-def _footprints(
-    camera: PinholeCamera, surface: SurfacePoints, at: Int32, columns: Float64, rows: Float64
+def footprints(
+    camera: PinholeCamera, surface: SurfacePoints, at: Int32, first: tuple[float, float], spacing: float
 ) -> tuple[Float64, Float64]:
-    # area of the surface that each sample shows [mm²], 0 at backs, and how far from it light is still its own [mm]
+    """Area of the surface that each sample shows [mm²], 0 at backs, and how far from it light is still its own [mm].
+
+    Parameters as in :func:`caustic_levels`; shape (k,) each
+    """
     y, x = np.nonzero(at >= 0)
-    half = 0.5 * (columns[1] - columns[0]), 0.5 * (rows[1] - rows[0])
+    column, row, half = first[0] + spacing * x, first[1] + spacing * y, 0.5 * spacing
     ways = [
-        pixel_directions(camera, columns[x] + half[0] * a, rows[y] + half[1] * b)
-        for a, b in ((-1, 0), (1, 0), (0, -1), (0, 1))
+        pixel_directions(camera, column + half * right, row + half * down)
+        for right, down in ((-1, 0), (1, 0), (0, -1), (0, 1))
     ]
     ways = [way / np.linalg.norm(way, axis=1)[:, None] for way in ways]
     own = at[y, x]

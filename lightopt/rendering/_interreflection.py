@@ -100,11 +100,13 @@ class PartLight:
     def diffuse(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
         """What diffuse reflection adds to the levels of points, about its error, and glints, shape (3, lights, k).
 
-        Glints are what single rays add beyond :data:`MOST_OF_A_RAY`: a lamp in a small fillet, which few points' rays
-        happen to meet. They are to be shared with the points around.
+        It leaves out light that comes from a light by way of the lobe alone, which :mod:`lightopt.rendering._caustics`
+        adds. Glints are what single rays add beyond :data:`MOST_OF_A_RAY` after more bounces: a lamp in a small fillet,
+        which few points' rays happen to meet. They are to be shared with the points around.
         """
         factor = self.reflectance.R_d / self.white
-        return self._converged(surface, _cosine_rays, factor, DIFFUSE_CELLS, MOST_OF_A_RAY, threads)
+        most = MOST_OF_A_RAY if self.bounces > 1 else math.inf
+        return self._converged(surface, _cosine_rays, factor, DIFFUSE_CELLS, most, threads)
 
     def specular(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
         """As :meth:`diffuse`, what the lobe adds, which has no glints."""

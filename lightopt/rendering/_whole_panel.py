@@ -144,7 +144,7 @@ def add_spread_points(
 ) -> None:
     """Add the light of a panel of weight 1 to the clear points, by a place in each of cells × cells of the panel.
 
-    Places follow the last two numbers of the R₄ sequence (Roberts 2018) from point to point, so that they do not go with
+    Places follow the last numbers of the R₄ sequence (Roberts 2018) from point to point, so that they do not go with
     those of rays: the mean over many points is that of the panel.
 
     terms: Diffuse and specular light per unit of R_d and R_s, shape (k, 2)

@@ -20,11 +20,13 @@ from lightopt.lights import panel_grid
 from lightopt.optics import MIN_COS_VIEW, Reflectance, white_level
 from lightopt.optics._albedo import DEFAULT_ALBEDO
 from lightopt.rendering import SurfacePoints, cast_rays_at, render_posture
+from lightopt.rendering._caustics import caustic_levels, footprints, landed_light
 from lightopt.rendering._interreflection import PartLight
+from lightopt.rendering._surface import trace_samples
 from lightopt.rig.capture._wiring import bench_truth
 from lightopt.rig.simulated._bench_process import BenchTruth
 from lightopt.rig.simulated._optics import BenchOptics
-from lightopt.scene import Lens
+from lightopt.scene import Lens, view_from_part
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MATTE = {"R_d": 100.0, "R_s": 0.0, "sigma": 0.05}
@@ -115,9 +117,10 @@ def test_a_narrow_lobe_mirrors_the_other_surface():
     np.testing.assert_allclose(found, mirrored * 20.0, rtol=2e-3)
 
 
-def area_sum(scene, surface, *, height, half, step):
+def area_sum(scene, surface, *, height, half, step, white=None):
     """One bounce as a sum over cells of the wall, in plain NumPy: diffuse and specular level of each floor point."""
     r = scene.reflectance
+    white = white or white_level(r)
     y = np.arange(-half + step / 2, half, step)
     z = np.arange(step / 2, height, step)
     q = np.stack([np.zeros((len(z), len(y))), *np.broadcast_arrays(y[None], z[:, None])], axis=-1).reshape(-1, 3)
@@ -144,7 +147,7 @@ def area_sum(scene, surface, *, height, half, step):
             seen += sum(level(normal, np.maximum(to_lamp @ normal, 0.0), to_lamp, -way)) / len(lamps)
         solid_angle = step**2 * np.maximum(-way @ normal, 0.0) / distance**2
         parts = level(up, way @ up, way, np.broadcast_to(view, way.shape))
-        found.append([np.sum(part * seen * solid_angle) / (math.pi * white_level(r)) for part in parts])
+        found.append([np.sum(part * seen * solid_angle) / (math.pi * white) for part in parts])
     return np.array(found).T
 
 
@@ -163,8 +166,46 @@ def test_highlight_in_a_highlight_against_a_sum_over_the_other_surface():
     assert specular.max() > 200.0
     found = own.specular(surface)[0, 0]
     np.testing.assert_allclose(found, specular, rtol=0.03, atol=0.5)
-    added = own.diffuse(surface)
-    np.testing.assert_allclose(added[0, 0] + added[2, 0], diffuse, rtol=0.05, atol=0.3)
+    # rays of diffuse points meet diffuse light; what the wall's lobe throws is `test_caustics_…`
+    added, matte = own.diffuse(surface), replace(scene, reflectance=replace(scene.reflectance, R_s=0.0))
+    even = area_sum(matte, surface, height=height, half=half, step=0.05, white=white_level(scene.reflectance))[0]
+    np.testing.assert_allclose(added[0, 0] + added[2, 0], even, rtol=0.05, atol=0.15)
+    assert np.all(diffuse > 10.0 * even)
+
+
+def test_caustics_against_a_sum_over_the_surface_that_throws_them():
+    """What the wall's lobe throws on squares of the floor, and how images show it."""
+    height, half = 20.0, 20.0
+    lamp = ref.Light(distance=330, elevation=50, azimuth=5, size=(60, 60), k=3)
+    scene = scene_from_mesh(CAMERA, [lamp], floor_and_wall(height, half), reflectance=SATIN)
+    scene = replace(scene, bounces=1)
+    matte = replace(scene, reflectance=replace(scene.reflectance, R_s=0.0))
+    (landed,) = landed_light(part_light(scene), 1 << 17)
+    floor = landed.points[:, 2] < 1e-6
+    for x0, y0 in ((2.0, -2.0), (6.0, 0.0), (10.0, 5.0)):
+        side, cells = 4.0, (np.arange(4) + 0.5) / 4
+        places = [(x0 + side * a, y0 + side * b) for a in cells for b in cells]
+        surface = floor_points(places, [(0, 0, 1)] * len(places))
+        sums = [
+            area_sum(one, surface, height=height, half=half, step=0.2, white=white_level(scene.reflectance))[0].mean()
+            for one in (scene, matte)
+        ]
+        x, y = landed.points[:, 0] - x0, landed.points[:, 1] - y0
+        within = floor & (x > 0) & (x < side) & (y > 0) & (y < side)
+        found = landed.light[within].sum() / side**2
+        assert sums[0] - sums[1] > 2.0
+        assert found == pytest.approx(sums[0] - sums[1], rel=0.02), (x0, y0)
+    # images show all that lands in them
+    camera = view_from_part(scene, scene.postures[0]).camera
+    columns, rows = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
+    grid = [a.ravel() for a in np.meshgrid(columns, rows)]
+    hits, seen = trace_samples(cast_rays_at(scene), scene.mesh, camera, *grid)
+    at = np.full((len(rows), len(columns)), -1, np.int32)
+    at.ravel()[hits.ray] = np.arange(len(seen), dtype=np.int32)
+    (levels_shown,) = caustic_levels([landed], camera, seen, at, (0.5, 0.5), 1.0)
+    areas, _ = footprints(camera, seen, at, (0.5, 0.5), 1.0)
+    assert areas[seen.points[:, 2] < 1e-6].sum() == pytest.approx(half * 2 * half, rel=0.05)
+    assert np.sum(levels_shown * areas) == pytest.approx(landed.light[floor].sum(), rel=0.05)
 
 
 def small_spout(**options):
