@@ -276,7 +276,7 @@ def _tailed_light(
     horizon = _horizon(p, n, panel, area)
     if horizon.lowest <= 0.0:
         # masking ends the light there, within about α
-        count_s, count_t = 2 * count_s, 2 * count_t
+        count_s, count_t = min(2 * count_s, MAX_NODES), min(2 * count_t, MAX_NODES)
     total = 0.0
     for i in range(count_t):
         w = w0 + (w1 - w0) * NODES[count_t, i]
@@ -321,7 +321,7 @@ def tail_nodes(low: float, high: float, singular: float, error: float) -> int:
     x, y = 0.5 * (low + high) / half, singular / half
     axis = 0.5 * (math.sqrt((x - 1.0) ** 2 + y * y) + math.sqrt((x + 1.0) ** 2 + y * y))
     rate = math.log(axis + math.sqrt(axis * axis - 1.0))
-    return min(math.ceil(0.5 * math.log(1.0 / error) / rate) + 1, MAX_NODES // 2)
+    return min(math.ceil(0.5 * math.log(1.0 / error) / rate) + 1, MAX_NODES)
 
 
 @kernel

@@ -44,6 +44,7 @@ from lightopt.optics import (
     wide_lobe,
 )
 from lightopt.rendering._panel_quadrature import (
+    MAX_NODES,
     NODES,
     TAIL_ERROR,
     WEIGHTS,
@@ -70,7 +71,7 @@ PIECES = 4  # along a side of an element of which some may be hidden
 LEAST_LEVEL = 1e-3  # what the lobe of an element adds at most where it is left out [grey level]
 FAINT_LEVEL, FAINT_NODES = 0.1, 2  # what an element adds at most where so few nodes a side do [grey level]
 FAINT_AT_HORIZON = 0.4  # and where those of diffuse light do, although the horizon may cross it [grey level]
-LEAST_TAIL_NODES = 4
+LEAST_TAIL_NODES, BENT = 4, 0.75
 MANY_NODES = 6  # a side of elements all over which a lobe varies more
 FULL_ANGLE, MOST_TAIL_ERROR = 0.05, 1e-2  # solid angle of an element that it is for [sr], and the most error, a share
 ELEMENT_ERROR = 0.005  # of what an element adds, which others add to [grey level]
@@ -402,8 +403,8 @@ def _add_tailed(
     centre_s, width_s = peak(a, gs, least, s, area.s0, area.s1)
     centre_t, width_t = peak(c, gt, least, t, area.t0, area.t1)
     if len(pattern.terms) == 1 and pattern.terms[0, 2] == 0.0:
-        # singular in u at ±iπ/2, and nearer where it leans across the sides
-        leaning = 0.5 * math.pi / (1.0 + 2.0 * abs(b) / math.sqrt(max(a * c, 1e-30)))
+        # singular in u at ±iπ/2, nearer where it leans across the sides, and where they are bent
+        leaning = BENT * 0.5 * math.pi / (1.0 + 2.0 * abs(b) / math.sqrt(max(a * c, 1e-30)))
         # masking lets the light end at the horizon, not break off: more nodes are enough there
         crossed = _horizon_crosses(p, n, e, area)
         if not crossed and _height(p, n, e, 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)) <= 0.0:
@@ -434,7 +435,7 @@ def _sinh_nodes(
 ) -> tuple[Float64, Float64]:
     # places along a side and their weights
     u0, u1 = math.asinh((low - centre) / width), math.asinh((high - centre) / width)
-    count = max(LEAST_TAIL_NODES, times * tail_nodes(u0, u1, singular, error))
+    count = min(max(LEAST_TAIL_NODES, times * tail_nodes(u0, u1, singular, error)), MAX_NODES)
     at, weights = np.empty(count), np.empty(count)
     for i in range(count):
         u = u0 + (u1 - u0) * NODES[count, i]
