@@ -90,12 +90,12 @@ def _followed(
         face = np.clip(np.searchsorted(ends, area, "right") - 1, 0, len(ends) - 2).astype(np.int32)
         places = (0.5 + _STEPS[:, None] * number) % 1.0
         weight = ends[-1] / (STRATA * share[stratum] * rays)
-        *found, ray = _thrown(part, light, face, weight, places)
-        return *found, stratum[ray]
+        points, facets, landed, ray = _thrown(part, light, face, weight, places)
+        return points, facets, landed, stratum[ray]
 
     parts = in_threads(chunk, range(0, rays, _RAYS_AT_ONCE), threads)
-    *found, stratum = (np.concatenate(some) for some in zip(*parts, strict=True))
-    return LandedLight(*found), stratum
+    points, facets, landed, stratum = (np.concatenate(some) for some in zip(*parts, strict=True))
+    return LandedLight(points, facets, landed), stratum
 
 
 def _thrown(
@@ -187,8 +187,7 @@ def caustic_levels(
     spacing: Of the samples [px]
     """
     areas, reach = footprints(camera, surface, at, first, spacing)
-    image = np.zeros(at.shape)
-    seen = at >= 0
+    image, seen = np.zeros(at.shape), at >= 0
     image[seen] = areas[at[seen]]
     levels = np.zeros((len(landed), len(surface)))
     for own, light in zip(levels, landed, strict=True):
@@ -203,8 +202,10 @@ def caustic_levels(
         alike = np.einsum("ij,ij->i", light.facets[index], surface.facets[point]) > 0.0
         kept = np.flatnonzero(alike & (away <= reach[point]))
         index, cell = index[kept], cell[kept]
-        sums = [np.bincount(cell, light.light[index] ** power, at.size).reshape(at.shape) for power in (1, 2)]
-        own[at[seen]] = np.where(image > 0.0, _spread(image, *sums), 0.0)[seen]
+        image_light, squares = np.zeros(at.shape), np.zeros(at.shape)
+        np.add.at(image_light.ravel(), cell, light.light[index])
+        np.add.at(squares.ravel(), cell, light.light[index] ** 2)
+        own[at[seen]] = np.where(image > 0.0, _spread(image, image_light, squares), 0.0)[seen]
     return levels
 
 
@@ -216,7 +217,8 @@ def footprints(
     Parameters as in :func:`caustic_levels`; shape (k,) each
     """
     y, x = np.nonzero(at >= 0)
-    column, row, half = first[0] + spacing * x, first[1] + spacing * y, 0.5 * spacing
+    column, row = (start + spacing * a.astype(np.float64) for start, a in zip(first, (x, y), strict=True))
+    half = 0.5 * spacing
     ways = [
         pixel_directions(camera, column + half * right, row + half * down)
         for right, down in ((-1, 0), (1, 0), (0, -1), (0, 1))

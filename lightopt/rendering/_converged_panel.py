@@ -234,13 +234,13 @@ def _shade_by_one_ray(
     surface: SurfacePoints, light: PanelLight | ConvergedPanel, reflectance: Reflectance, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     # each point sees all of a panel or nothing, by a ray to one of its places in turn
-    seen = surface.front
+    seen: Bool = surface.front
     if caster is not None:
         targets = _ray_targets(light)
         own = np.arange(len(surface)) % len(targets) == np.arange(len(targets))[:, None]
         own &= facing_targets(surface, targets, geometric=True)
-        seen = caster.visible(surface.points, surface.facets, targets, candidates=own, outside=surface.outside)
-        seen = seen.any(axis=0)
+        free = caster.visible(surface.points, surface.facets, targets, candidates=own, outside=surface.outside)
+        seen = np.any(free, axis=0)
     terms = np.zeros((len(surface), 2))
     if not isinstance(light, ConvergedPanel):
         index = np.flatnonzero(seen)
