@@ -269,14 +269,12 @@ def _tailed_light(
     w0, w1 = math.asinh((area.t0 - centre_t) / width_t), math.asinh((area.t1 - centre_t) / width_t)
     # the lobe is singular in u at ±iπ/2, and nearer where it leans across the sides
     leaning = 0.5 * math.pi / (1.0 + 2.0 * abs(b) / math.sqrt(max(a * c, 1e-30)))
-    count_s, count_t = (
-        max(tail_nodes(u0, u1, leaning, TAIL_ERROR), least_s),
-        max(tail_nodes(w0, w1, leaning, TAIL_ERROR), least_t),
-    )
+    count_s = max(min(tail_nodes(u0, u1, leaning, TAIL_ERROR), MAX_NODES // 2), least_s)
+    count_t = max(min(tail_nodes(w0, w1, leaning, TAIL_ERROR), MAX_NODES // 2), least_t)
     horizon = _horizon(p, n, panel, area)
     if horizon.lowest <= 0.0:
         # masking ends the light there, within about α
-        count_s, count_t = min(2 * count_s, MAX_NODES), min(2 * count_t, MAX_NODES)
+        count_s, count_t = 2 * count_s, 2 * count_t
     total = 0.0
     for i in range(count_t):
         w = w0 + (w1 - w0) * NODES[count_t, i]
