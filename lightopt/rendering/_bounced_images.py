@@ -1,8 +1,8 @@
 """Light of the part on itself in images: worked out at some pixels, and interpolated between them where it is smooth.
 
-A square of pixels has nodes at its corners and in its middle. Where the surface in it is smooth and the middle agrees
-with the mean of the corners, the polynomial through the five nodes serves for all of it; otherwise the square is
-divided, at last into single pixels.
+A square of pixels has 3 × 3 nodes. Where the surface in it is smooth and the other nodes agree with the mean of the
+corners beside them, the polynomial through the nodes serves for all of it; otherwise the square is divided, at last
+into single pixels.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,17 +15,19 @@ from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import dot, length, minus, vector_at
 from lightopt.geometry import Hits
+from lightopt.rendering._caustics import caustic_levels, landed_light
 from lightopt.rendering._interreflection import PartLight
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PinholeCamera, lens_share
 
-SIDES = (16, 8, 4, 2)  # of the squares, in samples
+SIDES = (16, 8, 4)  # of the squares, in samples
 BAND = 16 * SIDES[0]  # rows of samples that are worked on at once
 NEAR = 4  # rows and columns around a sample, in which others like it tell its level
 LEAST_NEAR = 5  # number of these
 MOST_TURN = 0.05  # angle between their normals [rad]
-# by how much the middle may differ from the mean of the corners, besides its own error [grey level], share
-CHANGE, RELATIVE_CHANGE = 0.3, 0.02
+# by how much nodes may differ from means of corners, of which the polynomial takes account, besides their errors [grey
+# level], share
+CHANGE, RELATIVE_CHANGE = 0.6, 0.05
 SHARED = 65  # rows and columns around a sample that share glints, twice
 MOST_BEND = 0.1  # normals that differ by more from those interpolated between corners divide a square [rad]
 MOST_STEP = 0.1  # and points that are further from those interpolated, as a share of the square's diagonal
@@ -64,6 +66,7 @@ def bounced_bands(
     n, (left, top, right, bottom) = supersample, window
     columns = (np.arange(left * n, right * n) + 0.5) / n + offset[0]
     step = max(1, BAND // n)
+    landed = landed_light(light, camera.position, (right - left) * (bottom - top) * n * n, threads)
     for first in range(top, bottom, step):
         end = min(first + step, bottom)
         # with the row that the squares of the last rows reach to
@@ -75,6 +78,8 @@ def bounced_bands(
         pixels = []
         for worked_out in (light.diffuse, light.specular):
             values = _over_squares(surface, at, worked_out, threads)
+            if landed and not pixels:
+                values += caustic_levels(landed, camera, surface, at, (columns[0], rows[0]), 1.0 / n)
             samples = np.zeros((len(values), *at.shape))
             samples[:, at >= 0] = (values if passed is None else values * passed)[:, at[at >= 0]]
             samples = samples[:, : (end - first) * n].reshape(len(values), end - first, n, right - left, n)
@@ -168,44 +173,53 @@ def _nodes(corners: Int32, side: int, at: Int32, count: int) -> Bool:
     chosen = np.zeros(count, np.bool_)
     half = side // 2
     for k in range(len(corners)):
-        y, x = corners[k, 0], corners[k, 1]
-        chosen[at[y, x]] = chosen[at[y, x + side]] = chosen[at[y + side, x]] = True
-        chosen[at[y + side, x + side]] = chosen[at[y + half, x + half]] = True
+        for down in range(3):
+            for right in range(3):
+                chosen[at[corners[k, 0] + half * down, corners[k, 1] + half * right]] = True
     return chosen
 
 
 @kernel
 def _interpolated(corners: Int32, side: int, at: Int32, values: Float64, done: Bool) -> Bool:
-    # fills the squares whose middle agrees with their corners under every light, and says which
+    # fills the squares whose other nodes agree with their corners under every light, and says which
     fitting = np.zeros(len(corners), np.bool_)
-    half = side // 2
+    half, nodes = side // 2, np.empty(9, np.int64)
+    along = np.empty((side + 1, 3))
+    for x in range(side + 1):
+        s = x / side
+        along[x, 0], along[x, 1], along[x, 2] = (1.0 - 2.0 * s) * (1.0 - s), 4.0 * s * (1.0 - s), s * (2.0 * s - 1.0)
     for k in range(len(corners)):
         top, left = corners[k, 0], corners[k, 1]
-        a, b = at[top, left], at[top, left + side]
-        c, d = at[top + side, left], at[top + side, left + side]
-        middle = at[top + half, left + half]
+        for down in range(3):
+            for right in range(3):
+                nodes[3 * down + right] = at[top + half * down, left + half * right]
         agrees = True
         for light in range(values.shape[1]):
             v, e = values[0, light], values[1, light]
-            off = abs(v[middle] - 0.25 * (v[a] + v[b] + v[c] + v[d]))
-            error = max(max(max(e[a], e[b]), max(e[c], e[d])), e[middle])
-            agrees &= off <= CHANGE + RELATIVE_CHANGE * v[middle] + error
+            error = most = 0.0
+            for node in nodes:
+                error, most = max(error, e[node]), max(most, v[node])
+            a, b, c, d = v[nodes[0]], v[nodes[2]], v[nodes[6]], v[nodes[8]]
+            off = abs(v[nodes[4]] - 0.25 * (a + b + c + d))
+            off = max(off, max(abs(v[nodes[1]] - 0.5 * (a + b)), abs(v[nodes[7]] - 0.5 * (c + d))))
+            off = max(off, max(abs(v[nodes[3]] - 0.5 * (a + c)), abs(v[nodes[5]] - 0.5 * (b + d))))
+            agrees &= off <= CHANGE + RELATIVE_CHANGE * most + error
         fitting[k] = agrees
         if not agrees:
             continue
         for y in range(side + 1):
             for x in range(side + 1):
-                i, s, t = at[top + y, left + x], x / side, y / side
+                i = at[top + y, left + x]
                 if done[i]:
                     continue
                 done[i] = True
-                bubble = 16.0 * s * (1.0 - s) * t * (1.0 - t)
                 for layer in range(0, 3, 2):
                     for light in range(values.shape[1]):
-                        v = values[layer, light]
-                        off = v[middle] - 0.25 * (v[a] + v[b] + v[c] + v[d])
-                        plane = (1.0 - t) * ((1.0 - s) * v[a] + s * v[b]) + t * ((1.0 - s) * v[c] + s * v[d])
-                        v[i] = max(0.0, plane + bubble * off)
+                        v, value = values[layer, light], 0.0
+                        for down in range(3):
+                            for right in range(3):
+                                value += along[y, down] * along[x, right] * v[nodes[3 * down + right]]
+                        v[i] = max(0.0, value)
     return fitting
 
 

@@ -28,7 +28,7 @@ from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, p
 from lightopt.rendering._point_lights import clear_targets, facing_targets, shade_points, visible_counts
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._surface_light import shade_surface_lights
-from lightopt.rendering._whole_panel import whole_panel
+from lightopt.rendering._whole_panel import add_spread_points, whole_panel
 from lightopt.scene import Scene
 
 DIFFUSE_TOLERANCE = 1e-4  # error of the diffuse quadrature per unit of R_d: 0.025 level of 255
@@ -50,11 +50,14 @@ class ConvergedPanel:
 
     nodes: Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do
     least_distance: From the panel's centre to the sphere around the part [mm]; 0 inside it
+    cells: A side, of which each has a place that stands for it under light that rays gather, another one for each
+        point; 0 where these take the whole panel, too
     """
 
     light: PanelLight
     nodes: int
     least_distance: float
+    cells: int = 0
 
     def points_for(self, sigma: float) -> int | None:
         """Points k² that stand for the panel to a few per cent of the lobe's change; None where that takes too many.
@@ -243,22 +246,33 @@ def _shade_by_one_ray(
     surface: SurfacePoints, light: PanelLight | ConvergedPanel, reflectance: Reflectance, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     # each point sees all of a panel or nothing, by a ray to one of its places in turn
-    seen = surface.front
+    seen: Bool = surface.front
     if caster is not None:
-        targets = shadow_targets(light.light if isinstance(light, ConvergedPanel) else light)
+        targets = _ray_targets(light)
         own = np.arange(len(surface)) % len(targets) == np.arange(len(targets))[:, None]
         own &= facing_targets(surface, targets, geometric=True)
-        seen = caster.visible(surface.points, surface.facets, targets, candidates=own, outside=surface.outside)
-        seen = seen.any(axis=0)
-    index = np.flatnonzero(seen)
-    some, terms = surface.take(index), np.zeros((len(surface), 2))
-    if isinstance(light, ConvergedPanel):
-        found = np.zeros((len(some), 2))
-        _add_whole_panel(some, np.ones(len(some), np.bool_), _converged_light(light, reflectance), found)
-        terms[index] = found * light.light.total_weight
+        free = caster.visible(surface.points, surface.facets, targets, candidates=own, outside=surface.outside)
+        seen = np.any(free, axis=0)
+    terms = np.zeros((len(surface), 2))
+    if not isinstance(light, ConvergedPanel):
+        index = np.flatnonzero(seen)
+        found = shade_light(surface.take(index), light, reflectance=reflectance, caster=None)
+        terms[index] = np.stack(found, axis=1)
+        return terms[:, 0], terms[:, 1]
+    if light.cells:
+        geometry = surface.points, surface.normals, surface.views
+        own = reflectance.lobe, reflectance.diffuse
+        add_spread_points(*geometry, seen, panel_numbers(light.light), light.cells, *own, terms)
     else:
-        terms[index] = np.stack(shade_light(some, light, reflectance=reflectance, caster=None), axis=1)
+        _add_whole_panel(surface, seen, _converged_light(light, reflectance), terms)
+    terms *= light.light.total_weight
     return terms[:, 0], terms[:, 1]
+
+
+def _ray_targets(light: PanelLight | ConvergedPanel) -> Float64:
+    if isinstance(light, ConvergedPanel):
+        return panel_grid(light.light, light.cells**2) if light.cells else probe_targets(light.light)
+    return shadow_targets(light)
 
 
 def shade_changed_points(

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from lightopt.optics import (
     DiffuseForm,
     Lobe,
     Reflectance,
+    SpecularModel,
     diffuse_term,
     is_lambert,
     light_factor,
@@ -35,14 +37,14 @@ from lightopt.optics import (
     specular_lobe,
     white_level,
 )
-from lightopt.rendering._converged_panel import ConvergedPanel, isolated_levels, panel_to_shade
+from lightopt.rendering._converged_panel import ConvergedPanel, converged_panel, isolated_levels
 from lightopt.rendering._surface import SurfacePoints, surface_at
 from lightopt.scene import Scene
 
 # cells of the unit square of (u, turn), from which directions are made, with a first ray through the middle of each
 LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (6, 8), (2, 4)
 # errors of a cell that are small enough [grey level], share; and its most further rays along each side
-CHANGE, RELATIVE_CHANGE = 0.2, 0.01
+CHANGE, RELATIVE_CHANGE = 0.4, 0.03
 MOST_SIDES = 8
 LEAST_SHARE = 0.05  # of that error, above which a cell gets more than one further ray
 SPREAD = 1.4  # width of the directions of the lobe's rays, in those of the lobe
@@ -63,7 +65,8 @@ _Levels = Callable[[SurfacePoints], Float64]
 class PartLight:
     """What the light of the part on itself depends on, in one posture.
 
-    lights: Part frame, from :func:`lightopt.rendering.panel_to_shade`
+    lights: Part frame, from :meth:`of_scene`
+    reflectances: By the materials of the mesh's faces
     blocker: For shadows; None for none
     environment: Level of the surroundings under a light of gain 1 [grey level]
     bounces: From the part to the part
@@ -73,7 +76,7 @@ class PartLight:
     caster: RayCaster
     blocker: RayCaster | None
     lights: Sequence[PanelLight | ConvergedPanel]
-    reflectance: Reflectance
+    reflectances: tuple[Reflectance, ...]
     environment: float
     bounces: int
 
@@ -83,18 +86,22 @@ class PartLight:
     ) -> PartLight:
         """That of a scene's part.
 
-        lights: Part frame; panels get points that the lobe cannot tell apart or, where these are too many, none
+        lights: Part frame; panels get places that the lobe cannot tell apart or, where these are too many, are whole
         """
-        sigma = scene.reflectance.sigma
         return cls(
             mesh=scene.mesh,
             caster=caster,
             blocker=caster if shadows else None,
-            lights=[panel_to_shade(_mirrored_light(light, sigma), caster) for light in lights],
-            reflectance=scene.reflectance,
+            lights=[_mirrored_light(light, scene.sharpest.sigma, caster) for light in lights],
+            reflectances=scene.reflectances,
             environment=scene.environment,
             bounces=scene.bounces,
         )
+
+    @cached_property
+    def white(self) -> float:
+        """White level of the part [grey level]."""
+        return white_level(self.reflectances[0])
 
     @property
     def surroundings(self) -> Float64:
@@ -105,51 +112,59 @@ class PartLight:
     def diffuse(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
         """What diffuse reflection adds to the levels of points, about its error, and glints, shape (3, lights, k).
 
-        Glints are what single rays add beyond :data:`MOST_OF_A_RAY`: a lamp in a small fillet, which few points' rays
-        happen to meet. They are to be shared with the points around.
+        It leaves out light that comes from a light by way of the lobe alone, which :mod:`lightopt.rendering._caustics`
+        adds. Glints are what single rays add beyond :data:`MOST_OF_A_RAY` after more bounces: a lamp in a small fillet,
+        which few points' rays happen to meet. They are to be shared with the points around.
         """
-        factor = self.reflectance.R_d / white_level(self.reflectance)
-        return self._converged(surface, self._diffuse_rays, factor, DIFFUSE_CELLS, MOST_OF_A_RAY, threads)
+        return self._added(surface, threads, by_lobe=False)
 
     def specular(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
         """As :meth:`diffuse`, what the lobe adds, which has no glints."""
-        factor = self.reflectance.R_s / (math.pi * white_level(self.reflectance))
-        return self._converged(surface, self._lobe_rays, factor, LOBE_CELLS, math.inf, threads)
+        return self._added(surface, threads, by_lobe=True)
 
-    def _diffuse_rays(self, surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
-        form = self.reflectance.diffuse
-        return _rays_by_cosine(surface.normals, surface.facets, surface.views, form, point, u, turn)
+    def _added(self, surface: SurfacePoints, threads: int | None, *, by_lobe: bool) -> Float64:
+        added = np.zeros((3, len(self.lights), len(surface)))
+        for index, some, own in surface.by_material(self.reflectances):
+            added[..., index] = self._converged(some, own, threads, by_lobe=by_lobe)
+        return added
 
-    def _lobe_rays(self, surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
-        return _lobe_rays(surface.normals, surface.facets, surface.views, self.reflectance.lobe, point, u, turn)
+    def _ways(self, own: Reflectance, *, by_lobe: bool) -> tuple[float, _Rays]:
+        # rays of points of a reflectance, and the factor of what they gather
+        def by_cosine(surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
+            return _rays_by_cosine(surface.normals, surface.facets, surface.views, own.diffuse, point, u, turn)
 
-    def _converged(
-        self,
-        surface: SurfacePoints,
-        rays: _Rays,
-        factor: float,
-        cells: tuple[int, int],
-        most: float,
-        threads: int | None,
-    ) -> Float64:
+        def of_lobe(surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
+            return lobe_rays(surface.normals, surface.facets, surface.views, own.lobe, point, u, turn)
+
+        return (own.R_s / (math.pi * self.white), of_lobe) if by_lobe else (own.R_d / self.white, by_cosine)
+
+    def _converged(self, surface: SurfacePoints, own: Reflectance, threads: int | None, *, by_lobe: bool) -> Float64:
         # factor times the mean over the unit square of (u, turn), and about its error. What a first ray of each cell
         # sees says how many more it takes, and is no part of the mean, which would miss what first rays missed
+        factor, rays = self._ways(own, by_lobe=by_lobe)
+        cells, most = LOBE_CELLS if by_lobe else DIFFUSE_CELLS, math.inf
+        if not by_lobe and self.bounces > 1:
+            most = MOST_OF_A_RAY
         step, area = max(1, _RAYS_AT_ONCE // (cells[0] * cells[1])), 1.0 / (cells[0] * cells[1])
+        # what the lobe throws on diffuse surface are caustics
+        shown = self.reflectances
+        if not by_lobe:
+            shown = tuple(replace(one, R_s=0.0, sigma=1e-3, model=SpecularModel()) for one in shown)
         # half vectors turn by half of what directions do between rays
-        of_lobe = 16.0 * math.pi * (SPREAD * self.reflectance.sigma) ** 2
-        angle = 0.5 * math.sqrt(area * (2.0 * math.pi if rays == self._diffuse_rays else of_lobe))
+        of_lobe = 16.0 * math.pi * (SPREAD * own.sigma) ** 2
+        angle = 0.5 * math.sqrt(area * (of_lobe if by_lobe else 2.0 * math.pi))
 
         def chunk(start: int) -> Float64:
             some = surface.take(slice(start, start + step))
             point, u, turn = _cells(len(some), cells)
-            values, near = factor * self._seen(some, rays, point, u, turn, lambda met: self._hints(met, angle))
+            values, near = factor * self._seen(some, rays, point, u, turn, lambda met: self._hints(met, shown, angle))
             limit = CHANGE + RELATIVE_CHANGE * area * _sums(point, values, len(some))
             spread = np.maximum(_differences(values.reshape(-1, len(some), *cells)).reshape(values.shape), near)
             off = area * np.max(spread / limit[:, point], axis=0)
             sides = np.clip(np.ceil(off ** (2.0 / 3.0)), np.where(off > LEAST_SHARE, 2, 1), MOST_SIDES).astype(np.intp)
             cell, u, turn = _divided(some.points, point, u, turn, sides, cells)
             (values,) = factor * self._seen(
-                some, rays, point[cell], u, turn, lambda met: self._levels(met, self.bounces)
+                some, rays, point[cell], u, turn, lambda met: self._levels(met, self.bounces, shown)
             )
             number = sides[cell] ** 2
             added = area * values / number
@@ -195,43 +210,48 @@ class PartLight:
         seen[..., met] = found
         return seen * weights
 
-    def _hints(self, surface: SurfacePoints, angle: float) -> Float64:
+    def _hints(self, surface: SurfacePoints, shown: Sequence[Reflectance], angle: float) -> Float64:
         # levels of points that rays met, without shadows, and those of highlights that may be beside them, where
         # normals are uncertain by an angle [rad]; shape (2, lights, k)
-        own = self.reflectance
+        levels = np.zeros((2, len(self.lights), len(surface)))
         if not self.bounces:
-            return np.zeros((2, len(self.lights), len(surface)))
-        wide = math.hypot(own.sigma, angle)
-        spread = replace(own, R_d=0.0, R_s=own.R_s * (own.sigma / wide) ** 2, sigma=wide)
-        return np.stack([isolated_levels(surface, self.lights, one, None, penumbrae=False) for one in (own, spread)])
+            return levels
+        for index, some, own in surface.by_material(shown):
+            wide = math.hypot(own.sigma, angle)
+            spread = replace(own, R_d=0.0, R_s=own.R_s * (own.sigma / wide) ** 2, sigma=wide)
+            for array, one in zip(levels, (own, spread) if own.R_s else (own,), strict=False):
+                array[:, index] = isolated_levels(some, self.lights, one, None, penumbrae=False)
+        return levels
 
-    def _levels(self, surface: SurfacePoints, bounces: int) -> Float64:
-        # levels of points that rays met before so many bounces, shape (1, lights, k)
+    def _levels(self, surface: SurfacePoints, bounces: int, shown: Sequence[Reflectance]) -> Float64:
+        # levels of points that rays met before so many bounces, shape (1, lights, k); shown: for direct light
         levels = np.zeros((1, len(self.lights), len(surface)))
         if not bounces:
             return levels
-        levels[0] = isolated_levels(surface, self.lights, self.reflectance, self.blocker, penumbrae=False)
+        for index, some, own in surface.by_material(shown):
+            levels[0][:, index] = isolated_levels(some, self.lights, own, self.blocker, penumbrae=False)
         if surface.front.any() and (bounces > 1 or self.environment):
-            front = surface.take(np.flatnonzero(surface.front))
-            nodes, white = _cells(len(front), NESTED_CELLS), white_level(self.reflectance)
-            for coefficient, rays in (
-                (self.reflectance.R_d / white, self._diffuse_rays),
-                (self.reflectance.R_s / (math.pi * white), self._lobe_rays),
-            ):
-                seen = self._seen(front, rays, *nodes, lambda met: self._levels(met, bounces - 1))
-                levels[0][:, surface.front] += coefficient * seen.reshape(len(self.lights), len(front), -1).mean(axis=2)
+            seen_from_front = np.flatnonzero(surface.front)
+            for index, some, own in surface.take(seen_from_front).by_material(self.reflectances):
+                nodes = _cells(len(some), NESTED_CELLS)
+                for by_lobe in (False, True):
+                    factor, rays = self._ways(own, by_lobe=by_lobe)
+                    seen = self._seen(some, rays, *nodes, lambda met: self._levels(met, bounces - 1, self.reflectances))
+                    mean = seen.reshape(len(self.lights), len(some), -1).mean(axis=2)
+                    levels[0][:, seen_from_front[index]] += factor * mean
         return levels
 
 
-def _mirrored_light(light: PanelLight, sigma: float) -> PanelLight:
+def _mirrored_light(light: PanelLight, sigma: float, caster: RayCaster) -> PanelLight | ConvergedPanel:
     # a light as the part sees it in itself: the half vectors of a panel's points turn by half of what directions do
     if isinstance(light, SurfaceLight):
         return light
     k = max(LEAST_POINTS, math.ceil(0.5 * max(light.size) / (light.distance * sigma)))
     if light.points != "auto" and light.points >= k * k:
         return light
-    points = k * k if k <= MOST_POINTS else "auto"
-    return replace(light, points=points, normalisation="mean", gain=light.total_weight)
+    whole = replace(light, points="auto", normalisation="mean", gain=light.total_weight)
+    cells = k if k <= MOST_POINTS else 0
+    return replace(converged_panel(whole, centre=caster.centre, radius=caster.radius), cells=cells)
 
 
 @kernel
@@ -299,11 +319,19 @@ def _turned(n: Vector, angle: float, turn: float) -> Vector:
 
 
 @kernel
-def _lobe_rays(
+def lobe_rays(
     normals: Float64, facets: Float64, views: Float64, lobe: Lobe, point: Index, u: Float64, turn: Float64
 ) -> tuple[Float64, Float64]:
-    # views mirrored by half vectors as dense as a lobe of SPREAD times the width, whose rays meet highlights in its
-    # tail, half of them by the wider of two lobes; dω of light is 4 (V·H) dω of H
+    """Directions in which the lobe of points gathers light, shape (k, 3), and weights, shape (k,).
+
+    The mean of weight times light is ∫ lobe/cosθ_o · light dω. Views are mirrored by half vectors as dense as a lobe of
+    SPREAD times the width, whose rays meet highlights in its tail, half of them by the wider of two lobes; dω of light
+    is 4 (V·H) dω of H.
+
+    normals, facets, views: Of the points, shape (n, 3)
+    point: Of each ray, shape (k,)
+    u, turn: Place of each ray in the unit square, shape (k,)
+    """
     directions, weights = np.empty((len(point), 3)), np.zeros(len(point))
     for k in range(len(point)):
         i = point[k]

@@ -71,7 +71,7 @@ def _gauss_legendre() -> tuple[Float64, Float64]:
 
 NO_LOBE = Reflectance(R_d=1.0, R_s=0.0, sigma=1.0).lobe
 
-_TAIL_ERROR = 3e-5  # share of the lobe's light by which a rule may be off
+TAIL_ERROR = 3e-5  # share of the lobe's light by which a rule may be off
 _EVEN = 1e3  # width, in sides, from which a lobe is the same all along one
 
 # of the Gauss–Legendre rules on [0, 1]; row n has the rule of n nodes, shape (MAX_NODES + 1, MAX_NODES)
@@ -307,7 +307,8 @@ def _tailed_light(
     w0, w1 = math.asinh((area.t0 - centre_t) / width_t), math.asinh((area.t1 - centre_t) / width_t)
     # the lobe is singular in u at ±iπ/2, and nearer where it leans across the sides
     leaning = 0.5 * math.pi / (1.0 + 2.0 * abs(b) / math.sqrt(max(a * c, 1e-30)))
-    count_s, count_t = max(tail_nodes(u0, u1, leaning), least_s), max(tail_nodes(w0, w1, leaning), least_t)
+    count_s = max(min(tail_nodes(u0, u1, leaning, TAIL_ERROR), MAX_NODES // 2), least_s)
+    count_t = max(min(tail_nodes(w0, w1, leaning, TAIL_ERROR), MAX_NODES // 2), least_t)
     horizon = _horizon(p, n, panel, area)
     if horizon.lowest <= 0.0:
         # masking ends the light there, within about α
@@ -345,16 +346,18 @@ def peak(curvature: float, gradient: float, least: float, at: float, low: float,
 
 
 @kernel
-def tail_nodes(low: float, high: float, singular: float) -> int:
+def tail_nodes(low: float, high: float, singular: float, error: float) -> int:
     """Nodes of a Gauss–Legendre rule from low to high for a function that is singular at ±i·singular.
 
     Its error falls with the sum of the half axes of the ellipse through these places whose foci are the ends.
+
+    error: As a share of the integral, about
     """
     half = max(0.5 * (high - low), 1e-9)
     x, y = 0.5 * (low + high) / half, singular / half
     axis = 0.5 * (math.sqrt((x - 1.0) ** 2 + y * y) + math.sqrt((x + 1.0) ** 2 + y * y))
     rate = math.log(axis + math.sqrt(axis * axis - 1.0))
-    return min(math.ceil(0.5 * math.log(1.0 / _TAIL_ERROR) / rate) + 1, MAX_NODES // 2)
+    return min(math.ceil(0.5 * math.log(1.0 / error) / rate) + 1, MAX_NODES)
 
 
 @kernel
@@ -425,12 +428,13 @@ def _lobe_above_horizon(
 
 
 @kernel
-def smooth_nodes(p: Vector, n: Vector, v: Vector, centre: Vector, reach: float, lobe: Lobe) -> int:
+def smooth_nodes(p: Vector, n: Vector, v: Vector, centre: Vector, reach: float, lobe: Lobe, error: float) -> int:
     """Nodes a side that integrate a lobe where it is smooth all over a light; :data:`MAX_NODES` where it is not.
 
     Of two lobes, that is the wide one where the narrow one is negligible.
 
     centre, reach: Of the light, and how far its points are from there at most [mm]
+    error: Of tails, as a share of the light
     """
     half, spread = half_vector_cone(p, v, centre, reach)
     away = length(minus(n, half))
@@ -438,7 +442,7 @@ def smooth_nodes(p: Vector, n: Vector, v: Vector, centre: Vector, reach: float, 
         return MAX_NODES
     if lobe.ggx:
         # singular where δ = ±iα
-        return tail_nodes(away - spread, away + spread, math.sqrt(2.0 / lobe.inverse))
+        return tail_nodes(away - spread, away + spread, math.sqrt(2.0 / lobe.inverse), error)
     nearest = max(0.0, away - spread)
     if nearest * nearest * lobe.inverse <= NEGLIGIBLE_EXPONENT:
         return MAX_NODES

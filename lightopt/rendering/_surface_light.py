@@ -47,7 +47,9 @@ from lightopt.optics import (
     wide_lobe,
 )
 from lightopt.rendering._panel_quadrature import (
+    MAX_NODES,
     NODES,
+    TAIL_ERROR,
     WEIGHTS,
     Rectangle,
     half_vector_cone,
@@ -60,7 +62,7 @@ from lightopt.rendering._panel_quadrature import (
     tail_nodes,
 )
 from lightopt.rendering._pattern_weights import pattern_weights, picture_weights
-from lightopt.rendering._point_lights import facing_targets, lobe_towards
+from lightopt.rendering._point_lights import facing_targets
 from lightopt.rendering._surface import SurfacePoints
 
 DIFFUSE_NODES = 3  # a side of an element
@@ -70,6 +72,12 @@ FLANK, FAR, FAR_NODES = 4.5, 9.0, 2
 MOST_PATTERN_NODES = 40
 PIECES = 4  # along a side of an element of which some may be hidden
 LEAST_LEVEL = 1e-3  # what the lobe of an element adds at most where it is left out [grey level]
+FAINT_LEVEL, FAINT_NODES = 0.1, 2  # what an element adds at most where so few nodes a side do [grey level]
+FAINT_AT_HORIZON = 0.4  # and where those of diffuse light do, although the horizon may cross it [grey level]
+LEAST_TAIL_NODES, BENT = 4, 0.75
+MANY_NODES = 6  # a side of elements all over which a lobe varies more
+FULL_ANGLE, MOST_TAIL_ERROR = 0.05, 1e-2  # solid angle of an element that it is for [sr], and the most error, a share
+ELEMENT_ERROR = 0.005  # of what an element adds, which others add to [grey level]
 MOST_R_S_SIGMA_2 = 1e3  # R_s·σ² of fits, where R_s is not known [grey level]
 NEGLIGIBLE_LEVEL = 0.02  # elements whose highlight is less are not divided [grey level]
 STEPS = 6  # Newton steps to where the lobe is brightest
@@ -85,8 +93,8 @@ AT_ONCE = 1 << 21  # surface points times elements times terms of patterns that 
 
 
 @kernel
-def _diffuse_nodes(e: Element, pattern: Pattern) -> tuple[Float64, Float64, Float64]:
-    count, terms = DIFFUSE_NODES, pattern.terms
+def _nodes(e: Element, pattern: Pattern, count: int) -> tuple[Float64, Float64, Float64]:
+    terms = pattern.terms
     places, light = np.empty((count**2, 3)), np.empty((count**2, 3))
     weights = np.empty((len(terms), count**2))
     du, dv = e.u1 - e.u0, e.v1 - e.v0
@@ -150,20 +158,25 @@ def _share_of_lambert(n: Vector, v: Vector, towards: Vector, form: DiffuseForm) 
 
 
 @kernel
-def _values_of_nodes(
-    p: Vector, n: Vector, v: Vector, e: Element, area: Rectangle, counts: tuple[int, int], lobe: Lobe
-) -> Float64:
-    # lobe times radiance · cosα / r² · dA per ds dt of the nodes of a part of an element, shape (count_s, count_t); 0
-    # below the horizon. As in `whole_panel`, the processor works on several nodes at once
-    count_s, count_t = counts
+def _even_nodes(low: float, high: float, count: int) -> Float64:
+    at = np.empty(count)
+    for i in range(count):
+        at[i] = low + (high - low) * NODES[count, i]
+    return at
+
+
+@kernel
+def _values_of_nodes(p: Vector, n: Vector, v: Vector, e: Element, at_s: Float64, at_t: Float64, lobe: Lobe) -> Float64:
+    # lobe times radiance · cosα / r² · dA per ds dt of places of an element, shape (count_s, count_t); 0 below the
+    # horizon. As in `whole_panel`, the processor works on several nodes at once
+    count_s, count_t = len(at_s), len(at_t)
     values, chord = np.empty((count_s, count_t)), np.empty(count_t)
-    cosine, sine, at_t = np.ones(count_t), np.zeros(count_t), np.empty(count_t)
+    cosine, sine = np.ones(count_t), np.zeros(count_t)
     for j in range(count_t):
-        at_t[j] = area.t0 + (area.t1 - area.t0) * NODES[count_t, j]
         if e.shape == SPHERE:
             cosine[j], sine[j] = math.cos(at_t[j]), math.sin(at_t[j])
     for i in range(count_s):
-        s = area.s0 + (area.s1 - area.s0) * NODES[count_s, i]
+        s = at_s[i]
         of_s, row = (math.cos(s), math.sin(s)), values[i]
         for j in range(count_t):
             q, along_s, along_t = place_on_element(e, s, at_t[j], of_s, (cosine[j], sine[j]))
@@ -276,7 +289,7 @@ def _add_above_horizon(
                     low = border
             elif _height(p, n, e, s, 0.5 * (low + high)) <= 0.0:
                 continue
-            values = _values_of_nodes(p, n, v, e, Rectangle(s, s, low, high), (1, count_t), lobe)[0]
+            values = _values_of_nodes(p, n, v, e, np.array([s]), _even_nodes(low, high, count_t), lobe)[0]
             factor = width * (high - low) * whole
             for b in range(len(terms)):
                 pattern_weights(terms[b], 1, low, high - low, count_t, False, weights_t)
@@ -401,22 +414,55 @@ def _add_tailed(
     most: float,
     found: Float64,
 ) -> None:
-    # adds the light of a lobe with tails. Pieces whose sides grow with the distance from where it is greatest take as
-    # many nodes each
-    s, t, a, _, c, gs, gt, least = _nearest(p, n, v, e, area, lobe.inverse, EVERYWHERE)
+    # adds the light of a lobe with tails. As on a panel, nodes are those of a rule in u, where a side is width · sinh u
+    # from where it is greatest. Those of patterns take pieces that grow with the distance from there
+    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, e, area, lobe.inverse, EVERYWHERE)
     if least > farthest_exponent(most, lobe):
         return
-    ends_s, ends_t = np.empty(MOST_ENDS), np.empty(MOST_ENDS)
+    # of its light, which is less than e^most times LEAST_LEVEL
+    value = 1.0 / (1.0 + 0.5 * least) ** 2
+    error = min(max(ELEMENT_ERROR / LEAST_LEVEL * math.exp(-most) / (value * FULL_ANGLE), TAIL_ERROR), MOST_TAIL_ERROR)
     centre_s, width_s = peak(a, gs, least, s, area.s0, area.s1)
     centre_t, width_t = peak(c, gt, least, t, area.t0, area.t1)
+    if len(pattern.terms) == 1 and pattern.terms[0, 2] == 0.0:
+        # singular in u at ±iπ/2, nearer where it leans across the sides, and where they are bent
+        leaning = BENT * 0.5 * math.pi / (1.0 + 2.0 * abs(b) / math.sqrt(max(a * c, 1e-30)))
+        # masking lets the light end at the horizon, not break off: more nodes are enough there
+        crossed = _horizon_crosses(p, n, e, area)
+        if not crossed and _height(p, n, e, 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)) <= 0.0:
+            return
+        times = 2 if crossed else 1
+        at_s, weights_s = _sinh_nodes(centre_s, width_s, area.s0, area.s1, leaning, error, times)
+        at_t, weights_t = _sinh_nodes(centre_t, width_t, area.t0, area.t1, leaning, error, times)
+        values = _values_of_nodes(p, n, v, e, at_s, at_t, lobe)
+        total = 0.0
+        for i in range(len(at_s)):
+            total += weights_s[i] * np.dot(weights_t, values[i])
+        found[0] += total / specular_divisor(dot(n, v), lobe)
+        return
+    ends_s, ends_t = np.empty(MOST_ENDS), np.empty(MOST_ENDS)
     count_s = _set_ends(centre_s, width_s, area.s0, area.s1, ends_s)
     count_t = _set_ends(centre_t, width_t, area.t0, area.t1, ends_t)
     for i in range(count_s):
-        nodes_s = tail_nodes(ends_s[i] - centre_s, ends_s[i + 1] - centre_s, width_s)
+        nodes_s = tail_nodes(ends_s[i] - centre_s, ends_s[i + 1] - centre_s, width_s, error)
         for j in range(count_t):
-            nodes_t = tail_nodes(ends_t[j] - centre_t, ends_t[j + 1] - centre_t, width_t)
+            nodes_t = tail_nodes(ends_t[j] - centre_t, ends_t[j + 1] - centre_t, width_t, error)
             window = Rectangle(ends_s[i], ends_s[i + 1], ends_t[j], ends_t[j + 1])
             _add_window(p, n, v, e, window, (nodes_s, nodes_t), pattern, lobe, 1.0, found)
+
+
+@kernel
+def _sinh_nodes(
+    centre: float, width: float, low: float, high: float, singular: float, error: float, times: int
+) -> tuple[Float64, Float64]:
+    # places along a side and their weights
+    u0, u1 = math.asinh((low - centre) / width), math.asinh((high - centre) / width)
+    count = min(max(LEAST_TAIL_NODES, times * tail_nodes(u0, u1, singular, error)), MAX_NODES)
+    at, weights = np.empty(count), np.empty(count)
+    for i in range(count):
+        u = u0 + (u1 - u0) * NODES[count, i]
+        at[i], weights[i] = centre + width * math.sinh(u), WEIGHTS[count, i] * (u1 - u0) * width * math.cosh(u)
+    return at, weights
 
 
 @kernel
@@ -472,7 +518,8 @@ def _add_window(
         _add_above_horizon(p, n, v, e, window, (count_s, count_t), terms, lobe, share, found)
         return
     factor = share * (width * height / specular_divisor(dot(n, v), lobe))
-    values = _values_of_nodes(p, n, v, e, window, (count_s, count_t), lobe)
+    at_s, at_t = _even_nodes(window.s0, window.s1, count_s), _even_nodes(window.t0, window.t1, count_t)
+    values = _values_of_nodes(p, n, v, e, at_s, at_t, lobe)
     if len(terms) == 1 and terms[0, 2] == 0.0:
         for i in range(count_s):
             total = 0.0
@@ -545,7 +592,7 @@ def all_diffuse_nodes(elements: Float64, pattern: Pattern) -> tuple[Float64, Flo
     places, light = np.empty((len(elements), count, 3)), np.empty((len(elements), count, 3))
     weights = np.empty((len(elements), len(pattern.terms), count))
     for m in range(len(elements)):
-        places[m], light[m], weights[m] = _diffuse_nodes(element_at(elements, m), pattern)
+        places[m], light[m], weights[m] = _nodes(element_at(elements, m), pattern, DIFFUSE_NODES)
     return places, light, weights
 
 
@@ -570,11 +617,11 @@ def _add_elements(
     terms = len(pattern.terms)
     found, limits = np.empty(terms), _most_exponents(normals, views, most, lobe)
     places, light, weights = all_diffuse_nodes(elements, pattern)
-    # more of those of a pattern are needed
-    enough = DIFFUSE_NODES + (terms == 1 and pattern.terms[0, 2] == 0.0)
+    striped = not (terms == 1 and pattern.terms[0, 2] == 0.0)
     p, n, v = np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE))
     value, near = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE, np.bool_)
-    limit, farthest, sums = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE)
+    limit, farthest, greatest = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE)
+    work = np.empty((10, _SIDE_BY_SIDE))
     for first in range(0, len(points), _SIDE_BY_SIDE):
         count = min(_SIDE_BY_SIDE, len(points) - first)
         for j in range(count):
@@ -583,6 +630,8 @@ def _add_elements(
                 v[axis, j] = views[first + j, axis]
             limit[j] = limits[first + j]
             farthest[j] = farthest_exponent(limit[j], lobe)
+            # level of a lobe of height 1, in which all is bright
+            greatest[j] = LEAST_LEVEL * math.exp(max(limit[j], 0.0)) / lobe.normal_reflectance
         for m in range(len(elements)):
             e, own = element_at(elements, m), clear[m, first : first + count]
             if own.any():
@@ -608,7 +657,10 @@ def _add_elements(
                 near[j] = above & lobe_reaches(point, normal, column_at(v, j), e, lobe.inverse, farthest[j])
             if not lobe.plain:
                 nodes = places[m], light[m], weights[m]
-                _add_smooth(p, n, v, near[:count], e, nodes, enough, lobe, sums, specular[m, :, first:])
+                few = nodes if striped else _nodes(e, pattern, FAINT_NODES)
+                many = nodes if striped else _nodes(e, pattern, MANY_NODES)
+                own_specular = specular[m, :, first:]
+                _add_smooth(p, n, v, near[:count], e, few, nodes, many, lobe, greatest, work, own_specular)
             for j in range(count):
                 if near[j]:
                     i = first + j
@@ -626,40 +678,91 @@ def _add_smooth(
     v: Float64,
     near: Bool,
     e: Element,
+    few: tuple[Float64, Float64, Float64],
     nodes: tuple[Float64, Float64, Float64],
-    enough: int,
+    many: tuple[Float64, Float64, Float64],
     lobe: Lobe,
-    sums: Float64,
+    greatest: Float64,
+    work: Float64,
     specular: Float64,
 ) -> None:
-    # where the tails of a lobe, or the wider of two, are smooth all over an element, which is above the horizon: sets
-    # the light of these points from the nodes of diffuse light, and they are no longer `near`
-    places, light, weights = nodes
-    index, number = np.empty(len(near), np.int64), 0
+    # where the lobe is smooth all over an element, which is above the horizon: sets the light of these points from the
+    # nodes of diffuse light, and they are no longer `near`. Where the element adds hardly anything, few nodes do
+    rule, level = np.zeros(len(near), np.int64), np.empty(len(near))
+    striped = len(many[0]) == len(nodes[0])
     for j in range(len(near)):
         point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
-        lit = near[j] and dot(normal, minus(e.centre, point)) >= e.reach and dot(normal, view) > 0.0
-        if lit and smooth_nodes(point, normal, view, e.centre, e.reach, lobe) <= enough:
+        towards = minus(e.centre, point)
+        half, spread = half_vector_cone(point, view, e.centre, e.reach)
+        nearest = max(0.0, length(minus(normal, half)) - spread) if spread < math.pi else 0.0
+        angle = min(math.pi * e.reach**2 / dot(towards, towards), math.pi)
+        level[j] = greatest[j] * specular_lobe(nearest * nearest, lobe) * angle
+        rule[j] = FAINT_NODES if level[j] < FAINT_LEVEL else 0
+    for j in range(len(near)):
+        point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
+        if not near[j] or dot(normal, view) <= 0.0:
+            rule[j] = 0
+        elif rule[j] == 0:
+            if lobe.ggx and level[j] < FAINT_AT_HORIZON:
+                # masking lets its light end at the horizon, not break off
+                rule[j] = DIFFUSE_NODES
+            elif dot(normal, minus(e.centre, point)) >= e.reach:
+                error = min(ELEMENT_ERROR / level[j], 0.1)
+                wanted = smooth_nodes(point, normal, view, e.centre, e.reach, lobe, error)
+                if wanted <= DIFFUSE_NODES + (not striped):
+                    rule[j] = DIFFUSE_NODES
+                elif wanted <= MANY_NODES + 1 and not striped:
+                    rule[j] = MANY_NODES
+    _add_nodes(p, n, v, rule == FAINT_NODES, few, lobe, work, specular)
+    _add_nodes(p, n, v, rule == DIFFUSE_NODES, nodes, lobe, work, specular)
+    _add_nodes(p, n, v, rule == MANY_NODES, many, lobe, work, specular)
+    for j in range(len(near)):
+        near[j] &= rule[j] == 0
+
+
+@kernel
+def _add_nodes(
+    p: Float64,
+    n: Float64,
+    v: Float64,
+    chosen: Bool,
+    nodes: tuple[Float64, Float64, Float64],
+    lobe: Lobe,
+    work: Float64,
+    specular: Float64,
+) -> None:
+    # adds the light of the nodes of an element that are above the horizon to the chosen points, which lie side by side
+    # in `work` then, so that the processor works on several at once
+    places, light, weights = nodes
+    index, number = np.empty(len(chosen), np.int64), 0
+    for j in range(len(chosen)):
+        if chosen[j]:
             index[number] = j
+            for axis in range(3):
+                work[axis, number], work[3 + axis, number] = p[axis, j], n[axis, j]
+                work[6 + axis, number] = v[axis, j]
             number += 1
-    for k in range(len(places)):
+    for k in range(len(places) if number else 0):
         q, shining = vector_at(places, k), vector_at(light, k)
         for i in range(number):
-            j = index[i]
-            normal, view = column_at(n, j), column_at(v, j)
-            towards = minus(q, column_at(p, j))
+            normal, view = column_at(work[3:6], i), column_at(work[6:9], i)
+            towards = minus(q, column_at(work[:3], i))
             r2 = dot(towards, towards)
             r = math.sqrt(r2)
-            value = lobe_towards(normal, view, scaled(towards, 1.0 / r), lobe)
-            sums[i] = value * max(0.0, -dot(shining, towards)) / (r2 * r)
+            half = plus(scaled(towards, 1.0 / r), view)
+            size = math.sqrt(dot(half, half))
+            chord = minus(normal, scaled(half, 1.0 / size))
+            height = dot(normal, towards)
+            factor = light_factor(max(height, 0.0) / r, size, lobe)
+            value = specular_lobe(dot(chord, chord), lobe) * factor * max(0.0, -dot(shining, towards)) / (r2 * r)
+            work[9, i] = value if height > 0.0 else 0.0
         for b in range(len(weights)):
             for i in range(number):
-                specular[b, index[i]] += weights[b, k] * sums[i]
+                specular[b, index[i]] += weights[b, k] * work[9, i]
     for i in range(number):
-        j = index[i]
+        divisor = specular_divisor(dot(column_at(work[3:6], i), column_at(work[6:9], i)), lobe)
         for b in range(len(weights)):
-            specular[b, j] /= specular_divisor(dot(column_at(n, j), column_at(v, j)), lobe)
-        near[j] = False
+            specular[b, index[i]] /= divisor
 
 
 @kernel

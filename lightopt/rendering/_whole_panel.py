@@ -6,22 +6,26 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import column_at, dot, minus, scaled
+from lightopt.core.vectors import column_at, dot, length, minus, scaled, vector_at
 from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
-from lightopt.optics import Lobe, is_lambert, lambert, specular_divisor
+from lightopt.optics import MAX_LOBE_EXPONENT, DiffuseForm, Lobe, is_lambert, lambert, specular_divisor
 from lightopt.rendering._panel_quadrature import (
     NODES,
+    TAIL_ERROR,
     WEIGHTS,
     WHOLE_PANEL,
+    half_vector_cone,
     out_of_reach,
     rectangle_diffuse,
     rectangle_specular,
     smooth_nodes,
 )
 from lightopt.rendering._penumbra_cells import ConvergedLight
-from lightopt.rendering._point_lights import lobe_towards
+from lightopt.rendering._point_lights import lobe_towards, point_terms
 
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
+_STEP_S, _STEP_T = 0.6287067210378087, 0.5385972572236101  # 1/g³ and 1/g⁴ of g⁵ = g + 1
+FAR_SHARE = 20.0 / MAX_LOBE_EXPONENT  # of the farthest exponent, e⁻²⁰ of the lobe, beyond which it is left out there
 _MOST_EVEN = 6  # nodes a side up to which a lobe is smooth all over the panel
 
 
@@ -97,7 +101,7 @@ def _add_smooth(
     for j in range(len(above)):
         point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
         if near[j] and above[j] and dot(normal, view) > 0.0:
-            few = smooth_nodes(point, normal, view, panel.centre, half_diagonal(panel), lobe)
+            few = smooth_nodes(point, normal, view, panel.centre, half_diagonal(panel), lobe, TAIL_ERROR)
             wanted[j] = max(few, panel_nodes)
     for few in range(2, _MOST_EVEN + 1):
         number = 0
@@ -126,3 +130,44 @@ def _add_smooth(
             j = place[k]
             specular[j] = work[9, k] / specular_divisor(dot(column_at(n, j), column_at(v, j)), lobe)
             near[j] = False
+
+
+@kernel
+def add_spread_points(
+    points: Float64,
+    normals: Float64,
+    views: Float64,
+    clear: Bool,
+    panel: PanelNumbers,
+    cells: int,
+    lobe: Lobe,
+    form: DiffuseForm,
+    terms: Float64,
+) -> None:
+    """Add the light of a panel of weight 1 to the clear points, by a place in each of cells × cells of the panel.
+
+    Places follow the last numbers of the R₄ sequence (Roberts 2018) from point to point, so that they do not go with
+    those of rays: the mean over many points is that of the panel.
+
+    terms: Diffuse and specular light per unit of R_d and R_s, shape (k, 2)
+    """
+    reach, share = half_diagonal(panel), 1.0 / (cells * cells)
+    for i in range(len(points)):
+        if not clear[i]:
+            continue
+        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
+        s, t = _STEP_S * i, _STEP_T * i
+        s, t = s - math.floor(s), t - math.floor(t)
+        half, spread = half_vector_cone(p, v, panel.centre, reach)
+        nearest = max(0.0, length(minus(n, half)) - spread)
+        if spread < math.pi and nearest * nearest * lobe.inverse > FAR_SHARE * lobe.farthest:
+            # diffuse light is as even as one place shows it
+            terms[i, 0] += point_terms(p, n, v, 0.0, panel_point(panel, s - 0.5, t - 0.5), panel, lobe, form)[0]
+            continue
+        n_dot_v = dot(n, v)
+        for a in range(cells):
+            for b in range(cells):
+                q = panel_point(panel, (a + s) / cells - 0.5, (b + t) / cells - 0.5)
+                diffuse, specular = point_terms(p, n, v, n_dot_v, q, panel, lobe, form)
+                terms[i, 0] += share * diffuse
+                terms[i, 1] += share * specular

@@ -20,11 +20,14 @@ from lightopt.lights import panel_grid
 from lightopt.optics import MIN_COS_VIEW, Reflectance, white_level
 from lightopt.optics._albedo import DEFAULT_ALBEDO
 from lightopt.rendering import SurfacePoints, cast_rays_at, render_posture
+from lightopt.rendering._caustics import caustic_levels, footprints, landed_light
 from lightopt.rendering._interreflection import PartLight
+from lightopt.rendering._surface import trace_samples
 from lightopt.rig.capture._wiring import bench_truth
 from lightopt.rig.simulated._bench_process import BenchTruth
 from lightopt.rig.simulated._optics import BenchOptics
-from lightopt.scene import Lens
+from lightopt.scene import Lens, view_from_part
+from lightopt.scene._scene import PartRegion
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MATTE = {"R_d": 100.0, "R_s": 0.0, "sigma": 0.05}
@@ -115,9 +118,10 @@ def test_a_narrow_lobe_mirrors_the_other_surface():
     np.testing.assert_allclose(found, mirrored * 20.0, rtol=2e-3)
 
 
-def area_sum(scene, surface, *, height, half, step):
+def area_sum(scene, surface, *, height, half, step, white=None):
     """One bounce as a sum over cells of the wall, in plain NumPy: diffuse and specular level of each floor point."""
     r = scene.reflectance
+    white = white or white_level(r)
     y = np.arange(-half + step / 2, half, step)
     z = np.arange(step / 2, height, step)
     q = np.stack([np.zeros((len(z), len(y))), *np.broadcast_arrays(y[None], z[:, None])], axis=-1).reshape(-1, 3)
@@ -144,7 +148,7 @@ def area_sum(scene, surface, *, height, half, step):
             seen += sum(level(normal, np.maximum(to_lamp @ normal, 0.0), to_lamp, -way)) / len(lamps)
         solid_angle = step**2 * np.maximum(-way @ normal, 0.0) / distance**2
         parts = level(up, way @ up, way, np.broadcast_to(view, way.shape))
-        found.append([np.sum(part * seen * solid_angle) / (math.pi * white_level(r)) for part in parts])
+        found.append([np.sum(part * seen * solid_angle) / (math.pi * white) for part in parts])
     return np.array(found).T
 
 
@@ -163,8 +167,46 @@ def test_highlight_in_a_highlight_against_a_sum_over_the_other_surface():
     assert specular.max() > 200.0
     found = own.specular(surface)[0, 0]
     np.testing.assert_allclose(found, specular, rtol=0.03, atol=0.5)
-    added = own.diffuse(surface)
-    np.testing.assert_allclose(added[0, 0] + added[2, 0], diffuse, rtol=0.05, atol=0.3)
+    # rays of diffuse points meet diffuse light; what the wall's lobe throws is `test_caustics_…`
+    added, matte = own.diffuse(surface), replace(scene, reflectance=replace(scene.reflectance, R_s=0.0))
+    even = area_sum(matte, surface, height=height, half=half, step=0.05, white=white_level(scene.reflectance))[0]
+    np.testing.assert_allclose(added[0, 0] + added[2, 0], even, rtol=0.05, atol=0.15)
+    assert np.all(diffuse > 10.0 * even)
+
+
+def test_caustics_against_a_sum_over_the_surface_that_throws_them():
+    """What the wall's lobe throws on squares of the floor, and how images show it."""
+    height, half = 20.0, 20.0
+    lamp = ref.Light(distance=330, elevation=50, azimuth=5, size=(60, 60), k=3)
+    scene = scene_from_mesh(CAMERA, [lamp], floor_and_wall(height, half), reflectance=SATIN)
+    scene = replace(scene, bounces=1)
+    matte = replace(scene, reflectance=replace(scene.reflectance, R_s=0.0))
+    (landed,) = landed_light(part_light(scene), scene.camera.position, 1 << 17)
+    floor = landed.points[:, 2] < 1e-6
+    for x0, y0 in ((2.0, -2.0), (6.0, 0.0), (10.0, 5.0)):
+        side, cells = 4.0, (np.arange(4) + 0.5) / 4
+        places = [(x0 + side * a, y0 + side * b) for a in cells for b in cells]
+        surface = floor_points(places, [(0, 0, 1)] * len(places))
+        sums = [
+            area_sum(one, surface, height=height, half=half, step=0.2, white=white_level(scene.reflectance))[0].mean()
+            for one in (scene, matte)
+        ]
+        x, y = landed.points[:, 0] - x0, landed.points[:, 1] - y0
+        within = floor & (x > 0) & (x < side) & (y > 0) & (y < side)
+        found = landed.light[within].sum() / side**2
+        assert sums[0] - sums[1] > 2.0
+        assert found == pytest.approx(sums[0] - sums[1], rel=0.02), (x0, y0)
+    # images show all that lands in them
+    camera = view_from_part(scene, scene.postures[0]).camera
+    columns, rows = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
+    grid = [a.ravel() for a in np.meshgrid(columns, rows)]
+    hits, seen = trace_samples(cast_rays_at(scene), scene.mesh, camera, *grid)
+    at = np.full((len(rows), len(columns)), -1, np.int32)
+    at.ravel()[hits.ray] = np.arange(len(seen), dtype=np.int32)
+    (levels_shown,) = caustic_levels([landed], camera, seen, at, (0.5, 0.5), 1.0)
+    areas, _ = footprints(camera, seen, at, (0.5, 0.5), 1.0)
+    assert areas[seen.points[:, 2] < 1e-6].sum() == pytest.approx(half * 2 * half, rel=0.05)
+    assert np.sum(levels_shown * areas) == pytest.approx(landed.light[floor].sum(), rel=0.05)
 
 
 def small_spout(**options):
@@ -244,3 +286,46 @@ def test_a_small_lens_shows_the_light_that_a_pinhole_shows(environment):
     added, seen = (image.level.sum() - bare.level.sum() for image in (pinhole, through))
     assert added > 0.01 * bare.level.sum()
     assert seen == pytest.approx(added, rel=0.1)
+
+
+@pytest.mark.parametrize("bright", ["floor", "wall"])
+def test_regions_of_a_part_light_each_other_by_their_own_reflectances(bright):
+    """Of a matt floor and a matt wall, one reflects twice as much: the floor gets, or shows, twice the wall's light."""
+    lamp = ref.Light(distance=330, elevation=50, azimuth=5, size=(60, 60), k=3)
+    scene = scene_from_mesh(CAMERA, [lamp], floor_and_wall(20.0, 20.0), reflectance=SATIN)
+    matt = replace(scene.reflectance, R_s=0.0, white_level=400.0)
+    scene = replace(scene, bounces=1, reflectance=matt)
+    on_floor = np.abs(scene.mesh.vertices[scene.mesh.faces][..., 2]).max(axis=1) < 1e-6
+    mesh = replace(scene.mesh, material=(on_floor == (bright == "floor")).astype(np.uint8))
+    region = PartRegion(name=bright, reflectance=replace(matt, R_d=2.0 * matt.R_d))
+    mixed = replace(scene, mesh=mesh, regions=(region,))
+    surface = floor_points([(2.0, 0.0), (5.0, 3.0), (9.0, -4.0)], [(0, 0, 1)] * 3)
+    plain = part_light(scene).diffuse(surface)[0, 0]
+    own = np.full(3, 1 if bright == "floor" else 0, np.uint8)
+    found = part_light(mixed).diffuse(replace(surface, material=own))[0, 0]
+    assert np.all(plain > 0.3)
+    assert np.allclose(found, 2.0 * plain, rtol=0.03)
+
+
+def test_caustics_are_of_the_region_that_throws_and_of_the_one_that_shows():
+    """A mirroring wall over a matt floor throws what a wall and a floor of both do; the floor throws nothing."""
+    lamp = ref.Light(distance=330, elevation=50, azimuth=5, size=(60, 60), k=3)
+    scene = replace(scene_from_mesh(CAMERA, [lamp], floor_and_wall(20.0, 20.0), reflectance=SATIN), bounces=1)
+    both = replace(scene.reflectance, white_level=400.0)
+    scene = replace(scene, reflectance=both)
+    on_floor = np.abs(scene.mesh.vertices[scene.mesh.faces][..., 2]).max(axis=1) < 1e-6
+    region = PartRegion(name="floor", reflectance=replace(both, R_s=0.0))
+    mixed = replace(
+        scene,
+        mesh=replace(scene.mesh, material=on_floor.astype(np.uint8)),
+        reflectance=replace(both, R_d=0.0),
+        regions=(region,),
+    )
+    sums = []
+    for one in (scene, mixed):
+        (landed,) = landed_light(part_light(one), scene.camera.position, 1 << 16)
+        floor = landed.points[:, 2] < 1e-6
+        sums.append((landed.light[floor].sum(), landed.light[~floor].sum()))
+    assert sums[1][0] == pytest.approx(sums[0][0], rel=0.03)
+    assert sums[0][1] > 0.0
+    assert sums[1][1] == 0.0
