@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import dot, length, minus, vector_at
 from lightopt.geometry import Hits
@@ -77,7 +77,7 @@ def bounced_bands(
         passed = lens_share(camera, columns[hits.ray % len(columns)], rows[hits.ray // len(columns)])
         pixels = []
         for worked_out in (light.diffuse, light.specular):
-            values = _over_squares(surface, at, worked_out, threads)
+            values = _over_materials(surface, at, worked_out, threads)
             if landed and not pixels:
                 values += caustic_levels(landed, camera, surface, at, (columns[0], rows[0]), 1.0 / n)
             samples = np.zeros((len(values), *at.shape))
@@ -85,6 +85,24 @@ def bounced_bands(
             samples = samples[:, : (end - first) * n].reshape(len(values), end - first, n, right - left, n)
             pixels.append(samples.mean(axis=(2, 4)))
         yield Band(first, end, left, *pixels)
+
+
+def _over_materials(
+    surface: SurfacePoints, at: Int32, worked_out: Callable[[SurfacePoints, int | None], Float64], threads: int | None
+) -> Float64:
+    # levels of all points of a grid, shape (lights, k); nothing is interpolated across the border of a region
+    if surface.material is None or not len(surface):
+        return _over_squares(surface, at, worked_out, threads)
+    parts: list[tuple[Index, Float64]] = []
+    for number in np.unique(surface.material):
+        index = np.flatnonzero(surface.material == number)
+        own = np.full(len(surface) + 1, -1, np.int32)  # at −1: none
+        own[index] = np.arange(len(index), dtype=np.int32)
+        parts.append((index, _over_squares(surface.take(index), own[at], worked_out, threads)))
+    values = np.zeros((len(parts[0][1]), len(surface)))
+    for index, found in parts:
+        values[:, index] = found
+    return values
 
 
 def _over_squares(

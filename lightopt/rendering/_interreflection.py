@@ -143,9 +143,10 @@ class PartLight:
         # sees says how many more it takes, and is no part of the mean, which would miss what first rays missed
         factor, rays = self._ways(own, by_lobe=by_lobe)
         cells, most = LOBE_CELLS if by_lobe else DIFFUSE_CELLS, math.inf
-        if not by_lobe and self.bounces > 1:
-            most = MOST_OF_A_RAY
         step, area = max(1, _RAYS_AT_ONCE // (cells[0] * cells[1])), 1.0 / (cells[0] * cells[1])
+        if not by_lobe and self.bounces > 1:
+            # light of the surroundings is no glint, however bright these are
+            most = MOST_OF_A_RAY + 2.0 * factor * area * float(self.surroundings.max(initial=0.0))
         # what the lobe throws on diffuse surface are caustics
         shown = self.reflectances
         if not by_lobe:

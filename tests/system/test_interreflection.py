@@ -329,3 +329,16 @@ def test_caustics_are_of_the_region_that_throws_and_of_the_one_that_shows():
     assert sums[1][0] == pytest.approx(sums[0][0], rel=0.03)
     assert sums[0][1] > 0.0
     assert sums[1][1] == 0.0
+
+
+def test_a_region_of_the_same_reflectance_shows_the_same_bounce():
+    """Half of the spout as a region: interpolation ends at its border, and the light is the same."""
+    scene = small_spout(bounces=1)
+    direct = levels(replace(scene, bounces=0))
+    middle = scene.mesh.vertices[scene.mesh.faces].mean(axis=1)[:, 1]
+    mesh = replace(scene.mesh, material=(middle > 0.0).astype(np.uint8))
+    halves = replace(scene, mesh=mesh, regions=(PartRegion(name="half", reflectance=scene.reflectance),))
+    whole, parts = (levels(one) - direct for one in (scene, halves))
+    assert whole.mean() > 0.1
+    assert parts.mean() == pytest.approx(whole.mean(), rel=0.01)
+    assert np.mean(np.abs(parts - whole)) < 0.1 * whole.mean()
