@@ -23,7 +23,7 @@ from lightopt.estimate.reflectance._validation import LeftOut, ModelRow, PointsR
 from lightopt.estimate.reflectance._wide_lobe import WideLobe
 from lightopt.estimate.registration import Placement, Registration
 from lightopt.images import ImageSet, ResultFolder
-from lightopt.optics import DiffuseForm, SpecularModel
+from lightopt.optics import LAMBERT, DiffuseForm, SpecularModel
 from lightopt.scene import Scene
 
 PART_NAME = "part.fitted.yaml"
@@ -67,7 +67,7 @@ class FitResult:
     kind: Literal["diffuse", "specular"]
     method: Literal["likelihood", "paper"]
     model: SpecularModel  # the specular lobe
-    diffuse: DiffuseForm
+    diffuse: DiffuseForm = LAMBERT
     points: int | Literal["auto"]  # point lights per panel, or ``"auto"``
     values: tuple[FittedValue, ...]
     fitted: tuple[str, ...]  # names of the values that were fitted and belong in the part file
