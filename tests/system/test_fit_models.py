@@ -90,7 +90,7 @@ def drawn_with(scene, caster, own):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", ["torrance-sparrow", "ggx"])
+@pytest.mark.parametrize("model", ["torrance-sparrow", pytest.param("ggx", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("name", FORMS)
 def test_exponent_and_roughness_are_found(scene_and_caster, name, model):
     scene, caster = scene_and_caster
@@ -106,7 +106,7 @@ def test_exponent_and_roughness_are_found(scene_and_caster, name, model):
     assert result.diffuse == pytest.approx(own.diffuse, rel=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_roughness_that_images_deny_is_refused(scene_and_caster):
     scene, caster = scene_and_caster
     own = replace(TRUTHS["torrance-sparrow"], R_d=90.0, diffuse=DiffuseForm(exponent=1.5))
@@ -114,7 +114,7 @@ def test_a_roughness_that_images_deny_is_refused(scene_and_caster):
         _fit_one(setup_of(scene, caster, drawn_with(scene, caster, own), "torrance-sparrow", "oren-nayar"))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", FORMS)
 def test_diffuse_coefficient_is_that_of_its_form(scene_and_caster, name):
     scene, caster = scene_and_caster

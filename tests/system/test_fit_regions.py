@@ -85,7 +85,7 @@ def test_coefficients_of_each_region_are_found(painted):
     assert max(rms) < 4.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_part_with_regions_is_registered(painted):
     """Off by 0.6 mm and 0.5°; the reflectances of the file are wrong by a factor that regions share."""
     scene, caster = painted

@@ -270,7 +270,7 @@ def test_the_virtual_bench_has_the_bounces_of_its_file():
     assert frames[1].mean() > frames[0].mean() + 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("environment", [0.0, 5.0])
 def test_a_small_lens_shows_the_light_that_a_pinhole_shows(environment):
     """What bounces add, and the surroundings, through a lens of a hundredth of a millimetre."""
