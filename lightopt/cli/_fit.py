@@ -30,7 +30,7 @@ WriteNoise = Annotated[bool, common.output_option("--write-noise", help=_NOISE_H
 _UNCONVERGED_HELP = "Exit with status 0 even if the fit did not converge."
 AllowUnconverged = Annotated[bool, common.output_option("--allow-unconverged", help=_UNCONVERGED_HELP)]
 FREE = ("gain", "dark")
-MODELS = ("torrance-sparrow", "ggx", "two-lobe")
+MODELS = ("torrance-sparrow", "ggx", "two-lobe", "auto")
 DIFFUSE_FORMS = ("lambert", "exponent", "oren-nayar")
 
 
@@ -92,7 +92,7 @@ def fit_specular(
     pixels: Pixels = 1_500_000,
     model: str | None = common.model_option(
         None,
-        metavar="|".join((*MODELS, "auto")),
+        metavar="|".join(MODELS),
         help="Form of the specular lobe. auto: fit each form and select the one that predicts left-out lights best.",
         show_default="as the part file says",
     ),
@@ -130,8 +130,8 @@ def fit_specular(
     start = {"sigma_start": start_sigma, "R_s_start": start_rs}
     paper = PaperOptions(lambda_s1=lambda_s1, lambda_s2=lambda_s2, sigma_step=sigma_step, **start)
     options = FitOptions(method=method, register=register, pixels=pixels, write_noise=write_noise, paper=paper)
-    options = replace(options, joint=joint, validate=validate, model=_model(model))
-    options = replace(options, diffuse=_diffuse_form(diffuse))
+    forms = {"model": _one_of("--model", MODELS, model), "diffuse": _one_of("--diffuse", DIFFUSE_FORMS, diffuse)}
+    options = replace(options, joint=joint, validate=validate, **forms)
     options = _complete("specular", options, free, points)
     converged = _run("specular", rig, part, images, out, options, force, threads, quiet=quiet, verbose=verbose)
     _require(converged or allow_unconverged)
@@ -175,15 +175,9 @@ def _run(
     return result.converged
 
 
-def _model(name: str | None) -> Any:
-    if name is not None and name not in (*MODELS, "auto"):
-        raise InputError(f'--model: expected {", ".join(MODELS)} or auto, found "{name}"')
-    return name
-
-
-def _diffuse_form(name: str | None) -> Any:
-    if name is not None and name not in DIFFUSE_FORMS:
-        raise InputError(f'--diffuse: expected {", ".join(DIFFUSE_FORMS[:-1])} or {DIFFUSE_FORMS[-1]}, found "{name}"')
+def _one_of(option: str, names: tuple[str, ...], name: str | None) -> Any:
+    if name is not None and name not in names:
+        raise InputError(f'{option}: expected {", ".join(names[:-1])} or {names[-1]}, found "{name}"')
     return name
 
 

@@ -158,9 +158,7 @@ def _diffuse_terms(normals: Float64, lights: Float64, views: Float64, form: Diff
     found = np.zeros(len(normals))
     for i in range(len(normals)):
         n, towards, v = vector_at(normals, i), vector_at(lights, i), vector_at(views, i)
-        n_dot_l = dot(n, towards)
-        if n_dot_l > 0.0:
-            found[i] = diffuse_term(n_dot_l, dot(n, v), dot(towards, v), form)
+        found[i] = diffuse_term(dot(n, towards), dot(n, v), dot(towards, v), form)
     return found
 
 

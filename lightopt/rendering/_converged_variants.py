@@ -1,9 +1,8 @@
 """The converged panel on variants of a surface: integrals that are shared where they are linear, and left out early.
 
 Lambert's diffuse light is linear in the normal as long as the panel is above its horizon, so one vector serves all
-variants.
-The lobe is integrated for those variants alone that it can reach. Where a part hides some of the panel, the panel is
-taken in 4 × 4 cells, each seen or hidden as its centre is.
+variants. The lobe is integrated for those variants alone that it can reach. Where a part hides some of the panel, the
+panel is taken in 4 × 4 cells, each seen or hidden as its centre is.
 """
 
 import math

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,8 +13,9 @@ from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, vector_at
 from lightopt.geometry import Hits, RayCaster, TriangleMesh, resolve_hits
-from lightopt.optics import Reflectance
 from lightopt.scene import PinholeCamera, pixel_directions
+
+Of = TypeVar("Of")
 
 GRAZING_DEG = 80.0
 """Surface that is seen at more than this angle to its normal is left out of every score and share [°].
@@ -64,16 +66,14 @@ class SurfacePoints:
             None if self.material is None else self.material[index],
         )
 
-    def by_material(
-        self, reflectances: Sequence[Reflectance]
-    ) -> Iterator[tuple[Index | slice, SurfacePoints, Reflectance]]:
-        """Indices of the points of each reflectance, these points, and the reflectance; none without points."""
+    def by_material(self, belonging: Sequence[Of]) -> Iterator[tuple[Index | slice, SurfacePoints, Of]]:
+        """Indices of the points of each material, these points, and what belongs to it; none without points."""
         if self.material is None:
-            yield slice(None), self, reflectances[0]
+            yield slice(None), self, belonging[0]
             return
         for number in np.unique(self.material).tolist():
             index = np.flatnonzero(self.material == number)
-            yield index, self.take(index), reflectances[number]
+            yield index, self.take(index), belonging[number]
 
 
 def trace_hits(

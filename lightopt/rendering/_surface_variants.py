@@ -179,10 +179,9 @@ def shade_variants_together(
         return _variants_together(surface, references, panels, variants[0], caster, dtype, threads)
     good = [np.empty(len(surface)) for _ in panels]
     varied = [np.empty((len(variants[0].lean), len(surface)), dtype) for _ in panels]
-    for number in np.unique(surface.material).tolist():
-        index = np.flatnonzero(surface.material == number)
-        own = surface.take(index), references[index], panels, variants[number]
-        for i, levels in enumerate(_variants_together(*own, caster, dtype, threads)):
+    for index, some, own in surface.by_material(variants):
+        found = _variants_together(some, references[index], panels, own, caster, dtype, threads)
+        for i, levels in enumerate(found):
             good[i][index], varied[i][:, index] = levels.good, levels.varied
     return [VariantLevels(good=g, varied=v) for g, v in zip(good, varied, strict=True)]
 

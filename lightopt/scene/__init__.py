@@ -56,6 +56,7 @@ from lightopt.scene._scene import (
     move_part as move_part,
     scene_of_region as scene_of_region,
     view_from_part as view_from_part,
+    with_reflectances as with_reflectances,
 )
 from lightopt.scene._stage import Stage as Stage
 from lightopt.scene._stage_travel import (

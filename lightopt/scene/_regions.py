@@ -1,7 +1,6 @@
 """The regions of a part file, found on the part's mesh."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -30,18 +29,19 @@ def mesh_of_regions(loaded: LoadedMesh, part: PartConfig) -> TriangleMesh:
     def place(number: int) -> str:
         return f'{part.source.at("regions", number)}: region "{part.regions[number].name}"'
 
-    def unreadable() -> Iterator[str]:
-        for number, own in enumerate(part.regions):
-            if own.mask is not None:
-                try:
-                    read_png(part.source.resolve(own.mask.file), colour=True)
-                except InputError as error:
-                    yield f"{place(number)}: {error.args[0]}"
+    problems: list[str] = []
 
-    refuse(list(unreadable()))
-    return mesh_with_regions(
-        loaded, [_region(part, own) for own in part.regions], most=part.mesh.max_triangles, place=place
-    )
+    def read(number: int, own: RegionConfig) -> Region | None:
+        try:
+            return _region(part, own)
+        except InputError as error:
+            problems.append(f"{place(number)}: {error.args[0]}")
+            return None
+
+    found = [read(number, own) for number, own in enumerate(part.regions)]
+    refuse(problems)
+    regions = [region for region in found if region is not None]
+    return mesh_with_regions(loaded, regions, most=part.mesh.max_triangles, place=place)
 
 
 def _region(part: PartConfig, own: RegionConfig) -> Region:

@@ -1,6 +1,7 @@
 """The scene, and camera and lights as the part sees them in a posture."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -100,6 +101,13 @@ class Scene:
     def pivot(self) -> Float64:
         """A point of the stage's rotary axis at tilt 0, world frame [mm], shape (3,)."""
         return self.stage.pivot
+
+
+def with_reflectances(scene: Scene, reflectances: Sequence[Reflectance]) -> Scene:
+    """The same scene with other reflectances, in the order of :attr:`Scene.reflectances`."""
+    first, *others = reflectances
+    regions = tuple(replace(region, reflectance=own) for region, own in zip(scene.regions, others, strict=True))
+    return replace(scene, reflectance=first, regions=regions)
 
 
 def scene_of_region(scene: Scene, number: int) -> Scene:

@@ -25,7 +25,7 @@ from lightopt.estimate.reflectance._clipped_least_squares import (
 from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, FreeParameters, Maximum, maximise
 from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._likelihood_fit import USUAL_TABLE, climb
-from lightopt.estimate.reflectance._result import FittedValue
+from lightopt.estimate.reflectance._result import DIFFUSE_KEYS, FittedValue
 from lightopt.estimate.reflectance._samples import Samples, subsample, with_form
 from lightopt.estimate.reflectance._sigma_scan import scan_budget, scan_sigma
 from lightopt.geometry import RayCaster
@@ -33,7 +33,6 @@ from lightopt.optics import DiffuseForm
 
 FormName = Literal["exponent", "oren-nayar"]
 
-KEYS: dict[FormName, str] = {"exponent": "diffuse_exponent", "oren-nayar": "oren_nayar_roughness"}
 RANGES: dict[FormName, tuple[float, float]] = {"exponent": (0.5, 5.0), "oren-nayar": (0.0, 1.0)}  # as part files allow
 STARTS: dict[FormName, tuple[float, ...]] = {"exponent": (0.6, 0.8, 1.0, 1.4, 2.2, 4.0), "oren-nayar": (0.0, 0.3, 0.7)}
 STEP = 0.03  # over which the criterion is bent
@@ -71,7 +70,7 @@ class FittedForm:
         reach = math.sqrt(CHI2_95) * own
         interval = max(low, self.value - reach), min(high, self.value + reach)
         widened = (_widened(one, abs(slopes.get(one.name, 0.0)) * own) for one in others)
-        return (*widened, FittedValue(KEYS[self.name], self.value, own, interval))
+        return (*widened, FittedValue(DIFFUSE_KEYS[self.name], self.value, own, interval))
 
 
 def _widened(one: FittedValue, more: float) -> FittedValue:
@@ -114,8 +113,8 @@ def fit_diffuse_form(
     at_end = name == "exponent" and not low + STEP < value < high - STEP
     if at_end or bend <= UNDETERMINED**-2:
         raise InputError(
-            f"diffuse {name}: the images do not determine {KEYS[name]}, whose best value is {value:.3g}. Fit another "
-            "form, or add images in which more of the surface is away from the highlights"
+            f"diffuse {name}: the images do not determine {DIFFUSE_KEYS[name]}, whose best value is {value:.3g}. Fit "
+            "another form, or add images in which more of the surface is away from the highlights"
         )
     places = [R_D, LOG_R_S, LOG_SIGMA]
     slopes = (above.x[places] - below.x[places]) / (2.0 * STEP)

@@ -11,7 +11,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
-from lightopt.estimate.reflectance._diffuse_form import KEYS, fit_diffuse_form
+from lightopt.estimate.reflectance._diffuse_form import fit_diffuse_form
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance, refit
 from lightopt.estimate.reflectance._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
@@ -28,6 +28,7 @@ from lightopt.estimate.reflectance._quality import (
     refuse_out_of_range,
 )
 from lightopt.estimate.reflectance._result import (
+    DIFFUSE_KEYS,
     FitResult,
     FittedValue,
     RegionFit,
@@ -321,7 +322,7 @@ def _fit_one(setup: FitSetup) -> _Fitted:
     warnings += fit_warnings(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
     result = _result("specular", setup, samples, found, quality, values, warnings)
     if formed is not None:
-        result = replace(result, fitted=(*result.fitted, KEYS[formed.name]))
+        result = replace(result, fitted=(*result.fitted, DIFFUSE_KEYS[formed.name]))
     return replace(result, correlation=found.correlation(LOG_R_S, LOG_SIGMA)), setup, samples
 
 

@@ -29,7 +29,8 @@ from lightopt.scene import Scene
 PART_NAME = "part.fitted.yaml"
 RIG_NAME = "rig.fitted.yaml"
 FIT_NAME = "fit.json"
-DIFFUSE_KEYS = ("diffuse_exponent", "oren_nayar_roughness")  # of part files
+# keys of part files, by the form of the diffuse component that a fit is asked for
+DIFFUSE_KEYS = {"exponent": "diffuse_exponent", "oren-nayar": "oren_nayar_roughness"}
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ class FitResult:
     @property
     def not_left_out(self) -> tuple[str, ...]:
         """Parameters that validation takes from all images, also from those of the light that is left out."""
-        form = "".join(name for name in self.fitted if name in DIFFUSE_KEYS) or None
+        form = "".join(name for name in self.fitted if name in DIFFUSE_KEYS.values()) or None
         freed = (
             ("its own gain", self.gains),
             ("the black level", self.dark),
@@ -373,7 +374,7 @@ def _reflectance_values(
         values |= {(*keys, name): None for name in superseded}
     if (own.diffuse_exponent or 1.0, own.oren_nayar_roughness or 0.0) != result.diffuse:
         # of another form than that of the fit
-        given = [key for key in DIFFUSE_KEYS if getattr(own, key) is not None and key not in result.fitted]
+        given = [key for key in DIFFUSE_KEYS.values() if getattr(own, key) is not None and key not in result.fitted]
         values |= {(*keys, key): None for key in given}
     return values
 

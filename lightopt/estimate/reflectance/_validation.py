@@ -142,14 +142,11 @@ def compare_image(
 
     others: Pixels of regions that are not compared; None for no such
     """
-    if others is not None:
-        hit = hit & ~others
+    own = True if others is None else ~others
     top = sensor.saturated_from
     measured = np.minimum(seen.levels, np.float32(top))
-    residual = (measured - np.clip(levels, 0.0, top))[hit].astype(np.float64)
-    full, seen_full = np.floor(levels + 0.5) >= top, seen.saturated
-    if others is not None:
-        full, seen_full = full & ~others, seen_full & ~others
+    residual = (measured - np.clip(levels, 0.0, top))[hit & own].astype(np.float64)
+    full, seen_full = (np.floor(levels + 0.5) >= top) & own, seen.saturated & own
     rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else 0.0
     both, either = int((full & seen_full).sum()), int((full | seen_full).sum())
     return Comparison(

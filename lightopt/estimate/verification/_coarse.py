@@ -19,7 +19,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
 from lightopt.estimate.verification._parameters import Parameters
 from lightopt.rendering import cast_rays_at, mask_pixels, render_posture
-from lightopt.scene import Scene, project
+from lightopt.scene import Scene, project, with_reflectances
 
 COARSE_WIDTH = 540  # about so many columns of a coarse image
 
@@ -109,16 +109,14 @@ class Work:
         scene, threads = self.coarse, self.run.threads
         view = self.parameters.view(scene, posture, theta)
         log_s, log_sigma, blur = theta[self.parameters.nuisance]
-        own = [
+        changed = [
             replace(one, R_s=one.R_s * math.exp(log_s), sigma=one.sigma * math.exp(log_sigma))
             for one in scene.reflectances
         ]
         world = replace(
-            scene,
+            with_reflectances(scene, changed),
             camera=view.camera.moved(view.rotation, view.translation),
             lights=tuple(light.moved(view.rotation, view.translation) for light in view.lights),
-            reflectance=own[0],
-            regions=tuple(replace(region, reflectance=one) for region, one in zip(scene.regions, own[1:], strict=True)),
             defects=(),
             waviness=None,
         )

@@ -11,7 +11,7 @@ from lightopt.core.transforms import Posture
 from lightopt.defects import Waviness, tangent_references
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
-from lightopt.scene import Scene, lens_share, surface_footprint
+from lightopt.scene import Scene, lens_share, surface_footprint, with_reflectances
 
 TRACE = 1e-6  # least R_d that is rendered: far below what a camera detects
 
@@ -57,9 +57,8 @@ def predict(
     """Render the good part in a posture of a scene with the part at its registered placement."""
     chosen = tuple(light for light in scene.lights if light.name in lights)
     # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
-    base, *others = (replace(one, R_d=max(one.R_d, TRACE)) for one in scene.reflectances)
-    regions = tuple(replace(region, reflectance=own) for region, own in zip(scene.regions, others, strict=True))
-    lit = replace(scene, lights=chosen, reflectance=base, regions=regions)
+    traced = [replace(one, R_d=max(one.R_d, TRACE)) for one in scene.reflectances]
+    lit = replace(with_reflectances(scene, traced), lights=chosen)
     masks = rendering.mask_pixels(scene, posture, caster, threads=threads)
     images = rendering.render_posture(lit, posture, caster=caster, layers=True, averaged=masks.clean, threads=threads)
     return Prediction(

@@ -17,7 +17,7 @@ from lightopt.core.least_squares import HUBER, Limits, linear_problem, solve
 from lightopt.core.transforms import Posture
 from lightopt.rendering import cast_rays_at
 from lightopt.rig.capture._image_checks import PredictedImages, cells, predict
-from lightopt.scene import Scene
+from lightopt.scene import Scene, with_reflectances
 
 STEP_DEG = 0.5  # predictions this far to both sides give the change of the image per degree
 FINER = 3  # rays across a cell of the predictions: outlines cross cells
@@ -80,12 +80,7 @@ def measure_repeatability(
     # highlights are where the reflectance puts them; diffuse light and outlines are where the part is
     most = max(one.R_d for one in scene.reflectances)
     diffuse = [replace(one, R_d=one.R_d / most if most > 0.0 else 1.0, R_s=0.0) for one in scene.reflectances]
-    alone = replace(
-        scene,
-        lights=tuple(one for one in scene.lights if one.name == light),
-        reflectance=diffuse[0],
-        regions=tuple(replace(one, reflectance=own) for one, own in zip(scene.regions, diffuse[1:], strict=True)),
-    )
+    alone = replace(with_reflectances(scene, diffuse), lights=tuple(one for one in scene.lights if one.name == light))
 
     def predict_at(tilt_deg: float, turn_deg: float) -> PredictedImages:
         there = Posture(posture.elevation_deg + tilt_deg, posture.rotation_deg + turn_deg)
