@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from mesh_surface import surface_of
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import copied_text, input_hashes
 from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance._result import FitResult, FittedValue, RegionFit, _part_text
 from lightopt.geometry import (
     BoxRegion,
     ColouredRegion,
@@ -461,3 +463,15 @@ def test_all_wrong_regions_are_named_at_once(bench):
     assert len(refused.value.args) == 2
     assert 'regions[1]: region "lid": no group "lid" in the mesh file; it has no named groups' in refused.value.args[0]
     assert 'regions[2]: region "far": the point [0.0, 0.0, 99.0] is' in refused.value.args[1]
+
+
+def test_a_surface_that_was_not_fitted_keeps_its_form(bench):
+    """Only the region was fitted, and by Lambert's form; the part's own exponent stays."""
+    bench.edit("part.yaml", "{R_d: 45.0,", "{R_d: 45.0, diffuse_exponent: 1.2,")
+    bench.part.write_text(bench.part.read_text() + REGIONS)
+    kind: dict[str, Any] = {"kind": "specular", "method": "likelihood", "model": SpecularModel(), "points": 4}
+    own = FitResult(**kind, values=(FittedValue("R_s", 1234.0),), fitted=("R_s",))
+    whole = FitResult(**kind, values=(), fitted=(), regions=(RegionFit(name="paint", result=own),))
+    text = _part_text(bench.folder, whole, load_part(bench.part))
+    assert "{R_d: 45.0, diffuse_exponent: 1.2, R_s: 12500, sigma_rad: 0.0475}" in text
+    assert "{R_d: 80, R_s: 1234, sigma_rad: 0.1}" in text

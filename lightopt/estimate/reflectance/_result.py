@@ -352,7 +352,8 @@ class FitFolder(ResultFolder):
 
 
 def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
-    values = _reflectance_values(result, part.reflectance, "reflectance")
+    # what was not fitted stays as it is, whatever form the fit would have had
+    values = _reflectance_values(result, part.reflectance, "reflectance") if result.fitted else {}
     for i, region in enumerate(result.regions):
         if region.result is not None:
             values |= _reflectance_values(region.result, part.regions[i].reflectance, "regions", i, "reflectance")
