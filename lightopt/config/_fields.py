@@ -196,6 +196,15 @@ TiltRange = Annotated[
     tuple[Tilt, Tilt], LIST, _ASCENDING, expecting("[low, high], two numbers from -180 to 180 (degrees)")
 ]
 Coordinates = Annotated[tuple[Number, Number, Number], LIST, expecting("[x, y, z], three numbers up to 1000000")]
+
+
+def _some_way(direction: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(direction):
+        raise complaint("expected [x, y, z], three numbers that are not all 0")
+    return direction
+
+
+Direction = Annotated[Coordinates, AfterValidator(_some_way)]
 Size = Annotated[
     tuple[Length, Length], LIST, expecting("[along azimuth, along elevation], two lengths between 0.001 and 1000000")
 ]

@@ -1,6 +1,7 @@
 """A part file: mesh, placement, postures, reflectance and defects."""
 
 import contextlib
+from itertools import pairwise
 from pathlib import PurePath
 from typing import Annotated, Any, Literal
 
@@ -128,6 +129,8 @@ _Sigma = Annotated[float, Field(ge=1e-5, le=0.5), expecting("a number from 0.000
 _Alpha = Annotated[float, Field(ge=2e-5, le=1.0), expecting("a number from 0.00002 to 1")]
 _Index = Annotated[float, Field(gt=0, le=50), expecting("a number above 0, up to 50")]
 
+MOST_ACROSS = 50.0  # times as wide across the brushing as along it
+
 LEAST_METAL = 0.02  # share of light that is reflected along the normal: half of what glass does
 
 _KEYS_OF_MODELS = {
@@ -135,6 +138,43 @@ _KEYS_OF_MODELS = {
     "ggx": ("alpha",),
     "two-lobe": ("sigma_rad", "R_s_wide", "sigma_wide_rad"),
 }
+
+
+class AxisConfig(Frozen):
+    """An axis in the mesh file's coordinates."""
+
+    point_mm: fields.Coordinates = (0.0, 0.0, 0.0)
+    """A point of it, in the mesh file's coordinates [mm]."""
+    direction: fields.Direction
+    """Its direction, of any length, in the mesh file's coordinates."""
+
+
+_Curve = Annotated[tuple[fields.Coordinates, ...], Field(strict=False, min_length=2, max_length=1000)]
+
+
+class BrushingConfig(Frozen):
+    """Which way a surface is brushed, by one of three keys; signs and lengths do not count."""
+
+    direction: fields.Direction | None = None
+    """Along a line, as sheet metal is: its direction in the mesh file's coordinates."""
+    around_axis: AxisConfig | None = None
+    """Around an axis, as turned parts are."""
+    along_curve_mm: _Curve | None = Field(default=None, validate_default=True)
+    """Along a curve of straight pieces, each of which counts where it is the nearest: its corners, in the mesh file's
+    coordinates [mm]."""
+
+    @field_validator("along_curve_mm")
+    @classmethod
+    def _one_way(cls, curve: tuple[tuple[float, ...], ...] | None, info: ValidationInfo) -> Any:
+        keys = ("direction", "around_axis", "along_curve_mm")
+        if not all(key in info.data for key in keys[:2]):
+            return curve
+        given = [key for key in keys[:2] if info.data[key] is not None] + [keys[2]] * (curve is not None)
+        if len(given) != 1:
+            raise complaint(f"expected one of {', '.join(keys)}, found {' and '.join(given) or 'none of them'}")
+        if curve is not None and any(a == b for a, b in pairwise(curve)):
+            raise complaint("two corners that follow each other are at the same place; remove one of them")
+        return curve
 
 
 class ReflectanceConfig(Frozen):
@@ -164,6 +204,13 @@ class ReflectanceConfig(Frozen):
     refractive_index: Annotated[tuple[_Index, _Index], LIST, expecting("[n, k], two numbers above 0")] | None = None
     """Complex refractive index [n, k] of a metal: its specular reflection follows Fresnel's equations, and grows at
     grazing angles. If absent, it does not depend on the angle of incidence."""
+    sigma_across_rad: _Sigma | None = None
+    """Brushed surfaces: width of the lobe across the brushing, more than sigma_rad, that along it [rad]. Of two lobes,
+    of the narrow one; the wide one is as many times wider. All models but ggx."""
+    alpha_across: _Alpha | None = None
+    """Brushed surfaces, ggx: roughness across the brushing, more than alpha, that along it."""
+    brushing: BrushingConfig | None = Field(default=None, validate_default=True)
+    """Brushed surfaces: which way they are brushed. Not brushed if absent."""
     full_scale: fields.Positive = 255.0
     """Full scale in which R_d and R_s are expressed [levels]."""
     white_level: fields.Positive | None = None
@@ -192,6 +239,38 @@ class ReflectanceConfig(Frozen):
     def sigma(self) -> float:
         """Width of the lobe where it is brightest [rad]; half of ggx's α."""
         return 0.5 * self.alpha if self.alpha is not None else self.sigma_rad or 0.0
+
+    @property
+    def sigma_across(self) -> float | None:
+        """Width of the lobe across the brushing [rad]; half of ggx's α; None where the surface is not brushed."""
+        return 0.5 * self.alpha_across if self.alpha_across is not None else self.sigma_across_rad
+
+    @field_validator("sigma_across_rad", "alpha_across")
+    @classmethod
+    def _wider_across(cls, value: float | None, info: ValidationInfo) -> float | None:
+        name, model = str(info.field_name), info.data.get("model")
+        if value is None or model is None:
+            return value
+        if (model == "ggx") != (name == "alpha_across"):
+            raise complaint(f"model {model} has {'alpha_across' if model == 'ggx' else 'sigma_across_rad'} instead")
+        along = "alpha" if model == "ggx" else "sigma_rad"
+        least = info.data.get(along)
+        if least is not None and not least < value <= MOST_ACROSS * least:
+            expected = f"more than {along}, {least:g}, up to {MOST_ACROSS:g} times as much"
+            raise complaint(f"expected {expected}, found {value:g}")
+        return value
+
+    @field_validator("brushing")
+    @classmethod
+    def _with_a_width(cls, value: BrushingConfig | None, info: ValidationInfo) -> BrushingConfig | None:
+        keys = ("sigma_across_rad", "alpha_across")
+        if "model" not in info.data or any(key not in info.data for key in keys):
+            return value
+        key = keys[info.data["model"] == "ggx"]
+        if (value is None) != (info.data[key] is None):
+            missing = "brushing" if value is None else key
+            raise fields.absent(f'missing key "{missing}": brushed surfaces have {key} and brushing', missing)
+        return value
 
     @field_validator("sigma_rad", "alpha", "R_s_wide", "sigma_wide_rad")
     @classmethod

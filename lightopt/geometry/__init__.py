@@ -4,6 +4,12 @@ The one home of trimesh and cascadio. Knows triangles and lengths, no camera and
 the frame of the part's file, in mm, Z up.
 """
 
+from lightopt.geometry._brushing import (
+    Brushing as Brushing,
+    CurvedBrushing as CurvedBrushing,
+    RoundBrushing as RoundBrushing,
+    StraightBrushing as StraightBrushing,
+)
 from lightopt.geometry._caster import Hits as Hits, RayCaster as RayCaster, resolve_hits as resolve_hits
 from lightopt.geometry._load_mesh import (
     UNITLESS_SUFFIXES as UNITLESS_SUFFIXES,

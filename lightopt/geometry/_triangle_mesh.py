@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lightopt.core.arrays import Float64, Int32, UInt8, read_only
+from lightopt.core.arrays import Float64, Index, Int32, UInt8, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
+from lightopt.geometry._brushing import Brushing, vectors_across
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +27,7 @@ class TriangleMesh:
     faces: Int32  # vertex indices, shape (m, 3), int32
     normals: Float64 | None = None  # unit outward normals at the vertices, shape (n, 3); None shades flat facets
     material: UInt8 | None = None  # number of each face's material, shape (m,); None: one material, number 0
+    brushing: tuple[Brushing | None, ...] = ()  # of each material; none of them if empty
 
     def __post_init__(self) -> None:
         vertices = _rows_of_three("vertices", self.vertices)
@@ -51,6 +53,15 @@ class TriangleMesh:
             worst = int(np.argmax(np.abs(length - 1.0)))
             raise InputError(f"mesh normals: expected unit length, found {length[worst]:.6g} at vertex {worst}")
         object.__setattr__(self, "normals", normals)
+
+    def across_brushing(self, points: Float64, normals: Float64, face: Int32 | Index) -> Float64 | None:
+        """Unit tangents across the brushing, 0 where there is none, shape (k, 3); None of a mesh without any.
+
+        points, normals, face: Points of the surface [mm], unit normals, shape (k, 3), and their faces, shape (k,)
+        """
+        if not any(self.brushing):
+            return None
+        return vectors_across(self.brushing, None if self.material is None else self.material[face], points, normals)
 
     @property
     def bounds(self) -> Float64:
@@ -94,7 +105,8 @@ def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike)
     if t.shape != (3,) or not np.isfinite(t).all():
         raise InputError(f"mesh translation: expected three finite numbers in mm, found {t.tolist()}")
     normals = None if mesh.normals is None else _turned(mesh.normals, R)
-    return TriangleMesh(_turned(mesh.vertices, R) + t, mesh.faces, normals, mesh.material)
+    brushing = tuple(own and own.moved(R, t) for own in mesh.brushing)
+    return TriangleMesh(_turned(mesh.vertices, R) + t, mesh.faces, normals, mesh.material, brushing)
 
 
 def _turned(rows: Float64, R: Float64) -> Float64:

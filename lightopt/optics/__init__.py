@@ -28,11 +28,14 @@ from lightopt.optics._reflection_model import (
     is_lambert as is_lambert,
     lambert as lambert,
     light_factor as light_factor,
+    lobe_across as lobe_across,
+    lobe_at as lobe_at,
     lobe_of_width as lobe_of_width,
     narrow_gaussian as narrow_gaussian,
     narrow_lobe as narrow_lobe,
     specular_divisor as specular_divisor,
     specular_lobe as specular_lobe,
+    square_across as square_across,
     wide_lobe as wide_lobe,
 )
 from lightopt.optics._saturated_region import saturated_region as saturated_region

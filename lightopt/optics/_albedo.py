@@ -12,6 +12,7 @@ light the mean albedo counts, that of light which arrives evenly from all sides.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,11 +24,18 @@ DEFAULT_ALBEDO = 0.65
 
 _NODES = 64
 _REACH = 12.0  # standard deviations of the lobe that are integrated
+_TURNS = 64  # directions of a quarter turn about the normal in which the lobe of a brushed surface is summed
 _MOST_DELTA = math.pi / 4  # the surface, seen along its normal, mirrors its own horizon there
 
 
 def specular_sum(reflectance: Reflectance) -> float:
     """∫ exp(−δ²/(2σ²)) · 4 cosδ dω_H / π of a lobe seen along the normal: albedo times W per unit of R_s."""
+    if (ratio := reflectance.model.across_ratio) > 1.0:
+        # in each direction from the normal it is that of another width
+        turn = 0.5 * math.pi / _TURNS * (np.arange(_TURNS) + 0.5)
+        widths = reflectance.sigma / np.hypot(np.sin(turn), np.cos(turn) / ratio)
+        even = replace(reflectance.model, across_ratio=1.0)
+        return float(np.mean([specular_sum(replace(reflectance, sigma=w, model=even)) for w in widths.tolist()]))
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     lobe = reflectance.lobe
     if lobe.ggx:
@@ -47,7 +55,7 @@ def specular_sum(reflectance: Reflectance) -> float:
 
 def _factors(delta: Float64, lobe: Lobe) -> Float64:
     # of light that a surface, seen along its normal, mirrors at a normal leaning by δ
-    return np.array([light_factor(max(0.0, math.cos(2.0 * d)), 2.0 * math.cos(d), lobe) for d in delta])
+    return np.array([light_factor(max(0.0, math.cos(2.0 * d)), 0.0, 2.0 * math.cos(d), lobe) for d in delta])
 
 
 def diffuse_albedo(form: DiffuseForm) -> float:

@@ -5,6 +5,11 @@ The lobe is Torrance and Sparrow's of the paper (equation 3), a sum of two of th
     B. Walter, S. R. Marschner, H. Li, K. E. Torrance: Microfacet models for refraction through rough surfaces,
     Eurographics Symposium on Rendering 2007, equations 20, 33 and 34, doi:10.2312/EGWR/EGSR07/195-206
 
+Brushed surfaces have lobes that are wider across the brushing than along it; that of GGX is then
+
+    E. Heitz: Understanding the masking-shadowing function in microfacet-based BRDFs, Journal of Computer Graphics
+    Techniques 3 (2), 2014, equations 84 to 88
+
 The diffuse component is Lambert's (equation 2), a power of N·L, or Oren and Nayar's in the form of Fujii, which has an
 albedo of at most 1 in all directions:
 
@@ -18,7 +23,9 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
+from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
+from lightopt.core.vectors import Vector, dot
 from lightopt.optics._exponential import exponential
 
 ModelName = Literal["torrance-sparrow", "ggx", "two-lobe"]
@@ -65,6 +72,9 @@ class Lobe(NamedTuple):
     wide_inverse: 1/(2σ²) of that lobe [rad⁻²]
     n, k: Complex refractive index n + ik of a metal; 0 where reflection does not depend on the angle
     normal_reflectance: Fresnel reflectance of the metal at normal incidence
+    widening: (σ_across/σ)² of a brushed surface, whose lobe is as much wider across the brushing; 1 of others
+    across: Unit vector across the brushing, in the tangent plane, times √(1 − 1/widening); 0 where the lobe is alike
+        all round
     """
 
     inverse: float
@@ -76,6 +86,11 @@ class Lobe(NamedTuple):
     n: float
     k: float
     normal_reflectance: float
+    widening: float
+    across: Vector
+
+
+_ALL_ROUND = Vector(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,17 +101,24 @@ class SpecularModel:
     wide_share: R_s of the wide lobe, as a share of R_s; two-lobe only
     wide_ratio: σ of the wide lobe over σ; two-lobe only
     refractive_index: n and k of the metal, for Fresnel's factor; None for no such factor
+    across_ratio: σ across the brushing over σ, of brushed surfaces; 1 of others
     """
 
     name: ModelName = "torrance-sparrow"
     wide_share: float = 0.0
     wide_ratio: float = 1.0
     refractive_index: tuple[float, float] | None = None
+    across_ratio: float = 1.0
 
     @property
     def width_key(self) -> str:
         """Key of a part file for the width of the lobe."""
         return "alpha" if self.name == "ggx" else "sigma_rad"
+
+    @property
+    def across_key(self) -> str:
+        """Key of a part file for the width of the lobe across the brushing."""
+        return "alpha_across" if self.name == "ggx" else "sigma_across_rad"
 
     @property
     def width_factor(self) -> float:
@@ -133,16 +155,19 @@ class Reflectance:
         two = model.name == "two-lobe" and model.wide_share > 0.0
         ratio = model.wide_ratio if two else 1.0
         n, k = model.refractive_index or (0.0, 0.0)
+        widening = model.across_ratio**2
         return Lobe(
             inverse=inverse,
-            farthest=EVERYWHERE if model.name == "ggx" else MAX_LOBE_EXPONENT * max(1.0, ratio**2),
-            plain=model.name != "ggx" and not two and n == 0.0,
+            farthest=EVERYWHERE if model.name == "ggx" else MAX_LOBE_EXPONENT * max(1.0, ratio**2) * widening,
+            plain=model.name != "ggx" and not two and n == 0.0 and widening == 1.0,
             ggx=model.name == "ggx",
             wide_share=model.wide_share if two else 0.0,
             wide_inverse=inverse / ratio**2,
             n=float(n),
             k=float(k),
             normal_reflectance=conductor_reflectance(1.0, n, k) if n > 0.0 else 1.0,
+            widening=widening,
+            across=_ALL_ROUND,
         )
 
     @property
@@ -226,18 +251,64 @@ def gaussian(chord_squared: float, inverse_two_sigma_squared: float) -> float:
 
 
 @kernel
-def specular_lobe(chord_squared: float, lobe: Lobe) -> float:
-    """The lobe as a function of δ, 1 at δ = 0; for N·L > 0 and N·V > 0.
+def lobe_at(lobe: Lobe, frames: Float64, i: int) -> Lobe:
+    """The lobe of a surface point, turned as its brushing runs.
 
+    frames: Unit normals and, of brushed surfaces, unit vectors across the brushing or 0, shape (k, 3) or (k, 6)
+    i: Number of the point
+    """
+    if lobe.widening == 1.0 or frames.shape[1] < 6:
+        return lobe
+    return lobe_across(lobe, Vector(frames[i, 3], frames[i, 4], frames[i, 5]))
+
+
+@kernel
+def lobe_across(lobe: Lobe, across: Vector) -> Lobe:
+    """The lobe of a brushed surface, by the unit vector across its brushing, or 0 where it has no direction."""
+    length = math.sqrt(1.0 - 1.0 / lobe.widening)
+    return Lobe(
+        lobe.inverse,
+        lobe.farthest,
+        lobe.plain,
+        lobe.ggx,
+        lobe.wide_share,
+        lobe.wide_inverse,
+        lobe.n,
+        lobe.k,
+        lobe.normal_reflectance,
+        lobe.widening,
+        Vector(length * across.x, length * across.y, length * across.z),
+    )
+
+
+@kernel
+def square_across(vector: Vector, lobe: Lobe) -> float:
+    """Square of a vector's component across the brushing, times 1 − 1/widening; 0 where the lobe is alike all round."""
+    if lobe.widening == 1.0:
+        return 0.0
+    part = dot(vector, lobe.across)
+    return part * part
+
+
+@kernel
+def specular_lobe(chord_squared: float, across_squared: float, lobe: Lobe) -> float:
+    """The lobe as a function of N − H, 1 where it is 0; for N·L > 0 and N·V > 0.
+
+    Gaussian lobes of brushed surfaces are those of |N − H|² whose part across the brushing is divided by the widening.
     GGX: cos⁴δ·(1 + tan²δ/α²)² in the denominator (Walter et al., equation 33), with the square of its sine by the
-    chord.
+    chord; of brushed surfaces (h_z² + h_y²/α² + h_x²/(α²·widening))² (Heitz, equation 85).
 
     chord_squared: |N − H|² of the unit normal and the unit vector halfway between light and view
+    across_squared: :func:`square_across` of N − H
     """
     if lobe.ggx:
         sine_squared = chord_squared * (1.0 - 0.25 * chord_squared)
         root = 1.0 + sine_squared * (0.5 * lobe.inverse - 1.0)
+        if lobe.widening > 1.0:
+            root -= across_squared * (0.5 * lobe.inverse)
         return 1.0 / (root * root)
+    if lobe.widening > 1.0:
+        chord_squared = max(0.0, chord_squared - across_squared)
     value = gaussian(chord_squared, lobe.inverse)
     if lobe.wide_share > 0.0:
         value += lobe.wide_share * gaussian(chord_squared, lobe.wide_inverse)
@@ -245,31 +316,38 @@ def specular_lobe(chord_squared: float, lobe: Lobe) -> float:
 
 
 @kernel
-def _masked(cosine: float, lobe: Lobe) -> float:
-    # c + √(α² + (1 − α²)·c²), by which Smith's masking is 2c divided (Walter et al., equation 34)
+def _masked(cosine: float, across_squared: float, lobe: Lobe) -> float:
+    # c + √(α² + (1 − α²)·c²), by which Smith's masking is 2c divided (Walter et al., equation 34); of brushed surfaces
+    # with the α of the vector's direction, α²·(1 + (widening − 1)·cos²φ) (Heitz, equation 80)
     alpha_squared = 2.0 / lobe.inverse
-    return cosine + math.sqrt(alpha_squared + (1.0 - alpha_squared) * cosine * cosine)
+    squared = alpha_squared + (1.0 - alpha_squared) * cosine * cosine
+    if lobe.widening > 1.0:
+        squared += alpha_squared * lobe.widening * across_squared
+    return cosine + math.sqrt(squared)
 
 
 @kernel
-def specular_divisor(n_dot_v: float, lobe: Lobe) -> float:
+def specular_divisor(n_dot_v: float, across_squared: float, lobe: Lobe) -> float:
     """What the specular component is divided by for its view.
 
     cosθ_o (paper, equation 3), clamped from below by :data:`MIN_COS_VIEW`; for GGX over its masking, which is finite.
+
+    across_squared: :func:`square_across` of V
     """
-    return 0.5 * _masked(n_dot_v, lobe) if lobe.ggx else max(n_dot_v, MIN_COS_VIEW)
+    return 0.5 * _masked(n_dot_v, across_squared, lobe) if lobe.ggx else max(n_dot_v, MIN_COS_VIEW)
 
 
 @kernel
-def light_factor(n_dot_l: float, half_size: float, lobe: Lobe) -> float:
+def light_factor(n_dot_l: float, across_squared: float, half_size: float, lobe: Lobe) -> float:
     """Factor of the specular component for where its light comes from: masking of GGX, and Fresnel's of metals.
 
     n_dot_l: Above 0
+    across_squared: :func:`square_across` of L
     half_size: Length of L + V, twice the cosine of the angle between L and H
     """
     if lobe.plain:
         return 1.0
-    factor = 2.0 * n_dot_l / _masked(n_dot_l, lobe) if lobe.ggx else 1.0
+    factor = 2.0 * n_dot_l / _masked(n_dot_l, across_squared, lobe) if lobe.ggx else 1.0
     if lobe.n > 0.0:
         factor *= conductor_reflectance(min(1.0, 0.5 * half_size), lobe.n, lobe.k) / lobe.normal_reflectance
     return factor
@@ -297,10 +375,15 @@ def farthest_exponent(most: float, lobe: Lobe) -> float:
     """δ²/(2σ²) from which a lobe is less than e^−most of its height, or more.
 
     The square of δ's sine, on which GGX depends, is more than 4/π² of that of δ. A metal reflects as many times more at
-    grazing angles as it reflects less than all along its normal.
+    grazing angles as it reflects less than all along its normal. Across the brushing the lobe reaches farthest.
     """
     if not lobe.plain:
         most -= math.log(lobe.normal_reflectance)
+    return lobe.widening * _farthest_along(most, lobe)
+
+
+@kernel
+def _farthest_along(most: float, lobe: Lobe) -> float:
     if lobe.ggx:
         narrowing = 1.0 - 2.0 / lobe.inverse  # 1 − α²
         if narrowing <= 0.01:
@@ -318,14 +401,16 @@ def narrow_lobe(lobe: Lobe) -> Lobe:
     """The first of two Gaussian lobes alone, or the only one."""
     return Lobe(
         lobe.inverse,
-        MAX_LOBE_EXPONENT,
-        lobe.n == 0.0,
+        MAX_LOBE_EXPONENT * lobe.widening,
+        (lobe.n == 0.0) & (lobe.widening == 1.0),
         False,
         0.0,
         lobe.inverse,
         lobe.n,
         lobe.k,
         lobe.normal_reflectance,
+        lobe.widening,
+        lobe.across,
     )
 
 
@@ -351,4 +436,6 @@ def lobe_of_width(lobe: Lobe, inverse: float) -> Lobe:
         lobe.n,
         lobe.k,
         lobe.normal_reflectance,
+        lobe.widening,
+        lobe.across,
     )

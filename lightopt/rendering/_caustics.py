@@ -125,7 +125,7 @@ def _thrown(
     ways, gathered = np.zeros((len(lit), 3)), np.zeros(len(lit))
     for index, own_points, own in surface.by_material(part.reflectances):
         s, at = own_points, np.arange(len(own_points))
-        found = lobe_rays(s.normals, s.facets, s.views, own.lobe, at, places[4, lit][index], places[5, lit][index])
+        found = lobe_rays(s.frames, s.facets, s.views, own.lobe, at, places[4, lit][index], places[5, lit][index])
         ways[index], gathered[index] = found[0], own.R_s * found[1]
     # the lobe gathers light along a ray as it throws light the other way, but for Lambert's cosine
     cosine = np.einsum("ij,ij->i", surface.normals, surface.views)

@@ -260,7 +260,7 @@ def _shade_by_one_ray(
         terms[index] = np.stack(found, axis=1)
         return terms[:, 0], terms[:, 1]
     if light.cells:
-        geometry = surface.points, surface.normals, surface.views
+        geometry = surface.points, surface.frames, surface.views
         own = reflectance.lobe, reflectance.diffuse
         add_spread_points(*geometry, seen, panel_numbers(light.light), light.cells, *own, terms)
     else:
@@ -327,7 +327,7 @@ def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> Con
 
 def _add_whole_panel(surface: SurfacePoints, chosen: Bool, light: ConvergedLight, terms: Float64) -> None:
     index = np.flatnonzero(chosen).astype(np.int32)
-    whole_panel(surface.points, surface.normals, surface.views, index, light, terms)
+    whole_panel(surface.points, surface.frames, surface.views, index, light, terms)
 
 
 def _work_out(surface: SurfacePoints, chosen: Bool, light: ConvergedLight, caster: RayCaster, terms: Float64) -> Bool:

@@ -14,7 +14,16 @@ from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, dot, minus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_grid, panel_numbers, panel_point
-from lightopt.optics import DiffuseForm, Lobe, farthest_exponent, is_lambert, lobe_of_width, specular_divisor
+from lightopt.optics import (
+    DiffuseForm,
+    Lobe,
+    farthest_exponent,
+    is_lambert,
+    lobe_at,
+    lobe_of_width,
+    specular_divisor,
+    square_across,
+)
 from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes
 from lightopt.rendering._panel_quadrature import (
     NODES,
@@ -55,7 +64,7 @@ def panel_variants(
         cells[mixed] = panel_probes(surface.take(mixed), panel_grid(converged.light, CELLS * CELLS), caster)
     _levels(
         surface.points,
-        surface.normals,
+        surface.frames,
         references,
         surface.views,
         number,
@@ -72,7 +81,7 @@ def panel_variants(
 @kernel
 def _levels(
     points: Float64,
-    normals: Float64,
+    frames: Float64,
     references: Float64,
     views: Float64,
     number: Int64,
@@ -89,11 +98,12 @@ def _levels(
         if number[i] == 0:
             continue
         whole = number[i] == all_probes
-        p, n, v, r = (vector_at(points, i), vector_at(normals, i), vector_at(views, i), vector_at(references, i))
+        p, n, v, r = (vector_at(points, i), vector_at(frames, i), vector_at(views, i), vector_at(references, i))
         a = cross(n, r)
         towards = _light_vector(p, panel, panel_nodes, cells[i], whole)
         half, spread = half_vector_cone(p, v, panel.centre, half_diagonal(panel))
         light = minus(panel.centre, p)
+        own = lobe_at(form, frames, i)
         for t in range(len(lean)):
             turned = leaning(lean, t, n, r, a)
             lowest = dot(turned, light)
@@ -108,8 +118,9 @@ def _levels(
             s = 0.0
             n_dot_v = dot(turned, v)
             if n_dot_v > 0.0:
-                lobe = lobe_of_width(form, inverse[t])
-                furthest = farthest_exponent(most[t] - math.log(specular_divisor(n_dot_v, lobe)), lobe)
+                lobe = lobe_of_width(own, inverse[t])
+                divisor = specular_divisor(n_dot_v, square_across(v, lobe), lobe)
+                furthest = farthest_exponent(most[t] - math.log(divisor), lobe)
                 reach = spread + math.sqrt(max(0.0, furthest) / inverse[t])
                 if reach >= math.pi or dot(turned, half) > math.cos(reach):
                     if whole:

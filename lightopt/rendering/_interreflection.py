@@ -33,8 +33,11 @@ from lightopt.optics import (
     diffuse_term,
     is_lambert,
     light_factor,
+    lobe_at,
+    lobe_of_width,
     specular_divisor,
     specular_lobe,
+    square_across,
     white_level,
 )
 from lightopt.rendering._converged_panel import ConvergedPanel, converged_panel, isolated_levels
@@ -134,7 +137,7 @@ class PartLight:
             return _rays_by_cosine(surface.normals, surface.facets, surface.views, own.diffuse, point, u, turn)
 
         def of_lobe(surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
-            return lobe_rays(surface.normals, surface.facets, surface.views, own.lobe, point, u, turn)
+            return lobe_rays(surface.frames, surface.facets, surface.views, own.lobe, point, u, turn)
 
         return (own.R_s / (math.pi * self.white), of_lobe) if by_lobe else (own.R_d / self.white, by_cosine)
 
@@ -321,23 +324,26 @@ def _turned(n: Vector, angle: float, turn: float) -> Vector:
 
 @kernel
 def lobe_rays(
-    normals: Float64, facets: Float64, views: Float64, lobe: Lobe, point: Index, u: Float64, turn: Float64
+    frames: Float64, facets: Float64, views: Float64, lobe: Lobe, point: Index, u: Float64, turn: Float64
 ) -> tuple[Float64, Float64]:
     """Directions in which the lobe of points gathers light, shape (k, 3), and weights, shape (k,).
 
     The mean of weight times light is ∫ lobe/cosθ_o · light dω. Views are mirrored by half vectors as dense as a lobe of
     SPREAD times the width, whose rays meet highlights in its tail, half of them by the wider of two lobes; dω of light
-    is 4 (V·H) dω of H.
+    is 4 (V·H) dω of H. In each direction from the normal, the lobe of a brushed surface is one of another width.
 
-    normals, facets, views: Of the points, shape (n, 3)
+    frames, facets, views: Of a :class:`lightopt.rendering.SurfacePoints`
     point: Of each ray, shape (k,)
     u, turn: Place of each ray in the unit square, shape (k,)
     """
     directions, weights = np.empty((len(point), 3)), np.zeros(len(point))
     for k in range(len(point)):
         i = point[k]
-        n, v = vector_at(normals, i), vector_at(views, i)
-        n_dot_v, delta = dot(n, v), _leaning(u[k], lobe)
+        n, v, own = vector_at(frames, i), vector_at(views, i), lobe
+        if lobe.widening > 1.0:
+            along = square_across(_turned(n, 0.5 * math.pi, turn[k]), lobe_at(lobe, frames, i))
+            own = lobe_of_width(lobe, lobe.inverse * (1.0 - along))
+        n_dot_v, delta = dot(n, v), _leaning(u[k], own)
         half = _turned(n, delta, turn[k])
         across = dot(v, half)
         way = minus(scaled(half, 2.0 * across), v)
@@ -345,8 +351,11 @@ def lobe_rays(
         above = dot(n, way) > 0.0 and dot(vector_at(facets, i), way) > 0.0
         if n_dot_v > 0.0 and across > 0.0 and delta < math.pi and above:
             chord = 2.0 * math.sin(0.5 * delta)
-            value = specular_lobe(chord * chord, lobe) * light_factor(dot(n, way), 2.0 * across, lobe)
-            weights[k] = 8.0 * math.pi * value * across * _solid_angle(delta, lobe) / specular_divisor(n_dot_v, lobe)
+            turned = lobe_at(lobe, frames, i)
+            factor = light_factor(dot(n, way), square_across(way, turned), 2.0 * across, lobe)
+            value = specular_lobe(chord * chord, 0.0, own) * factor
+            divisor = specular_divisor(n_dot_v, square_across(v, turned), lobe)
+            weights[k] = 8.0 * math.pi * value * across * _solid_angle(delta, own) / divisor
     return directions, weights
 
 

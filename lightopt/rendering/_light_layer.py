@@ -18,7 +18,7 @@ from lightopt.core.threads import in_threads
 from lightopt.core.vectors import Vector, divided, dot, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, panel_grid, panel_numbers, panel_point
-from lightopt.optics import LAMBERT, DiffuseForm, Lobe, Reflectance
+from lightopt.optics import LAMBERT, DiffuseForm, Lobe, Reflectance, lobe_at
 from lightopt.rendering._converged_panel import channel_groups, converged_panel
 from lightopt.rendering._panel_quadrature import (
     NO_LOBE,
@@ -72,7 +72,7 @@ class LightLayer:
 
         def chunk(start: int) -> None:
             end = min(start + _CHUNK, len(s))
-            _specular(s.points, s.normals, s.views, self.grid, panel, lobe, self.nodes, start, end, result)
+            _specular(s.points, s.frames, s.views, self.grid, panel, lobe, self.nodes, start, end, result)
 
         in_threads(chunk, range(0, len(s), _CHUNK), threads)
         result *= self.light.total_weight
@@ -146,7 +146,7 @@ def light_layer(
 @kernel
 def _specular(
     points: Float64,
-    normals: Float64,
+    frames: Float64,
     views: Float64,
     grid: Float64,
     panel: PanelNumbers,
@@ -157,16 +157,16 @@ def _specular(
     result: Float64,
 ) -> None:
     for i in range(start, end):
-        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
+        p, n, v = vector_at(points, i), vector_at(frames, i), vector_at(views, i)
         if out_of_reach(p, n, v, panel, lobe):
             continue
-        n_dot_v = dot(n, v)
+        n_dot_v, turned = dot(n, v), lobe_at(lobe, frames, i)
         if len(grid) == 0:
-            result[i] = rectangle_specular(p, n, v, n_dot_v, panel, WHOLE_PANEL, lobe, panel_nodes)
+            result[i] = rectangle_specular(p, n, v, n_dot_v, panel, WHOLE_PANEL, turned, panel_nodes)
             continue
         total = 0.0
         for k in range(len(grid)):
-            _, s = point_terms(p, n, v, n_dot_v, vector_at(grid, k), panel, lobe, LAMBERT)
+            _, s = point_terms(p, n, v, n_dot_v, vector_at(grid, k), panel, turned, LAMBERT)
             total += s
         result[i] = total / len(grid)
 

@@ -33,6 +33,7 @@ from lightopt.optics import (
     narrow_gaussian,
     narrow_lobe,
     specular_divisor,
+    square_across,
     wide_lobe,
 )
 from lightopt.rendering._point_lights import point_terms
@@ -51,6 +52,9 @@ WINDOW_MARGIN = 1.15  # the window is widened by this, since the exponent is onl
 
 # nodes a side of a whole panel where Oren and Nayar's component has a bend on it, and further ones where it has none
 _BENT_NODES, _FURTHER_NODES = 12, 2
+
+# of a lobe that is aslant: σ along a side of a piece, and the most pieces along one
+_PIECE, _MOST_PIECES = 10.0, 64
 
 _GRAZING = 1e-3
 _LINEARISATIONS = 3
@@ -223,12 +227,23 @@ def rectangle_specular(
     if lobe.plain:
         return _gaussian_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
     if lobe.ggx:
+        if lobe.widening > 1.0:
+            return _brushed_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
         return _tailed_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
-    total = _gaussian_light(p, n, v, n_dot_v, panel, area, narrow_lobe(lobe), panel_nodes)
+    total = _one_gaussian(p, n, v, n_dot_v, panel, area, narrow_lobe(lobe), panel_nodes)
     if lobe.wide_share > 0.0:
-        wide = _gaussian_light(p, n, v, n_dot_v, panel, area, wide_lobe(lobe), panel_nodes)
+        wide = _one_gaussian(p, n, v, n_dot_v, panel, area, wide_lobe(lobe), panel_nodes)
         total += lobe.wide_share * wide
     return total
+
+
+@kernel
+def _one_gaussian(
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int
+) -> float:
+    if lobe.widening > 1.0:
+        return _brushed_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
+    return _gaussian_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
 
 
 class _Nearest(NamedTuple):
@@ -246,16 +261,17 @@ class _Nearest(NamedTuple):
 
 @kernel
 def _nearest(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, inverse: float, far: float
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, far: float
 ) -> _Nearest:
     # far: exponent beyond which nothing is sought
     s, t = mirror_point(p, n, v, n_dot_v, panel)
     s, t = min(max(s, area.s0), area.s1), min(max(t, area.t0), area.t1)
+    inverse = lobe.inverse
     hx = hy = jxs = jxt = jys = jyt = 0.0
     a = b = c = 0.0
     least = 0.0
     for round_ in range(_LINEARISATIONS):
-        hx, hy, jxs, jxt, jys, jyt = _half_vector_map(p, n, v, panel, s, t)
+        hx, hy, jxs, jxt, jys, jyt = _half_vector_map(p, n, v, panel, s, t, lobe)
         # exponent ≈ k·|h + J·Δx|²: its matrix and gradient, per axis of the panel
         k = inverse
         a = k * (jxs * jxs + jys * jys)
@@ -278,7 +294,7 @@ def _nearest(
 def _gaussian_light(
     p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int
 ) -> float:
-    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, n_dot_v, panel, area, lobe.inverse, 50.0 * NEGLIGIBLE_EXPONENT)
+    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, n_dot_v, panel, area, lobe, 50.0 * NEGLIGIBLE_EXPONENT)
     if least > NEGLIGIBLE_EXPONENT:
         return 0.0
     window = lobe_window(a, b, c, gs, gt, s, t, least, area)
@@ -300,7 +316,7 @@ def _tailed_light(
     # of a lobe with tails, whose width is α = 2σ in δ: (2 + exponent)/2 is to the power of −2
     least_s = math.ceil(panel_nodes * (area.s1 - area.s0)) + 1
     least_t = math.ceil(panel_nodes * (area.t1 - area.t0)) + 1
-    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, n_dot_v, panel, area, lobe.inverse, EVERYWHERE)
+    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, n_dot_v, panel, area, lobe, EVERYWHERE)
     centre_s, width_s = peak(a, gs, least, s, area.s0, area.s1)
     centre_t, width_t = peak(c, gt, least, t, area.t0, area.t1)
     u0, u1 = math.asinh((area.s0 - centre_s) / width_s), math.asinh((area.s1 - centre_s) / width_s)
@@ -330,6 +346,47 @@ def _tailed_light(
             row += WEIGHTS[count_s, j] * math.cosh(u) * value
         total += WEIGHTS[count_t, i] * math.cosh(w) * row * (u1 - u0)
     return total * width_s * width_t * (w1 - w0)
+
+
+@kernel
+def _brushed_light(
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int
+) -> float:
+    # of a lobe that is wider across the brushing, a ridge that may lie aslant: nodes that resolve its narrow side all
+    # over the window, in pieces
+    far = EVERYWHERE if lobe.ggx else 50.0 * NEGLIGIBLE_EXPONENT
+    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, n_dot_v, panel, area, lobe, far)
+    window = area
+    if not lobe.ggx:
+        if least > NEGLIGIBLE_EXPONENT:
+            return 0.0
+        window = lobe_window(a, b, c, gs, gt, s, t, least, area)
+    width, height = window.s1 - window.s0, window.t1 - window.t0
+    if width <= 0.0 or height <= 0.0:
+        return 0.0
+    across, along = width * math.sqrt(max(2.0 * a, 0.0)), height * math.sqrt(max(2.0 * c, 0.0))
+    parts_s, parts_t = math.ceil(across / _PIECE), math.ceil(along / _PIECE)
+    parts_s, parts_t = min(max(parts_s, 1), _MOST_PIECES), min(max(parts_t, 1), _MOST_PIECES)
+    count_s = _ridge_nodes(across / parts_s, math.ceil(panel_nodes * width / parts_s) + 1, lobe.ggx)
+    count_t = _ridge_nodes(along / parts_t, math.ceil(panel_nodes * height / parts_t) + 1, lobe.ggx)
+    total = 0.0
+    for i in range(parts_s):
+        for j in range(parts_t):
+            piece = Rectangle(
+                window.s0 + i * width / parts_s,
+                window.s0 + (i + 1) * width / parts_s,
+                window.t0 + j * height / parts_t,
+                window.t0 + (j + 1) * height / parts_t,
+            )
+            total += _integrals(p, n, v, n_dot_v, panel, piece, lobe, LAMBERT, count_s, count_t)[1]
+    return total
+
+
+@kernel
+def _ridge_nodes(width: float, least: int, tailed: bool) -> int:
+    # nodes along a side of so many σ of a lobe that may be greatest anywhere on it; GGX is singular at ±2iσ from there
+    wanted = tail_nodes(-0.5 * width, 0.5 * width, 2.0, TAIL_ERROR) if tailed else math.ceil(4.0 + 0.9 * width)
+    return min(max(wanted, least), MAX_NODES)
 
 
 @kernel
@@ -414,7 +471,8 @@ def _lobe_above_horizon(
             weight = WEIGHTS[count_t, i] * WEIGHTS[count_s, j]
             values[first + j] = attenuated(weight, panel, r2, dot(panel.outward, light))
             if not lobe.plain:
-                values[first + j] *= light_factor(dot(n, light), size, lobe)
+                chord[first + j] = max(0.0, chord[first + j] - square_across(away, lobe))
+                values[first + j] *= light_factor(dot(n, light), square_across(light, lobe), size, lobe)
     for k in range(len(values)):
         values[k] *= narrow_gaussian(min(chord[k], NARROW_CHORD_SQUARED), lobe.inverse)
     total = widest = 0.0
@@ -424,7 +482,7 @@ def _lobe_above_horizon(
     if widest >= NARROW_CHORD_SQUARED:
         # δ of 29° or more, where only a rough surface shows a lobe
         return _integrals(p, n, v, n_dot_v, panel, area, lobe, LAMBERT, count_s, count_t)[1]
-    return total * width * height / specular_divisor(n_dot_v, lobe)
+    return total * width * height / specular_divisor(n_dot_v, square_across(v, lobe), lobe)
 
 
 @kernel
@@ -437,9 +495,12 @@ def smooth_nodes(p: Vector, n: Vector, v: Vector, centre: Vector, reach: float, 
     error: Of tails, as a share of the light
     """
     half, spread = half_vector_cone(p, v, centre, reach)
-    away = length(minus(n, half))
+    off = minus(n, half)
+    away = length(off)
     if spread >= 1.0:
         return MAX_NODES
+    if lobe.widening > 1.0:
+        away = math.sqrt(max(0.0, away * away - square_across(off, lobe)))
     if lobe.ggx:
         # singular where δ = ±iα
         return tail_nodes(away - spread, away + spread, math.sqrt(2.0 / lobe.inverse), error)
@@ -499,18 +560,19 @@ def mirror_point(p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNu
 
 @kernel
 def _half_vector_map(
-    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, s: float, t: float
+    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, s: float, t: float, lobe: Lobe
 ) -> tuple[float, float, float, float, float, float]:
-    return half_vector_map(p, n, v, panel_point(panel, s, t), panel.across, panel.along)
+    return half_vector_map(p, n, v, panel_point(panel, s, t), panel.across, panel.along, lobe)
 
 
 @kernel
 def half_vector_map(
-    p: Vector, n: Vector, v: Vector, place: Vector, along_s: Vector, along_t: Vector
+    p: Vector, n: Vector, v: Vector, place: Vector, along_s: Vector, along_t: Vector, lobe: Lobe
 ) -> tuple[float, float, float, float, float, float]:
     """Components of H in the tangent plane of N, and their derivatives along s and t; so that |h| is δ, not its sine.
 
     place, along_s, along_t: Of the light [mm], and how it moves with s and t
+    lobe: Of a brushed surface, the component across the brushing counts as much less as the lobe is wider there
     """
     light = minus(place, p)
     r = length(light)
@@ -525,6 +587,12 @@ def half_vector_map(
     else:
         root = math.sqrt(n.y * n.y + n.z * n.z)
         a = Vector(0.0, -n.z / root, n.y / root)
+    shrunk = 1.0
+    if lobe.widening > 1.0:
+        aside = minus(lobe.across, scaled(n, dot(n, lobe.across)))
+        root = length(aside)
+        if root > _GRAZING:
+            a, shrunk = divided(aside, root), 1.0 / math.sqrt(lobe.widening)
     b = cross(n, a)
     ha, hb = dot(half, a), dot(half, b)
     sine = math.sqrt(ha * ha + hb * hb)
@@ -534,10 +602,10 @@ def half_vector_map(
     across = _half_vector_step(along_s, r, light, size, half)
     along = _half_vector_step(along_t, r, light, size, half)
     return (
-        scale * ha,
+        shrunk * scale * ha,
         scale * hb,
-        scale * dot(across, a),
-        scale * dot(along, a),
+        shrunk * scale * dot(across, a),
+        shrunk * scale * dot(along, a),
         scale * dot(across, b),
         scale * dot(along, b),
     )

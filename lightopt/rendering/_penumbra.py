@@ -67,7 +67,7 @@ def shade_penumbra(surface: SurfacePoints, light: ConvergedLight, caster: RayCas
 def _shade_squares(work: _Work, squares: Squares, *, depth: int) -> Bool:
     # adds the light of the visible area of squares; returns which of them the edge of a shadow crosses
     surface, light = work.surface, work.light
-    given = surface.points, surface.normals, surface.views, light, squares
+    given = surface.points, surface.frames, surface.views, light, squares
     state = _states_at_corners(work, squares, GRIDS[depth])
     stake = add_visible_cells(*given, state, work.terms)
     if depth == 0:

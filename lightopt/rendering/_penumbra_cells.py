@@ -5,7 +5,7 @@ is seen at its corners, and by where the edge crosses its sides.
 
 What the functions share
 ------------------------
-points, normals, views: Surface points [mm], unit normals and unit view directions, part frame, shape (k, 3)
+points, frames, views: Of a :class:`lightopt.rendering.SurfacePoints`
 state: What is seen at the corners of the cells, shape (q, n + 1, n + 1): BELOW, VISIBLE or BLOCKED
 across, along: Where the edge crosses the sides of cells that run along s and along t, as a share of the side; shape
     (q, n + 1, n) and (q, n, n + 1)
@@ -22,7 +22,7 @@ from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import dot, vector_at
 from lightopt.lights import PanelNumbers
-from lightopt.optics import DiffuseForm, Lobe
+from lightopt.optics import DiffuseForm, Lobe, lobe_at
 from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
 
 # what a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle
@@ -128,7 +128,7 @@ def places_beside_chords(
 @kernel
 def add_visible_cells(
     points: Float64,
-    normals: Float64,
+    frames: Float64,
     views: Float64,
     light: ConvergedLight,
     squares: Squares,
@@ -137,14 +137,14 @@ def add_visible_cells(
 ) -> Float64:
     """Add the light of the visible cells to `terms`; return the levels of the whole of each crossed one, (q, n, n)."""
     point, s, t, cell = squares
-    panel, lobe = light.panel, light.lobe
+    panel = light.panel
     q, n = len(point), state.shape[1] - 1
     stake = np.zeros((q, n, n))
     few = math.ceil(2.0 * light.nodes * cell)
     for i in range(q):
         k = point[i]
-        p, normal, v = vector_at(points, k), vector_at(normals, k), vector_at(views, k)
-        n_dot_v = dot(normal, v)
+        p, normal, v = vector_at(points, k), vector_at(frames, k), vector_at(views, k)
+        n_dot_v, lobe = dot(normal, v), lobe_at(light.lobe, frames, k)
         glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, lobe)
         for row in range(n):
             t0 = t[i] + row * cell - 0.5
@@ -176,7 +176,7 @@ def add_visible_cells(
 @kernel
 def add_crossed_cells(
     points: Float64,
-    normals: Float64,
+    frames: Float64,
     views: Float64,
     light: ConvergedLight,
     squares: Squares,
@@ -189,14 +189,14 @@ def add_crossed_cells(
 ) -> None:
     """Add the light of the visible part of the crossed cells, except those `left_out`, to `terms`."""
     point, s, t, cell = squares
-    panel, lobe = light.panel, light.lobe
+    panel = light.panel
     q, n = len(point), state.shape[1] - 1
     runs = np.empty((4 * MOST_STRIPS, 4))
     few = math.ceil(2.0 * light.nodes * cell)
     for i in range(q):
         k = point[i]
-        p, normal, v = vector_at(points, k), vector_at(normals, k), vector_at(views, k)
-        n_dot_v = dot(normal, v)
+        p, normal, v = vector_at(points, k), vector_at(frames, k), vector_at(views, k)
+        n_dot_v, lobe = dot(normal, v), lobe_at(light.lobe, frames, k)
         glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, lobe)
         for row in range(n):
             for column in range(n):

@@ -86,6 +86,9 @@ def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: 
         None
         if scene.mesh.material is None
         else np.concatenate([b[2].material for b in blocks if b[2].material is not None] or [none.astype(np.uint8)]),
+        np.concatenate([b[2].across for b in blocks if b[2].across is not None] or [empty])
+        if any(scene.mesh.brushing)
+        else None,
     )
     shape = (scene.camera.height, scene.camera.width)
     edge = _spread(_edges(surface, row, column, shape), row, column)

@@ -19,9 +19,11 @@ from lightopt.optics import (
     is_lambert,
     lambert,
     light_factor,
+    lobe_at,
     narrow_gaussian,
     specular_divisor,
     specular_lobe,
+    square_across,
 )
 from lightopt.rendering._surface import SurfacePoints
 
@@ -61,7 +63,7 @@ def point_terms(
     length_squared = dot(half, half)
     if not _near_lobe(dot(n, half), length_squared, lobe):
         return diffuse, 0.0
-    return diffuse, weight * (lobe_towards(n, v, light, lobe) / specular_divisor(n_dot_v, lobe))
+    return diffuse, weight * (lobe_towards(n, v, light, lobe) / specular_divisor(n_dot_v, square_across(v, lobe), lobe))
 
 
 @kernel
@@ -73,7 +75,10 @@ def lobe_towards(n: Vector, v: Vector, light: Vector, lobe: Lobe) -> float:
     half = plus(light, v)
     size = math.sqrt(dot(half, half))
     chord = minus(n, scaled(half, 1.0 / size))
-    return specular_lobe(dot(chord, chord), lobe) * light_factor(dot(n, light), size, lobe)
+    if lobe.plain:
+        return specular_lobe(dot(chord, chord), 0.0, lobe)
+    factor = light_factor(dot(n, light), square_across(light, lobe), size, lobe)
+    return specular_lobe(dot(chord, chord), square_across(chord, lobe), lobe) * factor
 
 
 @kernel
@@ -113,7 +118,7 @@ def _shade_chunk(
     clear = clear_targets(surface, grid, caster, geometric=caster is not None)
     return add_points(
         surface.points,
-        surface.normals,
+        surface.frames,
         surface.views,
         grid,
         clear,
@@ -169,7 +174,7 @@ def _facing(
 @kernel
 def add_points(
     points: Float64,
-    normals: Float64,
+    frames: Float64,
     views: Float64,
     targets: Float64,
     clear: Bool,
@@ -180,7 +185,7 @@ def add_points(
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of point lights, per unit of R_d and R_s; two arrays of shape (k,).
 
-    points, normals, views: Surface points [mm], unit normals and unit view directions, shape (k, 3)
+    points, frames, views: Of a :class:`lightopt.rendering.SurfacePoints`
     targets: The point lights [mm], shape (m, 3)
     clear: Whether nothing is on the way from a light to a point, shape (m, k)
     weight: Of each light
@@ -192,16 +197,19 @@ def add_points(
     n_dot_v, chord_squared = np.empty(_AT_ONCE), np.empty(_AT_ONCE)
     terms, r2, cosine = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE)
     near, lobes, factors = np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE), np.ones(_AT_ONCE)
+    aside, across_view = np.zeros(_AT_ONCE), np.zeros(_AT_ONCE)  # squares across the brushing, of N − H and of V
     for first in range(0, len(points), _AT_ONCE):
         count = min(_AT_ONCE, len(points) - first)
         for j in range(count):
             for axis in range(3):
                 p[axis, j], n[axis, j], v[axis, j] = (
                     points[first + j, axis],
-                    normals[first + j, axis],
+                    frames[first + j, axis],
                     views[first + j, axis],
                 )
             n_dot_v[j] = dot(column_at(n, j), column_at(v, j))
+            if lobe.widening > 1.0:
+                across_view[j] = square_across(column_at(v, j), lobe_at(lobe, frames, first + j))
         # of slices the compiler knows that no index counts from the end: it takes several at once
         own_diffuse, own_specular = diffuse[first : first + count], specular[first : first + count]
         for k in range(len(targets)):
@@ -221,7 +229,10 @@ def add_points(
                 chord_squared[j] = dot(chord, chord)
                 near[j] = lit & (n_dot_v[j] > 0.0) & _near_lobe(dot(normal, half), length_squared, lobe)
                 if not lobe.plain:
-                    factors[j] = light_factor(max(n_dot_l, 0.0), math.sqrt(length_squared), lobe)
+                    turned = lobe_at(lobe, frames, first + j)
+                    aside[j] = square_across(chord, turned)
+                    towards = square_across(light, turned)
+                    factors[j] = light_factor(max(n_dot_l, 0.0), towards, math.sqrt(length_squared), lobe)
             if not is_lambert(form):
                 for j in range(count):
                     if terms[j] > 0.0:
@@ -238,7 +249,7 @@ def add_points(
             for j in range(count):
                 if near[j]:
                     narrow = all_at_once and chord_squared[j] < NARROW_CHORD_SQUARED
-                    value = lobes[j] if narrow else specular_lobe(chord_squared[j], lobe) * factors[j]
-                    value = value / specular_divisor(n_dot_v[j], lobe)
+                    value = lobes[j] if narrow else specular_lobe(chord_squared[j], aside[j], lobe) * factors[j]
+                    value = value / specular_divisor(n_dot_v[j], across_view[j], lobe)
                     own_specular[j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * value)
     return diffuse, specular

@@ -41,6 +41,7 @@ class SurfacePoints:
     front: False where the camera sees the back of a face, which is black; shape (k,)
     outside: Whether the camera stands outside the part's bounding sphere
     material: Number of the reflectance of each, shape (k,); None: one reflectance, number 0
+    across: Unit tangents across the brushing, 0 where it has no direction, shape (k, 3); None: nothing is brushed
     """
 
     points: Float64
@@ -50,6 +51,12 @@ class SurfacePoints:
     front: Bool
     outside: bool = False
     material: UInt8 | None = None
+    across: Float64 | None = None
+
+    @property
+    def frames(self) -> Float64:
+        """The normals, and of a brushed surface the vectors across its brushing; shape (k, 3) or (k, 6)."""
+        return self.normals if self.across is None else np.concatenate([self.normals, self.across], axis=1)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -64,6 +71,7 @@ class SurfacePoints:
             self.front[index],
             self.outside,
             None if self.material is None else self.material[index],
+            None if self.across is None else self.across[index],
         )
 
     def by_material(self, belonging: Sequence[Of]) -> Iterator[tuple[Index | slice, SurfacePoints, Of]]:
@@ -143,7 +151,8 @@ def surface_at(hits: Hits, mesh: TriangleMesh, eyes: Float64, *, outside: bool) 
         mesh.vertices, mesh.faces, vertex_normals, smooth, hits.face, hits.u, hits.v, hits.points, np.atleast_2d(eyes)
     )
     material = None if mesh.material is None else mesh.material[hits.face]
-    return SurfacePoints(hits.points, *found, outside=outside, material=material)
+    across = mesh.across_brushing(hits.points, found[0], hits.face)
+    return SurfacePoints(hits.points, *found, outside=outside, material=material, across=across)
 
 
 @kernel

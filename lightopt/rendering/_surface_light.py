@@ -40,10 +40,12 @@ from lightopt.optics import (
     farthest_exponent,
     is_lambert,
     light_factor,
+    lobe_at,
     narrow_gaussian,
     narrow_lobe,
     specular_divisor,
     specular_lobe,
+    square_across,
     wide_lobe,
 )
 from lightopt.rendering._panel_quadrature import (
@@ -170,7 +172,7 @@ def _values_of_nodes(p: Vector, n: Vector, v: Vector, e: Element, at_s: Float64,
     # lobe times radiance · cosα / r² · dA per ds dt of places of an element, shape (count_s, count_t); 0 below the
     # horizon. As in `whole_panel`, the processor works on several nodes at once
     count_s, count_t = len(at_s), len(at_t)
-    values, chord = np.empty((count_s, count_t)), np.empty(count_t)
+    values, chord, across = np.empty((count_s, count_t)), np.empty(count_t), np.zeros(count_t)
     cosine, sine = np.ones(count_t), np.zeros(count_t)
     for j in range(count_t):
         if e.shape == SPHERE:
@@ -188,7 +190,9 @@ def _values_of_nodes(p: Vector, n: Vector, v: Vector, e: Element, at_s: Float64,
             chord[j] = dot(away, away)
             row[j] = element_weight(e, towards, along_s, along_t) if height > 0.0 else 0.0
             if not lobe.plain:
-                row[j] *= light_factor(max(height, 0.0) / distance, size, lobe)
+                across[j] = square_across(away, lobe)
+                lit_across = square_across(towards, lobe) / (distance * distance)
+                row[j] *= light_factor(max(height, 0.0) / distance, lit_across, size, lobe)
         widest = 0.0
         for j in range(count_t):
             widest = max(widest, chord[j])
@@ -197,7 +201,7 @@ def _values_of_nodes(p: Vector, n: Vector, v: Vector, e: Element, at_s: Float64,
                 row[j] *= narrow_gaussian(chord[j], lobe.inverse)
         else:
             for j in range(count_t):
-                row[j] *= specular_lobe(chord[j], lobe)
+                row[j] *= specular_lobe(chord[j], across[j], lobe)
     return values
 
 
@@ -263,7 +267,7 @@ def _add_above_horizon(
     # a share of the specular light of a part of an element that the horizon crosses, added for each term: rows of nodes
     # along v end at the horizon, and are taken apart along u where it meets the sides
     count_s, count_t = counts
-    whole = share / specular_divisor(dot(n, v), lobe)
+    whole = share / specular_divisor(dot(n, v), square_across(v, lobe), lobe)
     ends = np.array([area.s0, area.s0, area.s0, area.s1])
     for side in range(2):
         t = area.t1 if side else area.t0
@@ -341,16 +345,16 @@ def specular_of_element(
 
 @kernel
 def _nearest(
-    p: Vector, n: Vector, v: Vector, e: Element, area: Rectangle, inverse: float, far: float
+    p: Vector, n: Vector, v: Vector, e: Element, area: Rectangle, lobe: Lobe, far: float
 ) -> tuple[float, float, float, float, float, float, float, float]:
     # where on a piece of an element the lobe is greatest, (s, t); half the Hessian [[a, b], [b, c]] and half the
     # gradient (gs, gt) of the exponent δ²/(2σ²) there, and its value, which is infinite where it is surely beyond `far`
-    s, t = 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)
+    s, t, inverse = 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1), lobe.inverse
     wide, high = area.s1 - area.s0, area.t1 - area.t0
     a = b = c = gs = gt = least = 0.0
     for round_ in range(STEPS):
         q, along_s, along_t = element_place(e, s, t)
-        hx, hy, jxs, jxt, jys, jyt = half_vector_map(p, n, v, q, along_s, along_t)
+        hx, hy, jxs, jxt, jys, jyt = half_vector_map(p, n, v, q, along_s, along_t, lobe)
         a, b, c = (
             inverse * (jxs * jxs + jys * jys),
             inverse * (jxs * jxt + jys * jyt),
@@ -385,7 +389,7 @@ def _add_gaussian(
     found: Float64,
 ) -> None:
     # adds a share of the light of one Gaussian lobe
-    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, e, area, lobe.inverse, FAR_OFF * most + 1.0)
+    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, e, area, lobe, FAR_OFF * most + 1.0)
     if least > most:
         return
     window = lobe_window(a, b, c, gs, gt, s, t, least, area)
@@ -416,12 +420,20 @@ def _add_tailed(
 ) -> None:
     # adds the light of a lobe with tails. As on a panel, nodes are those of a rule in u, where a side is width · sinh u
     # from where it is greatest. Those of patterns take pieces that grow with the distance from there
-    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, e, area, lobe.inverse, EVERYWHERE)
+    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, e, area, lobe, EVERYWHERE)
     if least > farthest_exponent(most, lobe):
         return
     # of its light, which is less than e^most times LEAST_LEVEL
     value = 1.0 / (1.0 + 0.5 * least) ** 2
     error = min(max(ELEMENT_ERROR / LEAST_LEVEL * math.exp(-most) / (value * FULL_ANGLE), TAIL_ERROR), MOST_TAIL_ERROR)
+    if lobe.widening > 1.0:
+        # a ridge that may lie aslant, greatest anywhere along a side
+        half_s, half_t = 0.5 * (area.s1 - area.s0), 0.5 * (area.t1 - area.t0)
+        count_s = tail_nodes(-half_s, half_s, math.sqrt(2.0 / max(a, 1e-30)), error)
+        count_t = tail_nodes(-half_t, half_t, math.sqrt(2.0 / max(c, 1e-30)), error)
+        counts = max(count_s, LEAST_TAIL_NODES), max(count_t, LEAST_TAIL_NODES)
+        _add_window(p, n, v, e, area, counts, pattern, lobe, 1.0, found)
+        return
     centre_s, width_s = peak(a, gs, least, s, area.s0, area.s1)
     centre_t, width_t = peak(c, gt, least, t, area.t0, area.t1)
     if len(pattern.terms) == 1 and pattern.terms[0, 2] == 0.0:
@@ -438,7 +450,7 @@ def _add_tailed(
         total = 0.0
         for i in range(len(at_s)):
             total += weights_s[i] * np.dot(weights_t, values[i])
-        found[0] += total / specular_divisor(dot(n, v), lobe)
+        found[0] += total / specular_divisor(dot(n, v), square_across(v, lobe), lobe)
         return
     ends_s, ends_t = np.empty(MOST_ENDS), np.empty(MOST_ENDS)
     count_s = _set_ends(centre_s, width_s, area.s0, area.s1, ends_s)
@@ -517,7 +529,7 @@ def _add_window(
     elif _horizon_crosses(p, n, e, window):
         _add_above_horizon(p, n, v, e, window, (count_s, count_t), terms, lobe, share, found)
         return
-    factor = share * (width * height / specular_divisor(dot(n, v), lobe))
+    factor = share * (width * height / specular_divisor(dot(n, v), square_across(v, lobe), lobe))
     at_s, at_t = _even_nodes(window.s0, window.s1, count_s), _even_nodes(window.t0, window.t1, count_t)
     values = _values_of_nodes(p, n, v, e, at_s, at_t, lobe)
     if len(terms) == 1 and terms[0, 2] == 0.0:
@@ -571,14 +583,16 @@ def _piece(e: Element, number: int) -> Rectangle:
 
 
 @kernel
-def _most_exponents(normals: Float64, views: Float64, most: float, lobe: Lobe) -> Float64:
+def _most_exponents(frames: Float64, views: Float64, most: float, lobe: Lobe) -> Float64:
     # where less than e to the power of minus this of a lobe is negligible, given that where cosθ_o is 1; −1 where there
     # is no specular light
-    limits = np.full(len(normals), -1.0)
-    for i in range(len(normals)):
-        cosine = dot(vector_at(normals, i), vector_at(views, i))
+    limits = np.full(len(frames), -1.0)
+    for i in range(len(frames)):
+        view = vector_at(views, i)
+        cosine = dot(vector_at(frames, i), view)
         if cosine > 0.0 and most >= 0.0:
-            limits[i] = max(0.0, most - math.log(specular_divisor(cosine, lobe)))
+            across = square_across(view, lobe_at(lobe, frames, i))
+            limits[i] = max(0.0, most - math.log(specular_divisor(cosine, across, lobe)))
     return limits
 
 
@@ -599,7 +613,7 @@ def all_diffuse_nodes(elements: Float64, pattern: Pattern) -> tuple[Float64, Flo
 @kernel
 def _add_elements(
     points: Float64,
-    normals: Float64,
+    frames: Float64,
     views: Float64,
     elements: Float64,
     pattern: Pattern,
@@ -615,7 +629,7 @@ def _add_elements(
     # light of each element and term per unit of R_s, whatever hides it, shape (e, b, k). The processor works on several
     # points at once in loops without branches over numbers that lie side by side
     terms = len(pattern.terms)
-    found, limits = np.empty(terms), _most_exponents(normals, views, most, lobe)
+    found, limits = np.empty(terms), _most_exponents(frames, views, most, lobe)
     places, light, weights = all_diffuse_nodes(elements, pattern)
     striped = not (terms == 1 and pattern.terms[0, 2] == 0.0)
     p, n, v = np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE))
@@ -626,7 +640,7 @@ def _add_elements(
         count = min(_SIDE_BY_SIDE, len(points) - first)
         for j in range(count):
             for axis in range(3):
-                p[axis, j], n[axis, j] = points[first + j, axis], normals[first + j, axis]
+                p[axis, j], n[axis, j] = points[first + j, axis], frames[first + j, axis]
                 v[axis, j] = views[first + j, axis]
             limit[j] = limits[first + j]
             farthest[j] = farthest_exponent(limit[j], lobe)
@@ -660,13 +674,16 @@ def _add_elements(
                 few = nodes if striped else _nodes(e, pattern, FAINT_NODES)
                 many = nodes if striped else _nodes(e, pattern, MANY_NODES)
                 own_specular = specular[m, :, first:]
-                _add_smooth(p, n, v, near[:count], e, few, nodes, many, lobe, greatest, work, own_specular)
+                _add_smooth(
+                    p, n, v, frames[first:], near[:count], e, few, nodes, many, lobe, greatest, work, own_specular
+                )
             for j in range(count):
                 if near[j]:
                     i = first + j
                     found[:] = 0.0
                     geometry = column_at(p, j), column_at(n, j), column_at(v, j)
-                    specular_of_element(*geometry, e, whole_element(e), pattern, lobe, limit[j], found)
+                    turned = lobe_at(lobe, frames, i)
+                    specular_of_element(*geometry, e, whole_element(e), pattern, turned, limit[j], found)
                     for b in range(terms):
                         specular[m, b, i] = found[b]
 
@@ -676,6 +693,7 @@ def _add_smooth(
     p: Float64,
     n: Float64,
     v: Float64,
+    frames: Float64,
     near: Bool,
     e: Element,
     few: tuple[Float64, Float64, Float64],
@@ -696,7 +714,7 @@ def _add_smooth(
         half, spread = half_vector_cone(point, view, e.centre, e.reach)
         nearest = max(0.0, length(minus(normal, half)) - spread) if spread < math.pi else 0.0
         angle = min(math.pi * e.reach**2 / dot(towards, towards), math.pi)
-        level[j] = greatest[j] * specular_lobe(nearest * nearest, lobe) * angle
+        level[j] = greatest[j] * specular_lobe(nearest * nearest / lobe.widening, 0.0, lobe) * angle
         rule[j] = FAINT_NODES if level[j] < FAINT_LEVEL else 0
     for j in range(len(near)):
         point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
@@ -708,14 +726,14 @@ def _add_smooth(
                 rule[j] = DIFFUSE_NODES
             elif dot(normal, minus(e.centre, point)) >= e.reach:
                 error = min(ELEMENT_ERROR / level[j], 0.1)
-                wanted = smooth_nodes(point, normal, view, e.centre, e.reach, lobe, error)
+                wanted = smooth_nodes(point, normal, view, e.centre, e.reach, lobe_at(lobe, frames, j), error)
                 if wanted <= DIFFUSE_NODES + (not striped):
                     rule[j] = DIFFUSE_NODES
                 elif wanted <= MANY_NODES + 1 and not striped:
                     rule[j] = MANY_NODES
-    _add_nodes(p, n, v, rule == FAINT_NODES, few, lobe, work, specular)
-    _add_nodes(p, n, v, rule == DIFFUSE_NODES, nodes, lobe, work, specular)
-    _add_nodes(p, n, v, rule == MANY_NODES, many, lobe, work, specular)
+    _add_nodes(p, n, v, frames, rule == FAINT_NODES, few, lobe, work, specular)
+    _add_nodes(p, n, v, frames, rule == DIFFUSE_NODES, nodes, lobe, work, specular)
+    _add_nodes(p, n, v, frames, rule == MANY_NODES, many, lobe, work, specular)
     for j in range(len(near)):
         near[j] &= rule[j] == 0
 
@@ -725,6 +743,7 @@ def _add_nodes(
     p: Float64,
     n: Float64,
     v: Float64,
+    frames: Float64,
     chosen: Bool,
     nodes: tuple[Float64, Float64, Float64],
     lobe: Lobe,
@@ -753,14 +772,18 @@ def _add_nodes(
             size = math.sqrt(dot(half, half))
             chord = minus(normal, scaled(half, 1.0 / size))
             height = dot(normal, towards)
-            factor = light_factor(max(height, 0.0) / r, size, lobe)
-            value = specular_lobe(dot(chord, chord), lobe) * factor * max(0.0, -dot(shining, towards)) / (r2 * r)
+            turned = lobe_at(lobe, frames, index[i])
+            factor = light_factor(max(height, 0.0) / r, square_across(towards, turned) / r2, size, lobe)
+            height_of_lobe = specular_lobe(dot(chord, chord), square_across(chord, turned), lobe)
+            value = height_of_lobe * factor * max(0.0, -dot(shining, towards)) / (r2 * r)
             work[9, i] = value if height > 0.0 else 0.0
         for b in range(len(weights)):
             for i in range(number):
                 specular[b, index[i]] += weights[b, k] * work[9, i]
     for i in range(number):
-        divisor = specular_divisor(dot(column_at(work[3:6], i), column_at(work[6:9], i)), lobe)
+        view = column_at(work[6:9], i)
+        across = square_across(view, lobe_at(lobe, frames, index[i]))
+        divisor = specular_divisor(dot(column_at(work[3:6], i), view), across, lobe)
         for b in range(len(weights)):
             specular[b, index[i]] /= divisor
 
@@ -794,7 +817,7 @@ def _piece_targets(elements: Float64) -> Float64:
 @kernel
 def _replace_pieces(
     points: Float64,
-    normals: Float64,
+    frames: Float64,
     views: Float64,
     elements: Float64,
     pattern: Pattern,
@@ -806,14 +829,15 @@ def _replace_pieces(
     specular: Float64,
 ) -> None:
     found = np.empty(len(pattern.terms))
-    limits = _most_exponents(normals, views, most, lobe)
+    limits = _most_exponents(frames, views, most, lobe)
     for k in range(len(point)):
         i, m = point[k], element[k]
-        p, n, v, e = vector_at(points, i), vector_at(normals, i), vector_at(views, i), element_at(elements, m)
+        p, n, v, e = vector_at(points, i), vector_at(frames, i), vector_at(views, i), element_at(elements, m)
+        turned = lobe_at(lobe, frames, i)
         found[:] = 0.0
         for number in range(PIECES * PIECES):
             if free[k, number]:
-                specular_of_element(p, n, v, e, _piece(e, number), pattern, lobe, limits[i], found)
+                specular_of_element(p, n, v, e, _piece(e, number), pattern, turned, limits[i], found)
         specular[m, :, i] = found
 
 
@@ -907,7 +931,7 @@ def _shade_chunk(
     size = len(surface)
     diffuse = np.zeros((channels.group_shares.shape[1], len(pattern.terms), size))
     specular = np.zeros((len(elements), len(pattern.terms), size))
-    geometry = surface.points, surface.normals, surface.views
+    geometry = surface.points, surface.frames, surface.views
     diffusing = clear if reflectance.R_d > 0.0 else np.zeros_like(clear)
     form = reflectance.diffuse
     _add_elements(*geometry, elements, pattern, channels.group, diffusing, form, lobe, most, diffuse, specular)

@@ -13,7 +13,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
-from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, vector_at
+from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import Element, Pattern, SurfaceLight, element_at, element_place, element_weight
 from lightopt.optics import (
@@ -22,10 +22,12 @@ from lightopt.optics import (
     farthest_exponent,
     is_lambert,
     light_factor,
+    lobe_at,
     lobe_of_width,
     narrow_gaussian,
     specular_divisor,
     specular_lobe,
+    square_across,
 )
 from lightopt.rendering._panel_quadrature import NODES, half_vector_cone, half_vector_map
 from lightopt.rendering._surface import SurfacePoints
@@ -55,11 +57,11 @@ def _shared_count(width: float) -> int:
 
 
 @kernel
-def _shared_counts(p: Vector, n: Vector, v: Vector, e: Element, inverse: float) -> tuple[int, int]:
+def _shared_counts(p: Vector, n: Vector, v: Vector, e: Element, lobe: Lobe) -> tuple[int, int]:
     q, along_u, along_v = element_place(e, 0.5 * (e.u0 + e.u1), 0.5 * (e.v0 + e.v1))
-    _, _, jxu, jxv, jyu, jyv = half_vector_map(p, n, v, q, along_u, along_v)
-    wide = math.sqrt(2.0 * inverse * (jxu * jxu + jyu * jyu)) * (e.u1 - e.u0)
-    high = math.sqrt(2.0 * inverse * (jxv * jxv + jyv * jyv)) * (e.v1 - e.v0)
+    _, _, jxu, jxv, jyu, jyv = half_vector_map(p, n, v, q, along_u, along_v, lobe)
+    wide = math.sqrt(2.0 * lobe.inverse * (jxu * jxu + jyu * jyu)) * (e.u1 - e.u0)
+    high = math.sqrt(2.0 * lobe.inverse * (jxv * jxv + jyv * jyv)) * (e.v1 - e.v0)
     return _shared_count(min(wide, 1e3)), _shared_count(min(high, 1e3))
 
 
@@ -88,6 +90,7 @@ def _set_shared_nodes(
 @kernel
 def _specular_of_nodes(
     n: Vector,
+    v: Vector,
     n_dot_v: float,
     nodes: Float64,
     light: Float64,
@@ -111,8 +114,12 @@ def _specular_of_nodes(
             x, y, z = n.x - nodes[0, k], n.y - nodes[1, k], n.z - nodes[2, k]
             chord = x * x + y * y + z * z
             n_dot_l = (1.0 - 0.5 * chord) * nodes[3, k] - n_dot_v
-            values[k] = specular_lobe(chord, lobe) * light_factor(n_dot_l, nodes[3, k], lobe) if n_dot_l > 0.0 else 0.0
-    factor = 1.0 / specular_divisor(n_dot_v, lobe)
+            aside = square_across(Vector(x, y, z), lobe)
+            # L = 2 (H·V) H − V
+            half = scaled(Vector(nodes[0, k], nodes[1, k], nodes[2, k]), nodes[3, k])
+            factor = light_factor(n_dot_l, square_across(minus(half, v), lobe), nodes[3, k], lobe)
+            values[k] = specular_lobe(chord, aside, lobe) * factor if n_dot_l > 0.0 else 0.0
+    factor = 1.0 / specular_divisor(n_dot_v, square_across(v, lobe), lobe)
     for b in range(len(light)):
         total = 0.0
         for k in range(count):
@@ -149,7 +156,7 @@ def _set_normals(n: Vector, r: Vector, v: Vector, lean: Float64, normals: Float6
 @kernel
 def _variant_sums(
     points: Float64,
-    normals: Float64,
+    frames: Float64,
     references: Float64,
     views: Float64,
     elements: Float64,
@@ -176,7 +183,7 @@ def _variant_sums(
     turned_normals, n_dot_v = np.empty((count, 3)), np.empty(count)
     places, light, weights = all_diffuse_nodes(elements, pattern)
     for i in range(len(points)):
-        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
+        p, n, v, own = vector_at(points, i), vector_at(frames, i), vector_at(views, i), lobe_at(form, frames, i)
         farthest = _set_normals(n, vector_at(references, i), v, lean, turned_normals, n_dot_v)
         towards[:], sums[:] = 0.0, 0.0
         for m in range(len(elements)):
@@ -213,20 +220,20 @@ def _variant_sums(
                             sums[g, t, b] += R_d[t] * found[b]
                 if far or n_dot_v[t] <= 0.0:
                     continue
-                lobe = lobe_of_width(form, inverse[t])
+                lobe = lobe_of_width(own, inverse[t])
                 away = length(minus(turned, half))
                 nearest = max(0.0, away - spread)
                 if spread < math.pi and nearest * nearest * inverse[t] > ends[t]:
                     continue
                 if counts[0] == 0:
-                    counts = _shared_counts(p, n, v, e, sharpest)
+                    counts = _shared_counts(p, n, v, e, lobe_of_width(own, sharpest))
                     if max(counts) <= MOST_SHARED:
                         _set_shared_nodes(p, v, e, pattern, counts, nodes, shared)
                 found[:] = 0.0
                 if max(counts) <= MOST_SHARED:
                     number = counts[0] * counts[1]
                     narrow = (away + spread) ** 2 < NARROW_CHORD_SQUARED
-                    _specular_of_nodes(turned, n_dot_v[t], nodes, shared, number, lobe, narrow, values, found)
+                    _specular_of_nodes(turned, v, n_dot_v[t], nodes, shared, number, lobe, narrow, values, found)
                 else:
                     specular_of_element(p, turned, v, e, whole_element(e), pattern, lobe, most[t], found)
                 for b in range(terms):
@@ -268,7 +275,7 @@ def surface_light_variants(
         some = surface.take(part)
         own = np.zeros((len(lights), len(variants.lean), len(some)))
         clear, _ = elements_seen(replace(some, normals=some.facets), elements, caster)
-        geometry = some.points, some.normals, references[part], some.views
+        geometry = some.points, some.frames, references[part], some.views
         _variant_sums(*geometry, elements, channels.pattern, group, clear, variants, shares, own)
         return own
 

@@ -31,6 +31,7 @@ from lightopt.optics import (
     is_lambert,
     lambert,
     light_factor,
+    lobe_at,
     lobe_of_width,
     narrow_gaussian,
     specular_divisor,
@@ -232,7 +233,7 @@ def _point_variants(
     numbers, weight = panel_numbers(light), light.total_weight / light.points
     diffuse, specular = add_points(
         surface.points,
-        surface.normals,
+        surface.frames,
         surface.views,
         grid,
         clear,
@@ -245,7 +246,7 @@ def _point_variants(
     varied = np.empty((len(variants.lean), len(surface)), dtype)
     _point_kernel(
         surface.points,
-        surface.normals,
+        surface.frames,
         references,
         surface.views,
         grid,
@@ -308,7 +309,7 @@ def _converged_variants(
 @kernel
 def _point_kernel(
     points: Float64,
-    normals: Float64,
+    surface_frames: Float64,
     references: Float64,
     views: Float64,
     grid: Float64,
@@ -321,7 +322,7 @@ def _point_kernel(
     # levels of the variants, shape (t, k)
     count, lights = len(points), len(grid)
     lean, R_d, R_s, inverse, most, form, diffuse = variants  # taken from a tuple, an array's references are counted
-    frames, sums, towards = np.zeros(18 * _AT_ONCE), np.zeros(4 * _AT_ONCE), np.zeros(3 * _AT_ONCE)
+    frames, sums, towards = np.zeros(21 * _AT_ONCE), np.zeros(4 * _AT_ONCE), np.zeros(3 * _AT_ONCE)
     rays, boxes, lit = np.zeros((lights, 8 * _AT_ONCE)), np.zeros((lights + 1, 2, 3)), np.zeros(lights, np.bool_)
     for first in range(0, count, _AT_ONCE):
         number = min(_AT_ONCE, count - first)
@@ -330,7 +331,7 @@ def _point_kernel(
             lit[k] = clear[k, first : first + number].any()
             some |= lit[k]
         if some:
-            _fill_frames(points, normals, references, views, first, number, frames)
+            _fill_frames(points, surface_frames, references, views, form, first, number, frames)
             towards[:], boxes[lights, 0], boxes[lights, 1] = 0.0, np.inf, -np.inf
             for k in range(lights):
                 if lit[k]:
@@ -378,14 +379,31 @@ def _ray_vector(rays: Float64, k: int, row: int, j: int) -> Vector:
 
 
 @kernel
+def _square_across(vector: Vector, frames: Float64, j: int, lobe: Lobe) -> float:
+    # as `square_across`, of a vector in the frame of point j
+    if lobe.widening == 1.0:
+        return 0.0
+    part = dot(vector, _vector(frames, 18, j))
+    return part * part
+
+
+@kernel
 def _fill_frames(
-    points: Float64, normals: Float64, references: Float64, views: Float64, first: int, number: int, frames: Float64
+    points: Float64,
+    surface_frames: Float64,
+    references: Float64,
+    views: Float64,
+    form: Lobe,
+    first: int,
+    number: int,
+    frames: Float64,
 ) -> None:
-    # three rows each: points, normals n, references r, n × r, views, and the views in the frames (n, r, n × r)
+    # three rows each: points, normals n, references r, n × r, views, and in the frames (n, r, n × r) the views and what
+    # a lobe has across the brushing
     for j in range(number):
         for axis in range(3):
             frames[axis * _AT_ONCE + j] = points[first + j, axis]
-            frames[(3 + axis) * _AT_ONCE + j] = normals[first + j, axis]
+            frames[(3 + axis) * _AT_ONCE + j] = surface_frames[first + j, axis]
             frames[(6 + axis) * _AT_ONCE + j] = references[first + j, axis]
             frames[(12 + axis) * _AT_ONCE + j] = views[first + j, axis]
     for j in range(number):
@@ -394,6 +412,10 @@ def _fill_frames(
         frames[9 * _AT_ONCE + j], frames[10 * _AT_ONCE + j], frames[11 * _AT_ONCE + j] = a
         own = Vector(dot(n, v), dot(r, v), dot(a, v))
         frames[15 * _AT_ONCE + j], frames[16 * _AT_ONCE + j], frames[17 * _AT_ONCE + j] = own
+        if form.widening > 1.0:
+            across = lobe_at(form, surface_frames, first + j).across
+            own = Vector(dot(n, across), dot(r, across), dot(a, across))
+            frames[18 * _AT_ONCE + j], frames[19 * _AT_ONCE + j], frames[20 * _AT_ONCE + j] = own
 
 
 @kernel
@@ -491,13 +513,16 @@ def _fill_variant(
             for j in range(number):
                 chord = sums[3 * _AT_ONCE + j]
                 if chord < np.inf and not (all_at_once and chord < NARROW_CHORD_SQUARED):
-                    value = specular_lobe(chord, lobe)
+                    aside = _square_across(minus(normal, _ray_vector(rays, k, 3, j)), frames, j, lobe)
+                    value = specular_lobe(chord, aside, lobe)
                     if not lobe.plain:
                         # N·L + N·V = (N·H)·|L + V|
-                        n_dot_l = dot(normal, _ray_vector(rays, k, 0, j))
+                        light = _ray_vector(rays, k, 0, j)
+                        n_dot_l = dot(normal, light)
                         size = (n_dot_l + sums[2 * _AT_ONCE + j]) / (1.0 - 0.5 * chord)
-                        value *= light_factor(n_dot_l, size, lobe)
+                        value *= light_factor(n_dot_l, _square_across(light, frames, j, lobe), size, lobe)
                     sums[_AT_ONCE + j] += rays[k, 6 * _AT_ONCE + j] * value
     for j in range(number):
-        specular = R_s * sums[_AT_ONCE + j] / specular_divisor(sums[2 * _AT_ONCE + j], lobe)
+        across = _square_across(_vector(frames, 15, j), frames, j, lobe)
+        specular = R_s * sums[_AT_ONCE + j] / specular_divisor(sums[2 * _AT_ONCE + j], across, lobe)
         varied[j] = R_d * sums[j] + specular

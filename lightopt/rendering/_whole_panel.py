@@ -8,7 +8,16 @@ from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import column_at, dot, length, minus, scaled, vector_at
 from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
-from lightopt.optics import MAX_LOBE_EXPONENT, DiffuseForm, Lobe, is_lambert, lambert, specular_divisor
+from lightopt.optics import (
+    MAX_LOBE_EXPONENT,
+    DiffuseForm,
+    Lobe,
+    is_lambert,
+    lambert,
+    lobe_at,
+    specular_divisor,
+    square_across,
+)
 from lightopt.rendering._panel_quadrature import (
     NODES,
     TAIL_ERROR,
@@ -31,11 +40,11 @@ _MOST_EVEN = 6  # nodes a side up to which a lobe is smooth all over the panel
 
 @kernel
 def whole_panel(
-    points: Float64, normals: Float64, views: Float64, index: Int32, light: ConvergedLight, terms: Float64
+    points: Float64, frames: Float64, views: Float64, index: Int32, light: ConvergedLight, terms: Float64
 ) -> None:
     """Set the diffuse and specular light, per unit of R_d and R_s, of a panel of weight 1 at some points.
 
-    points, normals, views: Surface points [mm], unit normals and unit view directions, part frame, shape (k, 3)
+    points, frames, views: Of a :class:`lightopt.rendering.SurfacePoints`
     index: Of the points, shape (j,)
     terms: Shape (k, 2)
     """
@@ -50,7 +59,7 @@ def whole_panel(
         for j in range(count):
             i = index[first + j]
             for axis in range(3):
-                p[axis, j], n[axis, j], v[axis, j] = points[i, axis], normals[i, axis], views[i, axis]
+                p[axis, j], n[axis, j], v[axis, j] = points[i, axis], frames[i, axis], views[i, axis]
         for j in range(count):
             normal = column_at(n, j)
             reach = 0.5 * (abs(dot(normal, panel.across)) + abs(dot(normal, panel.along)))
@@ -69,7 +78,8 @@ def whole_panel(
                     term = weight * lambert(dot(column_at(n, j), towards))
                     diffuse[j] += attenuated(term, panel, r2, dot(panel.outward, towards))
         if lobe.ggx or lobe.wide_share > 0.0:
-            _add_smooth(p, n, v, above[:count], near, panel, lobe, nodes, work, specular)
+            own = index[first : first + count]
+            _add_smooth(p, n, v, frames, own, above[:count], near, panel, lobe, nodes, work, specular)
         for j in range(count):
             i = index[first + j]
             point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
@@ -77,8 +87,9 @@ def whole_panel(
                 diffuse[j] = rectangle_diffuse(point, normal, view, panel, WHOLE_PANEL, form, nodes)
             terms[i, 0], terms[i, 1] = diffuse[j], specular[j]
             if near[j]:
+                turned = lobe_at(lobe, frames, i)
                 terms[i, 1] = rectangle_specular(
-                    point, normal, view, dot(normal, view), panel, WHOLE_PANEL, lobe, nodes
+                    point, normal, view, dot(normal, view), panel, WHOLE_PANEL, turned, nodes
                 )
 
 
@@ -87,6 +98,8 @@ def _add_smooth(
     p: Float64,
     n: Float64,
     v: Float64,
+    frames: Float64,
+    index: Int32,
     above: Bool,
     near: Bool,
     panel: PanelNumbers,
@@ -101,7 +114,8 @@ def _add_smooth(
     for j in range(len(above)):
         point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
         if near[j] and above[j] and dot(normal, view) > 0.0:
-            few = smooth_nodes(point, normal, view, panel.centre, half_diagonal(panel), lobe, TAIL_ERROR)
+            turned = lobe_at(lobe, frames, index[j])
+            few = smooth_nodes(point, normal, view, panel.centre, half_diagonal(panel), turned, TAIL_ERROR)
             wanted[j] = max(few, panel_nodes)
     for few in range(2, _MOST_EVEN + 1):
         number = 0
@@ -124,18 +138,20 @@ def _add_smooth(
                     towards = minus(q, column_at(work[:3], k))
                     r2 = dot(towards, towards)
                     towards = scaled(towards, 1.0 / math.sqrt(r2))
-                    value = lobe_towards(normal, view, towards, lobe)
+                    value = lobe_towards(normal, view, towards, lobe_at(lobe, frames, index[place[k]]))
                     work[9, k] += value * attenuated(weight, panel, r2, dot(panel.outward, towards))
         for k in range(number):
             j = place[k]
-            specular[j] = work[9, k] / specular_divisor(dot(column_at(n, j), column_at(v, j)), lobe)
+            view = column_at(v, j)
+            across = square_across(view, lobe_at(lobe, frames, index[j]))
+            specular[j] = work[9, k] / specular_divisor(dot(column_at(n, j), view), across, lobe)
             near[j] = False
 
 
 @kernel
 def add_spread_points(
     points: Float64,
-    normals: Float64,
+    frames: Float64,
     views: Float64,
     clear: Bool,
     panel: PanelNumbers,
@@ -155,7 +171,7 @@ def add_spread_points(
     for i in range(len(points)):
         if not clear[i]:
             continue
-        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
+        p, n, v = vector_at(points, i), vector_at(frames, i), vector_at(views, i)
         s, t = _STEP_S * i, _STEP_T * i
         s, t = s - math.floor(s), t - math.floor(t)
         half, spread = half_vector_cone(p, v, panel.centre, reach)
@@ -164,10 +180,10 @@ def add_spread_points(
             # diffuse light is as even as one place shows it
             terms[i, 0] += point_terms(p, n, v, 0.0, panel_point(panel, s - 0.5, t - 0.5), panel, lobe, form)[0]
             continue
-        n_dot_v = dot(n, v)
+        n_dot_v, turned = dot(n, v), lobe_at(lobe, frames, i)
         for a in range(cells):
             for b in range(cells):
                 q = panel_point(panel, (a + s) / cells - 0.5, (b + t) / cells - 0.5)
-                diffuse, specular = point_terms(p, n, v, n_dot_v, q, panel, lobe, form)
+                diffuse, specular = point_terms(p, n, v, n_dot_v, q, panel, turned, form)
                 terms[i, 0] += share * diffuse
                 terms[i, 1] += share * specular

@@ -13,7 +13,17 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
-from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
+from lightopt.geometry import (
+    UNITLESS_SUFFIXES,
+    Brushing,
+    CurvedBrushing,
+    RoundBrushing,
+    StraightBrushing,
+    TriangleMesh,
+    load_mesh,
+    points_inside,
+    transformed,
+)
 from lightopt.optics import DiffuseForm, Reflectance, Sensor, SpecularModel, least_white_level, white_level
 from lightopt.scene._camera import (
     Distortion,
@@ -121,6 +131,7 @@ def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, see
         wide_share=own.R_s_wide / own.R_s if own.R_s_wide is not None and own.R_s > 0.0 else 0.0,
         wide_ratio=1.0 if own.sigma_wide_rad is None else own.sigma_wide_rad / own.sigma,
         refractive_index=own.refractive_index,
+        across_ratio=1.0 if own.sigma_across is None else own.sigma_across / own.sigma,
     )
     diffuse = DiffuseForm(
         exponent=1.0 if own.diffuse_exponent is None else own.diffuse_exponent,
@@ -141,6 +152,18 @@ def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, see
             f"coefficients of {part.source.at(*keys)} the part would reflect more light than it gets"
         )
     return reflectance
+
+
+def _brushing(own: ReflectanceConfig) -> Brushing | None:
+    # in the mesh file's coordinates
+    given = own.brushing
+    if given is None:
+        return None
+    if given.direction is not None:
+        return StraightBrushing(np.array(given.direction))
+    if given.around_axis is not None:
+        return RoundBrushing(np.array(given.around_axis.point_mm), np.array(given.around_axis.direction))
+    return CurvedBrushing(np.array(given.along_curve_mm))
 
 
 def build_camera(rig: RigConfig) -> PinholeCamera:
@@ -266,11 +289,13 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, 
         max_triangles=m.max_triangles,
         pieces=bool(part.regions),
     )
-    if part.regions:
-        loaded = replace(loaded, mesh=mesh_of_regions(loaded, part))
+    mesh = mesh_of_regions(loaded, part) if part.regions else loaded.mesh
+    own = (part.reflectance, *(region.reflectance for region in part.regions))
+    if any(one.brushing for one in own):
+        mesh = replace(mesh, brushing=tuple(map(_brushing, own)))
     rx, ry, rz = (math.radians(angle) for angle in part.placement.rotate_deg)
     rotation = rotation_z(rz) @ rotation_y(ry) @ rotation_x(rx)
-    turned = transformed(loaded.mesh, rotation, np.zeros(3))
+    turned = transformed(mesh, rotation, np.zeros(3))
     low, high = turned.bounds
     shift = np.zeros(3)
     if part.placement.anchor == "rest_on_table":

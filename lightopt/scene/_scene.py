@@ -117,7 +117,9 @@ def scene_of_region(scene: Scene, number: int) -> Scene:
     order[[0, number]] = number, 0
     regions = list(scene.regions)
     chosen, regions[number - 1] = regions[number - 1], PartRegion(name="", reflectance=scene.reflectance)
-    mesh = replace(scene.mesh, material=order[scene.mesh.material])
+    brushing = scene.mesh.brushing
+    swapped = tuple(brushing[i] for i in order.tolist()) if brushing else ()
+    mesh = replace(scene.mesh, material=order[scene.mesh.material], brushing=swapped)
     return replace(scene, mesh=mesh, reflectance=chosen.reflectance, regions=tuple(regions))
 
 

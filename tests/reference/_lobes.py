@@ -3,8 +3,13 @@
 import numpy as np
 
 
-def specular(normal, view, light, reflectance):
-    """Specular light per unit of R_s, of unit vectors of shape (…, 3) (paper, equation 3; Walter et al. 2007)."""
+def specular(normal, view, light, reflectance, across=None):
+    """Specular light per unit of R_s, of unit vectors of shape (…, 3) (paper, equation 3; Walter et al. 2007).
+
+    across: Unit tangents in which the lobe of a brushed surface is wider
+    """
+    if across is not None:
+        return brushed(normal, view, light, reflectance, across)
     sigma, model = reflectance.sigma, reflectance.model
     n_dot_l, n_dot_v = np.sum(normal * light, axis=-1), np.sum(normal * view, axis=-1)
     half = light + view
@@ -19,6 +24,35 @@ def specular(normal, view, light, reflectance):
         value = np.exp(-(delta**2) / (2.0 * sigma**2))
         if model.name == "two-lobe":
             value = value + model.wide_share * np.exp(-(delta**2) / (2.0 * (sigma * model.wide_ratio) ** 2))
+        value = value / np.maximum(n_dot_v, 0.01)
+    if model.refractive_index is not None:
+        index = model.refractive_index
+        value = value * fresnel(np.sum(half * light, axis=-1), index) / fresnel(np.float64(1.0), index)
+    return np.where((n_dot_l > 0.0) & (n_dot_v > 0.0), value, 0.0)
+
+
+def brushed(normal, view, light, reflectance, across):
+    """The lobe of a brushed surface: GGX by the three components of H (Heitz 2014), Gaussians by those of N − H."""
+    model, ratio = reflectance.model, reflectance.model.across_ratio
+    n_dot_l, n_dot_v = np.sum(normal * light, axis=-1), np.sum(normal * view, axis=-1)
+    half = light + view
+    half = half / np.linalg.norm(half, axis=-1, keepdims=True)
+    aside = np.sum((half - normal) * across, axis=-1)
+    if model.name == "ggx":
+        alpha, up = 2.0 * reflectance.sigma, np.sum(normal * half, axis=-1)
+        beside = 1.0 - up**2 - aside**2
+        value = 1.0 / ((aside / (alpha * ratio)) ** 2 + beside / alpha**2 + up**2) ** 2 / np.maximum(n_dot_v, 1e-12)
+        for way, cosine in ((light, n_dot_l), (view, n_dot_v)):
+            part = np.sum(way * across, axis=-1) ** 2
+            roughness = (alpha * ratio) ** 2 * part + alpha**2 * (1.0 - cosine**2 - part)
+            value = value * 2.0 / (1.0 + np.sqrt(1.0 + roughness / np.maximum(cosine, 1e-12) ** 2))
+    else:
+        chord_squared = np.sum((half - normal) ** 2, axis=-1) - aside**2 + (aside / ratio) ** 2
+        delta = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * np.sqrt(chord_squared)))
+        value = np.exp(-(delta**2) / (2.0 * reflectance.sigma**2))
+        if model.name == "two-lobe":
+            wide = reflectance.sigma * model.wide_ratio
+            value = value + model.wide_share * np.exp(-(delta**2) / (2.0 * wide**2))
         value = value / np.maximum(n_dot_v, 0.01)
     if model.refractive_index is not None:
         index = model.refractive_index

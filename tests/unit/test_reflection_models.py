@@ -7,9 +7,18 @@ import pytest
 from reference import fresnel, specular
 
 from lightopt.core.arrays import Float64
+from lightopt.core.vectors import Vector
 from lightopt.lights import PanelLight
-from lightopt.optics import Reflectance, SpecularModel, specular_divisor, specular_lobe
-from lightopt.optics._reflection_model import conductor_reflectance, light_factor
+from lightopt.optics import (
+    Reflectance,
+    SpecularModel,
+    light_factor,
+    lobe_across,
+    specular_divisor,
+    specular_lobe,
+    square_across,
+)
+from lightopt.optics._reflection_model import conductor_reflectance
 from lightopt.rendering import SurfacePoints
 from lightopt.rendering._converged_panel import converged_panel, shade_converged
 
@@ -21,6 +30,11 @@ MODELS = {
     "ggx-metal": SpecularModel(name="ggx", refractive_index=NICKEL),
     "two-lobe": SpecularModel(name="two-lobe", wide_share=0.02, wide_ratio=8.0),
     "two-lobe-metal": SpecularModel(name="two-lobe", wide_share=0.1, wide_ratio=3.0, refractive_index=NICKEL),
+    "brushed": SpecularModel(across_ratio=8.0),
+    "brushed-ggx": SpecularModel(name="ggx", across_ratio=5.0),
+    "brushed-two-lobe-metal": SpecularModel(
+        name="two-lobe", wide_share=0.1, wide_ratio=3.0, refractive_index=NICKEL, across_ratio=3.0
+    ),
 }
 
 
@@ -35,7 +49,13 @@ def _surface(count: int, seed: int = 3) -> SurfacePoints:
     views = _unit(np.array([0.0, 0.0, 550.0]) - points)
     tilt, turn = np.arccos(rng.uniform(0.2, 1.0, count)), rng.uniform(0.0, 2.0 * math.pi, count)
     normals = np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], axis=1)
-    return SurfacePoints(points, normals, normals, views, np.sum(normals * views, axis=1) > 0.0)
+    front = np.sum(normals * views, axis=1) > 0.0
+    return SurfacePoints(points, normals, normals, views, front, across=_across(normals))
+
+
+def _across(normals: Float64) -> Float64:
+    # aslant to everything else
+    return _unit(np.cross(normals, [0.8, -0.3, 0.2]))
 
 
 def _panel() -> PanelLight:
@@ -62,19 +82,23 @@ def test_lobe_is_the_published_formula(name: str, sigma: float) -> None:
     view, light = (_unit(rng.normal((0.0, 0.0, 1.5), 1.0, (400, 3))) for _ in range(2))
     # half of the normals near the half vectors
     normal = _unit(_unit(light + view) + rng.normal(size=(400, 3)) * np.where(np.arange(400) % 2, 0.7, sigma)[:, None])
-    found = np.zeros(400)
+    found, brushed, across = np.zeros(400), r.model.across_ratio > 1.0, _across(normal)
     for i, (n, v, towards) in enumerate(zip(normal, view, light, strict=True)):
         if n @ towards <= 0.0 or n @ v <= 0.0:
             continue
         half = towards + v
         size = float(np.linalg.norm(half))
         chord = n - half / size
-        value = specular_lobe(float(chord @ chord), r.lobe) * light_factor(float(n @ towards), size, r.lobe)
-        found[i] = value / specular_divisor(float(n @ v), r.lobe)
-    expected = specular(normal, view, light, r)
+        lobe = lobe_across(r.lobe, Vector(*across[i])) if brushed else r.lobe
+        squares = [square_across(Vector(*way), lobe) for way in (chord, towards, v)]
+        value = specular_lobe(float(chord @ chord), squares[0], lobe) * light_factor(
+            float(n @ towards), squares[1], size, lobe
+        )
+        found[i] = value / specular_divisor(float(n @ v), squares[2], lobe)
+    expected = specular(normal, view, light, r, across if brushed else None)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
     # the reversed path carries the same: f(l, v)·cosθ_i is what a level has of it
-    swapped = specular(normal, light, view, r)
+    swapped = specular(normal, light, view, r, across if brushed else None)
     cosines = np.sum(normal * light, axis=1), np.sum(normal * view, axis=1)
     both = (cosines[0] > 0.02) & (cosines[1] > 0.02)
     np.testing.assert_allclose((expected / cosines[0])[both], (swapped / cosines[1])[both], rtol=1e-9, atol=1e-200)
@@ -87,7 +111,7 @@ def test_fresnel_is_that_of_complex_numbers(index: tuple[float, float]) -> None:
     np.testing.assert_allclose(found, fresnel(cosines, index), rtol=1e-12)
 
 
-def composite(points: Float64, normals: Float64, views: Float64, panel: PanelLight, r: Reflectance) -> Float64:
+def composite(surface: SurfacePoints, panel: PanelLight, r: Reflectance) -> Float64:
     """Mean of the lobe over a panel, by 6 × 6 Gauss–Legendre nodes in each of many squares; shape (k,)."""
     squares = math.ceil(np.clip(0.2 / r.sigma, 8, 64))
     x, w = np.polynomial.legendre.leggauss(6)
@@ -96,9 +120,10 @@ def composite(points: Float64, normals: Float64, views: Float64, panel: PanelLig
     s, t = (a.ravel() for a in np.meshgrid(panel.size[0] * at, panel.size[1] * at))
     places = panel.centre + s[:, None] * panel.across + t[:, None] * panel.along
     whole = np.outer(weight, weight).ravel()
-    return np.array(
-        [specular(n, v, _unit(places - p), r) @ whole for p, n, v in zip(points, normals, views, strict=True)]
-    )
+    brushed = r.model.across_ratio > 1.0
+    across = surface.across if brushed else [None] * len(surface)
+    rows = zip(surface.points, surface.normals, surface.views, across, strict=True)
+    return np.array([specular(n, v, _unit(places - p), r, to) @ whole for p, n, v, to in rows])
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -112,11 +137,11 @@ def test_converged_panel_integrates_the_lobe(name: str, sigma: float) -> None:
     near = _unit(half + rng.normal(size=half.shape) * (4.0 * sigma + 0.03))
     normals = np.where(np.arange(len(surface))[:, None] % 2 == 1, near, surface.normals)
     front = np.sum(normals * surface.views, axis=1) > 0.0
-    surface = SurfacePoints(surface.points, normals, normals, surface.views, front)
+    surface = SurfacePoints(surface.points, normals, normals, surface.views, front, across=_across(normals))
     converged = converged_panel(panel, centre=np.zeros(3), radius=40.0)
     sample, shape = 2 * np.arange(len(surface)), (1, 2 * len(surface))
     _, found, _ = shade_converged(surface, converged, sample=sample, shape=shape, reflectance=r, caster=None)
-    expected = composite(surface.points, surface.normals, surface.views, panel, r)
+    expected = composite(surface, panel, r)
     error = np.abs(found - expected) * r.R_s
     wrong = error > np.maximum(0.1, 1e-3 * expected * r.R_s)
     assert not wrong.any(), (wrong.sum(), error[wrong], (expected * r.R_s)[wrong])

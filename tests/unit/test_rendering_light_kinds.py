@@ -149,7 +149,9 @@ def sphere(count: int, *, steepest: float = 75.0, radius: float = 25.0, seed: in
 def seen(points: np.ndarray, normals: np.ndarray) -> SurfacePoints:
     views = EYE - points
     views /= np.linalg.norm(views, axis=1)[:, None]
-    return SurfacePoints(points, normals, normals, views, np.ones(len(points), np.bool_), True)
+    across = np.cross(normals, [0.8, -0.3, 0.2])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    return SurfacePoints(points, normals, normals, views, np.ones(len(points), np.bool_), True, across=across)
 
 
 def layers(
@@ -217,6 +219,8 @@ def test_twice_as_many_nodes_change_nothing(name: str, sigma: float) -> None:
 OTHER_LOBES = {
     "ggx": SpecularModel(name="ggx"),
     "two-lobe": SpecularModel(name="two-lobe", wide_share=0.02, wide_ratio=6.0, refractive_index=(1.98, 3.74)),
+    "brushed": SpecularModel(across_ratio=6.0),
+    "brushed ggx": SpecularModel(name="ggx", across_ratio=6.0),
 }
 
 
@@ -243,11 +247,12 @@ def test_other_lobes_are_those_of_the_formulas(model: str, sigma: float) -> None
     u, v = (side * ((np.arange(count) + 0.5) / count - 0.5) for side, count in ((200.0, 1000), (20.0, 100)))
     places = 250.0 * outward + (u[:, None, None] * across + v[None, :, None] * along).reshape(-1, 3)
     radiance, expected = ref.emitter(**words).radiance, []
-    for p, n, towards in zip(surface.points, surface.normals, surface.views, strict=True):
+    across = surface.across if reflectance.model.across_ratio > 1.0 else [None] * len(surface)
+    for p, n, towards, to in zip(surface.points, surface.normals, surface.views, across, strict=True):
         ray = places - p
         r2 = np.sum(ray**2, axis=1)
         ray /= np.sqrt(r2)[:, None]
-        value = ref.specular(n, towards, ray, reflectance)
+        value = ref.specular(n, towards, ray, reflectance, to)
         expected.append(radiance * np.sum(value * np.maximum(0.0, ray @ outward) / r2) * 4000.0 / len(places))
     found = layers(surface, [light], sigma, model=OTHER_LOBES[model])[1, 0]
     assert np.max(np.abs(found - expected)) <= 1e-3 * np.max(expected)

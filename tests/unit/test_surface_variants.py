@@ -20,6 +20,8 @@ MODELS = {
     "torrance-sparrow": (SpecularModel(), LAMBERT),
     "ggx": (SpecularModel(name="ggx", refractive_index=(1.98, 3.74)), LAMBERT),
     "two-lobe": (SpecularModel(name="two-lobe", wide_share=0.03, wide_ratio=5.0), LAMBERT),
+    "brushed": (SpecularModel(across_ratio=6.0), LAMBERT),
+    "brushed ggx": (SpecularModel(name="ggx", across_ratio=4.0, refractive_index=(1.98, 3.74)), LAMBERT),
     "exponent": (SpecularModel(), DiffuseForm(exponent=1.4)),
     "oren-nayar": (SpecularModel(), DiffuseForm(roughness=0.7)),
 }
@@ -41,7 +43,8 @@ def surface_of(rng):
     points = 20.0 * normals + rng.normal(0.0, 0.1, (POINTS, 3))
     views = unit(np.array([0.0, 0.0, 500.0]) - points)
     references = unit(np.cross(normals, [0.3, -0.8, 0.1]))
-    return SurfacePoints(points, normals, normals, views, np.ones(POINTS, np.bool_)), references
+    across = unit(np.cross(normals, [0.7, 0.2, -0.5]))
+    return SurfacePoints(points, normals, normals, views, np.ones(POINTS, np.bool_), across=across), references
 
 
 def panel_at(elevation, azimuth, **further):
@@ -67,6 +70,7 @@ def panel_at(elevation, azimuth, **further):
 def plain_levels(surface, references, panel, slope, direction, reflectance):
     """Levels of one variant: every term as equations 2 and 3 of the paper have it."""
     across = np.cross(surface.normals, references)
+    brushed = surface.across if reflectance.model.across_ratio > 1.0 else None
     normals = math.cos(slope) * surface.normals + math.sin(slope) * (
         math.cos(direction) * references + math.sin(direction) * across
     )
@@ -82,7 +86,7 @@ def plain_levels(surface, references, panel, slope, direction, reflectance):
                 weight = weight * panel.distance**2 / r2
             weight = weight * np.maximum(0.0, light @ panel.outward) ** panel.emission_exponent
             total += weight * reflectance.R_d * diffuse(normals, surface.views, light, reflectance.diffuse)
-            total += weight * reflectance.R_s * specular(normals, surface.views, light, reflectance)
+            total += weight * reflectance.R_s * specular(normals, surface.views, light, reflectance, brushed)
     return total
 
 

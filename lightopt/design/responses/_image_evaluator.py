@@ -342,7 +342,9 @@ def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[Sur
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     facets, front = face_normals(scene.mesh)[patches.face[seen]], np.ones(len(seen), np.bool_)
     material = None if scene.mesh.material is None else scene.mesh.material[patches.face[seen]]
-    return SurfacePoints(patches.centroids[seen], patches.normals[seen], facets, views, front, material=material), seen
+    points, normals = patches.centroids[seen], patches.normals[seen]
+    across = scene.mesh.across_brushing(points, normals, patches.face[seen])
+    return SurfacePoints(points, normals, facets, views, front, material=material, across=across), seen
 
 
 def _levels(
