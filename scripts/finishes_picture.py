@@ -1,8 +1,9 @@
-"""Draw docs/pictures/finishes.png and diffuse-forms.png.
+"""Draw docs/pictures/finishes.png, brushed.png and diffuse-forms.png.
 
 ``python scripts/finishes_picture.py``. finishes.png: the sample knob with each form of the lobe, all reflecting as much
-light, under all four lights; the fourth root of the levels, by one highest level. diffuse-forms.png: a sphere with each
-form of the diffuse component under one panel; levels.
+light, under all four lights; the fourth root of the levels, by one highest level. brushed.png: the same of a surface
+that is brushed in three ways. diffuse-forms.png: a sphere with each form of the diffuse component under one panel;
+levels.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from PIL import Image, ImageDraw
 
 from lightopt import build_scene, render
 from lightopt.core.arrays import Float64
-from lightopt.geometry import TriangleMesh
+from lightopt.geometry import CurvedBrushing, RoundBrushing, StraightBrushing, TriangleMesh
 from lightopt.optics import LAMBERT, DiffuseForm, Reflectance, SpecularModel
 from lightopt.scene import Scene
 
@@ -29,6 +30,14 @@ FINISHES = {
     "torrance-sparrow, sigma 0.003": Reflectance(R_d=4.0, R_s=3.13e6, sigma=0.003),
     "two-lobe, sigma 0.003 and 0.03": Reflectance(R_d=4.0, R_s=2.087e6, sigma=0.003, model=TWO_LOBES),
     "ggx, alpha 0.06": Reflectance(R_d=4.0, R_s=15_650.0, sigma=0.03, model=GGX),
+}
+BRUSHED = Reflectance(R_d=8.0, R_s=2000.0, sigma=0.025, model=SpecularModel(name="ggx", across_ratio=5.0))
+BRUSHINGS = {
+    "along X": StraightBrushing(np.array([1.0, 0.0, 0.0])),
+    "around its axis": RoundBrushing(np.zeros(3), np.array([0.0, 0.0, 1.0])),
+    "along a curve": CurvedBrushing(
+        np.array([[-30.0, -12.0, 0.0], [-8.0, 6.0, 0.0], [8.0, 6.0, 0.0], [30.0, -12.0, 0.0]])
+    ),
 }
 DIFFUSE_FORMS = {
     "Lambert": LAMBERT,
@@ -70,6 +79,15 @@ def finishes_picture(target: Path) -> None:
     _save(target, {name: (level / top) ** 0.25 for name, level in levels.items()})
 
 
+def brushed_picture(target: Path) -> None:
+    """Draw the sample knob brushed in three ways."""
+    scene = replace(_scene(WIDTH, HEIGHT), reflectance=BRUSHED)
+    scenes = {name: replace(scene, mesh=replace(scene.mesh, brushing=(way,))) for name, way in BRUSHINGS.items()}
+    levels = {name: _sum_of_lights(one)[:, CROP:-CROP] for name, one in scenes.items()}
+    top = max(level.max() for level in levels.values())
+    _save(target, {name: (level / top) ** 0.25 for name, level in levels.items()})
+
+
 def diffuse_forms_picture(target: Path) -> None:
     """Draw a sphere with each form of the diffuse component."""
     ball = trimesh.creation.icosphere(subdivisions=6, radius=RADIUS)
@@ -86,4 +104,5 @@ def diffuse_forms_picture(target: Path) -> None:
 
 if __name__ == "__main__":
     finishes_picture(ROOT / "docs" / "pictures" / "finishes.png")
+    brushed_picture(ROOT / "docs" / "pictures" / "brushed.png")
     diffuse_forms_picture(ROOT / "docs" / "pictures" / "diffuse-forms.png")

@@ -30,6 +30,7 @@ from lightopt.optics._reflection_model import (
     light_factor as light_factor,
     lobe_across as lobe_across,
     lobe_at as lobe_at,
+    lobe_beside as lobe_beside,
     lobe_of_width as lobe_of_width,
     narrow_gaussian as narrow_gaussian,
     narrow_lobe as narrow_lobe,

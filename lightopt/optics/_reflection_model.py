@@ -25,7 +25,7 @@ from typing import Literal, NamedTuple
 
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import Vector, dot
+from lightopt.core.vectors import Vector, dot, minus, scaled
 from lightopt.optics._exponential import exponential
 
 ModelName = Literal["torrance-sparrow", "ggx", "two-lobe"]
@@ -260,6 +260,17 @@ def lobe_at(lobe: Lobe, frames: Float64, i: int) -> Lobe:
     if lobe.widening == 1.0 or frames.shape[1] < 6:
         return lobe
     return lobe_across(lobe, Vector(frames[i, 3], frames[i, 4], frames[i, 5]))
+
+
+@kernel
+def lobe_beside(lobe: Lobe, normal: Vector) -> Lobe:
+    """The lobe where the surface leans to another unit normal: the brushing leans with it."""
+    if lobe.widening == 1.0:
+        return lobe
+    part = dot(lobe.across, normal)
+    aside = minus(lobe.across, scaled(normal, part))
+    size = math.sqrt(dot(aside, aside))
+    return lobe_across(lobe, scaled(aside, 1.0 / size if size > 0.0 else 0.0))
 
 
 @kernel

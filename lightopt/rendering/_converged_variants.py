@@ -20,6 +20,7 @@ from lightopt.optics import (
     farthest_exponent,
     is_lambert,
     lobe_at,
+    lobe_beside,
     lobe_of_width,
     specular_divisor,
     square_across,
@@ -118,7 +119,7 @@ def _levels(
             s = 0.0
             n_dot_v = dot(turned, v)
             if n_dot_v > 0.0:
-                lobe = lobe_of_width(own, inverse[t])
+                lobe = lobe_beside(lobe_of_width(own, inverse[t]), turned)
                 divisor = specular_divisor(n_dot_v, square_across(v, lobe), lobe)
                 furthest = farthest_exponent(most[t] - math.log(divisor), lobe)
                 reach = spread + math.sqrt(max(0.0, furthest) / inverse[t])

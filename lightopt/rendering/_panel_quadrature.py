@@ -364,29 +364,37 @@ def _brushed_light(
     width, height = window.s1 - window.s0, window.t1 - window.t0
     if width <= 0.0 or height <= 0.0:
         return 0.0
-    across, along = width * math.sqrt(max(2.0 * a, 0.0)), height * math.sqrt(max(2.0 * c, 0.0))
-    parts_s, parts_t = math.ceil(across / _PIECE), math.ceil(along / _PIECE)
-    parts_s, parts_t = min(max(parts_s, 1), _MOST_PIECES), min(max(parts_t, 1), _MOST_PIECES)
-    count_s = _ridge_nodes(across / parts_s, math.ceil(panel_nodes * width / parts_s) + 1, lobe.ggx)
-    count_t = _ridge_nodes(along / parts_t, math.ceil(panel_nodes * height / parts_t) + 1, lobe.ggx)
+    parts_s, count_s = ridge_nodes(width, a, lobe.ggx)
+    parts_t, count_t = ridge_nodes(height, c, lobe.ggx)
+    count_s = max(count_s, math.ceil(panel_nodes * width / parts_s) + 1)
+    count_t = max(count_t, math.ceil(panel_nodes * height / parts_t) + 1)
     total = 0.0
-    for i in range(parts_s):
-        for j in range(parts_t):
-            piece = Rectangle(
-                window.s0 + i * width / parts_s,
-                window.s0 + (i + 1) * width / parts_s,
-                window.t0 + j * height / parts_t,
-                window.t0 + (j + 1) * height / parts_t,
-            )
-            total += _integrals(p, n, v, n_dot_v, panel, piece, lobe, LAMBERT, count_s, count_t)[1]
+    for k in range(parts_s * parts_t):
+        piece = piece_of(window, k, parts_s, parts_t)
+        total += _integrals(p, n, v, n_dot_v, panel, piece, lobe, LAMBERT, count_s, count_t)[1]
     return total
 
 
 @kernel
-def _ridge_nodes(width: float, least: int, tailed: bool) -> int:
-    # nodes along a side of so many σ of a lobe that may be greatest anywhere on it; GGX is singular at ±2iσ from there
+def ridge_nodes(side: float, curvature: float, tailed: bool) -> tuple[int, int]:
+    """Pieces of a side, and nodes in each, for a lobe that may be greatest anywhere on it.
+
+    curvature: Of its exponent along the side, 1/(2σ²) in the side's units; GGX is singular at ±2iσ
+    """
+    width = side * math.sqrt(max(2.0 * curvature, 0.0))
+    parts = min(max(math.ceil(width / _PIECE), 1), _MOST_PIECES)
+    width /= parts
     wanted = tail_nodes(-0.5 * width, 0.5 * width, 2.0, TAIL_ERROR) if tailed else math.ceil(4.0 + 0.9 * width)
-    return min(max(wanted, least), MAX_NODES)
+    return parts, min(wanted, MAX_NODES)
+
+
+@kernel
+def piece_of(window: Rectangle, k: int, parts_s: int, parts_t: int) -> Rectangle:
+    """Piece k of a rectangle in equal ones, parts_s along the first side by parts_t along the second."""
+    i, j = k // parts_t, k % parts_t
+    ds, dt = (window.s1 - window.s0) / parts_s, (window.t1 - window.t0) / parts_t
+    s0, t0 = window.s0 + i * ds, window.t0 + j * dt
+    return Rectangle(s0, s0 + ds, t0, t0 + dt)
 
 
 @kernel

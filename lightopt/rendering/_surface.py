@@ -55,8 +55,14 @@ class SurfacePoints:
 
     @property
     def frames(self) -> Float64:
-        """The normals, and of a brushed surface the vectors across its brushing; shape (k, 3) or (k, 6)."""
-        return self.normals if self.across is None else np.concatenate([self.normals, self.across], axis=1)
+        """The normals, and of a brushed surface the unit tangents across its brushing; shape (k, 3) or (k, 6)."""
+        if self.across is None:
+            return self.normals
+        # of normals that lean, the brushing leans with the surface
+        part = np.einsum("ij,ij->i", self.normals, self.across)[:, None]
+        aside = self.across - part * self.normals
+        size = np.linalg.norm(aside, axis=1, keepdims=True)
+        return np.concatenate([self.normals, aside / np.where(size > 0.0, size, 1.0)], axis=1)
 
     def __len__(self) -> int:
         return len(self.points)

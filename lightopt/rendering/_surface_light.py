@@ -60,6 +60,8 @@ from lightopt.rendering._panel_quadrature import (
     lobe_window,
     node_count,
     peak,
+    piece_of,
+    ridge_nodes,
     smooth_nodes,
     tail_nodes,
 )
@@ -396,6 +398,9 @@ def _add_gaussian(
     width, height = window.s1 - window.s0, window.t1 - window.t0
     if width <= 0.0 or height <= 0.0:
         return
+    if lobe.widening > 1.0:
+        _add_ridge(p, n, v, e, window, pattern, lobe, share, found)
+        return
     count_s = node_count(a, gs, window.s0 - s, window.s1 - s)
     count_t = node_count(c, gt, window.t0 - t, window.t1 - t)
     # the lobe's flank adds little to its light, of which few nodes are good enough
@@ -427,12 +432,7 @@ def _add_tailed(
     value = 1.0 / (1.0 + 0.5 * least) ** 2
     error = min(max(ELEMENT_ERROR / LEAST_LEVEL * math.exp(-most) / (value * FULL_ANGLE), TAIL_ERROR), MOST_TAIL_ERROR)
     if lobe.widening > 1.0:
-        # a ridge that may lie aslant, greatest anywhere along a side
-        half_s, half_t = 0.5 * (area.s1 - area.s0), 0.5 * (area.t1 - area.t0)
-        count_s = tail_nodes(-half_s, half_s, math.sqrt(2.0 / max(a, 1e-30)), error)
-        count_t = tail_nodes(-half_t, half_t, math.sqrt(2.0 / max(c, 1e-30)), error)
-        counts = max(count_s, LEAST_TAIL_NODES), max(count_t, LEAST_TAIL_NODES)
-        _add_window(p, n, v, e, area, counts, pattern, lobe, 1.0, found)
+        _add_ridge(p, n, v, e, area, pattern, lobe, 1.0, found)
         return
     centre_s, width_s = peak(a, gs, least, s, area.s0, area.s1)
     centre_t, width_t = peak(c, gt, least, t, area.t0, area.t1)
@@ -461,6 +461,35 @@ def _add_tailed(
             nodes_t = tail_nodes(ends_t[j] - centre_t, ends_t[j + 1] - centre_t, width_t, error)
             window = Rectangle(ends_s[i], ends_s[i + 1], ends_t[j], ends_t[j + 1])
             _add_window(p, n, v, e, window, (nodes_s, nodes_t), pattern, lobe, 1.0, found)
+
+
+@kernel
+def _add_ridge(
+    p: Vector,
+    n: Vector,
+    v: Vector,
+    e: Element,
+    window: Rectangle,
+    pattern: Pattern,
+    lobe: Lobe,
+    share: float,
+    found: Float64,
+) -> None:
+    # adds a share of the light of a lobe that is wider across the brushing, a ridge that may lie aslant. Along the
+    # angle of a disc it is as narrow as where it is farthest out
+    along_s = along_t = 0.0
+    for corner in range(4):
+        q, of_s, of_t = element_place(
+            e, window.s1 if corner % 2 else window.s0, window.t1 if corner // 2 else window.t0
+        )
+        _, _, jxs, jxt, jys, jyt = half_vector_map(p, n, v, q, of_s, of_t, lobe)
+        along_s = max(along_s, lobe.inverse * (jxs * jxs + jys * jys))
+        along_t = max(along_t, lobe.inverse * (jxt * jxt + jyt * jyt))
+    parts_s, count_s = ridge_nodes(window.s1 - window.s0, along_s, lobe.ggx)
+    parts_t, count_t = ridge_nodes(window.t1 - window.t0, along_t, lobe.ggx)
+    for k in range(parts_s * parts_t):
+        piece = piece_of(window, k, parts_s, parts_t)
+        _add_window(p, n, v, e, piece, (count_s, count_t), pattern, lobe, share, found)
 
 
 @kernel

@@ -23,6 +23,7 @@ from lightopt.optics import (
     is_lambert,
     light_factor,
     lobe_at,
+    lobe_beside,
     lobe_of_width,
     narrow_gaussian,
     specular_divisor,
@@ -220,7 +221,7 @@ def _variant_sums(
                             sums[g, t, b] += R_d[t] * found[b]
                 if far or n_dot_v[t] <= 0.0:
                     continue
-                lobe = lobe_of_width(own, inverse[t])
+                lobe = lobe_beside(lobe_of_width(own, inverse[t]), turned)
                 away = length(minus(turned, half))
                 nearest = max(0.0, away - spread)
                 if spread < math.pi and nearest * nearest * inverse[t] > ends[t]:

@@ -31,11 +31,13 @@ from lightopt.optics import (
     is_lambert,
     lambert,
     light_factor,
-    lobe_at,
+    lobe_across,
+    lobe_beside,
     lobe_of_width,
     narrow_gaussian,
     specular_divisor,
     specular_lobe,
+    square_across,
 )
 from lightopt.rendering._converged_panel import ConvergedPanel, channel_groups, panel_probes, probe_targets
 from lightopt.rendering._converged_variants import panel_variants
@@ -379,12 +381,11 @@ def _ray_vector(rays: Float64, k: int, row: int, j: int) -> Vector:
 
 
 @kernel
-def _square_across(vector: Vector, frames: Float64, j: int, lobe: Lobe) -> float:
-    # as `square_across`, of a vector in the frame of point j
+def _lobe_in_frame(lobe: Lobe, frames: Float64, j: int, normal: Vector) -> Lobe:
+    # the lobe of point j, of a normal in its frame
     if lobe.widening == 1.0:
-        return 0.0
-    part = dot(vector, _vector(frames, 18, j))
-    return part * part
+        return lobe
+    return lobe_beside(lobe_across(lobe, _vector(frames, 18, j)), normal)
 
 
 @kernel
@@ -412,8 +413,9 @@ def _fill_frames(
         frames[9 * _AT_ONCE + j], frames[10 * _AT_ONCE + j], frames[11 * _AT_ONCE + j] = a
         own = Vector(dot(n, v), dot(r, v), dot(a, v))
         frames[15 * _AT_ONCE + j], frames[16 * _AT_ONCE + j], frames[17 * _AT_ONCE + j] = own
-        if form.widening > 1.0:
-            across = lobe_at(form, surface_frames, first + j).across
+        if form.widening > 1.0 and surface_frames.shape[1] == 6:
+            i = first + j
+            across = Vector(surface_frames[i, 3], surface_frames[i, 4], surface_frames[i, 5])
             own = Vector(dot(n, across), dot(r, across), dot(a, across))
             frames[18 * _AT_ONCE + j], frames[19 * _AT_ONCE + j], frames[20 * _AT_ONCE + j] = own
 
@@ -513,16 +515,16 @@ def _fill_variant(
             for j in range(number):
                 chord = sums[3 * _AT_ONCE + j]
                 if chord < np.inf and not (all_at_once and chord < NARROW_CHORD_SQUARED):
-                    aside = _square_across(minus(normal, _ray_vector(rays, k, 3, j)), frames, j, lobe)
-                    value = specular_lobe(chord, aside, lobe)
+                    own = _lobe_in_frame(lobe, frames, j, normal)
+                    value = specular_lobe(chord, square_across(minus(normal, _ray_vector(rays, k, 3, j)), own), lobe)
                     if not lobe.plain:
                         # N·L + N·V = (N·H)·|L + V|
                         light = _ray_vector(rays, k, 0, j)
                         n_dot_l = dot(normal, light)
                         size = (n_dot_l + sums[2 * _AT_ONCE + j]) / (1.0 - 0.5 * chord)
-                        value *= light_factor(n_dot_l, _square_across(light, frames, j, lobe), size, lobe)
+                        value *= light_factor(n_dot_l, square_across(light, own), size, lobe)
                     sums[_AT_ONCE + j] += rays[k, 6 * _AT_ONCE + j] * value
     for j in range(number):
-        across = _square_across(_vector(frames, 15, j), frames, j, lobe)
+        across = square_across(_vector(frames, 15, j), _lobe_in_frame(lobe, frames, j, normal))
         specular = R_s * sums[_AT_ONCE + j] / specular_divisor(sums[2 * _AT_ONCE + j], across, lobe)
         varied[j] = R_d * sums[j] + specular

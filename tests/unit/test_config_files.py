@@ -475,6 +475,28 @@ def test_missing_keys_are_described(folder: Path) -> None:
             ["oren_nayar_roughness: the diffuse component has one form: diffuse_exponent is given, too"],
         ),
         ("sigma_rad: 0.05, oren_nayar_sigma: 0.3", ['unknown key "oren_nayar_sigma"; did you mean']),
+        ("sigma_rad: 0.05, sigma_across_rad: 0.2", ['missing key "brushing"']),
+        ("sigma_rad: 0.05, brushing: {direction: [1, 0, 0]}", ['missing key "sigma_across_rad"']),
+        (
+            "sigma_rad: 0.05, sigma_across_rad: 0.04, brushing: {direction: [1, 0, 0]}",
+            ["sigma_across_rad: expected more than sigma_rad, 0.05, up to 50 times as much, found 0.04"],
+        ),
+        (
+            "model: ggx, alpha: 0.05, sigma_across_rad: 0.2, brushing: {direction: [1, 0, 0]}",
+            ["sigma_across_rad: model ggx has alpha_across instead"],
+        ),
+        (
+            "sigma_rad: 0.05, sigma_across_rad: 0.2, brushing: {direction: [0, 0, 0]}",
+            ["brushing.direction: expected [x, y, z], three numbers that are not all 0"],
+        ),
+        (
+            "sigma_rad: 0.05, sigma_across_rad: 0.2, brushing: {}",
+            ["expected one of direction, around_axis, along_curve_mm, found none of them"],
+        ),
+        (
+            "sigma_rad: 0.05, sigma_across_rad: 0.2, brushing: {along_curve_mm: [[0, 0, 0], [0, 0, 0]]}",
+            ["two corners that follow each other are at the same place"],
+        ),
         ("sigma_rad: 0.05, refractive_index: [2.0]", ["refractive_index", "[n, k]"]),
         ("sigma_rad: 0.05, refractive_index: [2.0, -1.0]", ["refractive_index", "above 0"]),
     ],

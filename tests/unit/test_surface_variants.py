@@ -70,10 +70,11 @@ def panel_at(elevation, azimuth, **further):
 def plain_levels(surface, references, panel, slope, direction, reflectance):
     """Levels of one variant: every term as equations 2 and 3 of the paper have it."""
     across = np.cross(surface.normals, references)
-    brushed = surface.across if reflectance.model.across_ratio > 1.0 else None
     normals = math.cos(slope) * surface.normals + math.sin(slope) * (
         math.cos(direction) * references + math.sin(direction) * across
     )
+    along = np.sum(normals * surface.across, axis=1)[:, None]
+    brushed = unit(surface.across - along * normals) if reflectance.model.across_ratio > 1.0 else None
     total = np.zeros(len(surface))
     for s in (-0.25, 0.25):
         for t in (-0.25, 0.25):
