@@ -12,7 +12,6 @@ light the mean albedo counts, that of light which arrives evenly from all sides.
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -30,32 +29,37 @@ _MOST_DELTA = math.pi / 4  # the surface, seen along its normal, mirrors its own
 
 def specular_sum(reflectance: Reflectance) -> float:
     """∫ exp(−δ²/(2σ²)) · 4 cosδ dω_H / π of a lobe seen along the normal: albedo times W per unit of R_s."""
-    if (ratio := reflectance.model.across_ratio) > 1.0:
-        # in each direction from the normal it is that of another width
-        turn = 0.5 * math.pi / _TURNS * (np.arange(_TURNS) + 0.5)
-        widths = reflectance.sigma / np.hypot(np.sin(turn), np.cos(turn) / ratio)
-        even = replace(reflectance.model, across_ratio=1.0)
-        return float(np.mean([specular_sum(replace(reflectance, sigma=w, model=even)) for w in widths.tolist()]))
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     lobe = reflectance.lobe
+    if lobe.widening == 1.0:
+        return _sum_along(lobe, lobe.inverse, 0.0)
+    # in each direction from the normal, by its angle to that across the brushing, the lobe is one of another width
+    turn = 0.5 * math.pi / _TURNS * (np.arange(_TURNS) + 0.5)
+    across = ((1.0 - 1.0 / lobe.widening) * np.cos(turn) ** 2).tolist()
+    return float(np.mean([_sum_along(lobe, lobe.inverse * (1.0 - share), share) for share in across]))
+
+
+def _sum_along(lobe: Lobe, inverse: float, across: float) -> float:
+    # of directions in which 1/(2σ²) is `inverse`; across: as `square_across` has it, of a unit tangent
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     if lobe.ggx:
         # δ whose shares of 4 cosδ dω_H below the lobe are even
-        alpha, end = 2.0 * reflectance.sigma, math.tan(_MOST_DELTA)
+        alpha, end = math.sqrt(2.0 / inverse), math.tan(_MOST_DELTA)
         share = 0.5 * end**2 / (alpha**2 + end**2) * (nodes + 1.0)
         delta, step = np.arctan(alpha * np.sqrt(share / (1.0 - share))), 2.0 * alpha**2 * end**2 / (alpha**2 + end**2)
-        return float(step * np.sum(weights * _factors(delta, lobe)))
+        return float(step * np.sum(weights * _factors(delta, lobe, across)))
     total = 0.0
-    for height, inverse in ((1.0, lobe.inverse), (lobe.wide_share, lobe.wide_inverse)):
-        end = min(_MOST_DELTA, _REACH * math.sqrt(0.5 / inverse))
+    for height, own in ((1.0, inverse), (lobe.wide_share, lobe.wide_inverse * (inverse / lobe.inverse))):
+        end = min(_MOST_DELTA, _REACH * math.sqrt(0.5 / own))
         delta = 0.5 * end * (nodes + 1.0)
-        values = np.exp(-inverse * delta**2) * np.cos(delta) * np.sin(delta) * _factors(delta, lobe)
+        values = np.exp(-own * delta**2) * np.cos(delta) * np.sin(delta) * _factors(delta, lobe, across)
         total += height * float(8.0 * 0.5 * end * np.sum(weights * values))
     return total
 
 
-def _factors(delta: Float64, lobe: Lobe) -> Float64:
+def _factors(delta: Float64, lobe: Lobe, across: float) -> Float64:
     # of light that a surface, seen along its normal, mirrors at a normal leaning by δ
-    return np.array([light_factor(max(0.0, math.cos(2.0 * d)), 0.0, 2.0 * math.cos(d), lobe) for d in delta])
+    rows = [(max(0.0, math.cos(2.0 * d)), across * math.sin(2.0 * d) ** 2, 2.0 * math.cos(d)) for d in delta]
+    return np.array([light_factor(*row, lobe) for row in rows])
 
 
 def diffuse_albedo(form: DiffuseForm) -> float:

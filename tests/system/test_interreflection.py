@@ -15,9 +15,9 @@ from lightopt import build_scene, render
 from lightopt.config import PartConfig, load_rig
 from lightopt.config._rig import VirtualBenchConfig
 from lightopt.core.errors import InputError
-from lightopt.geometry import TriangleMesh
+from lightopt.geometry import StraightBrushing, TriangleMesh
 from lightopt.lights import panel_grid
-from lightopt.optics import MIN_COS_VIEW, Reflectance, white_level
+from lightopt.optics import MIN_COS_VIEW, Reflectance, SpecularModel, white_level
 from lightopt.optics._albedo import DEFAULT_ALBEDO
 from lightopt.rendering import SurfacePoints, cast_rays_at, render_posture
 from lightopt.rendering._caustics import caustic_levels, footprints, landed_light
@@ -32,6 +32,7 @@ from lightopt.scene._scene import PartRegion
 CONFIGS = Path(__file__).parents[2] / "configs"
 MATTE = {"R_d": 100.0, "R_s": 0.0, "sigma": 0.05}
 SATIN = {"R_d": 45.0, "R_s": 12500.0, "sigma": 0.0475}
+BRUSHED = {"R_d": 45.0, "R_s": 1000.0, "sigma": 0.04, "model": SpecularModel(across_ratio=5.0)}
 CAMERA = ref.Camera(width=80, height=60, pixel_um=88)
 
 
@@ -92,13 +93,14 @@ def test_integrating_sphere_adds_the_albedo_with_each_bounce():
         np.testing.assert_allclose(found[0, 0] + found[2, 0], expected, rtol=5e-3)
 
 
-@pytest.mark.parametrize("reflectance", [MATTE, SATIN], ids=["matte", "satin"])
+@pytest.mark.parametrize("reflectance", [MATTE, SATIN, BRUSHED], ids=["matte", "satin", "brushed"])
 def test_a_convex_part_in_white_surroundings_shows_its_albedo(reflectance):
     lamp = ref.Light(distance=300, elevation=60, azimuth=0, k=1, gain=0.5)
     scene = scene_from_mesh(CAMERA, [lamp], sphere(15.0), reflectance=reflectance)
+    scene = replace(scene, mesh=replace(scene.mesh, brushing=(StraightBrushing(np.array([1.0, 0.5, 0.0])),)))
     lit = replace(scene, environment=80.0)
     added = levels(lit) - levels(scene)
-    assert added[30, 40] == pytest.approx(DEFAULT_ALBEDO * 80.0 * 0.5, rel=0.01)  # proportional to the light's gain
+    assert added[25:35, 35:45].mean() == pytest.approx(DEFAULT_ALBEDO * 80.0 * 0.5, rel=0.01)  # proportional to the light's gain
 
 
 def test_a_convex_part_in_a_dark_box_has_no_bounce():
