@@ -31,6 +31,7 @@ from lightopt.config._load import (
 )
 from lightopt.config._opencv_file import read_opencv_file as read_opencv_file
 from lightopt.config._part import (
+    MOST_ACROSS as MOST_ACROSS,
     InspectionConfig as InspectionConfig,
     PartConfig as PartConfig,
     PlacementConfig as PlacementConfig,

@@ -100,7 +100,9 @@ def test_a_convex_part_in_white_surroundings_shows_its_albedo(reflectance):
     scene = replace(scene, mesh=replace(scene.mesh, brushing=(StraightBrushing(np.array([1.0, 0.5, 0.0])),)))
     lit = replace(scene, environment=80.0)
     added = levels(lit) - levels(scene)
-    assert added[25:35, 35:45].mean() == pytest.approx(DEFAULT_ALBEDO * 80.0 * 0.5, rel=0.01)  # proportional to the light's gain
+    assert added[25:35, 35:45].mean() == pytest.approx(
+        DEFAULT_ALBEDO * 80.0 * 0.5, rel=0.01
+    )  # proportional to the light's gain
 
 
 def test_a_convex_part_in_a_dark_box_has_no_bounce():

@@ -11,9 +11,9 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
-from lightopt.estimate.reflectance._diffuse_form import fit_diffuse_form
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance, refit
+from lightopt.estimate.reflectance._form_parameter import FittedParameter, changed_form, fit_form_parameter
 from lightopt.estimate.reflectance._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._noise import measure_noise, noise_warnings
@@ -28,7 +28,6 @@ from lightopt.estimate.reflectance._quality import (
     refuse_out_of_range,
 )
 from lightopt.estimate.reflectance._result import (
-    DIFFUSE_KEYS,
     FitResult,
     FittedValue,
     RegionFit,
@@ -296,15 +295,8 @@ def _fit_one(setup: FitSetup) -> _Fitted:
         record = paper_specular(samples, options.paper, R_d=reflectance.R_d, progress=setup.run.stage("sweeping σ"))
         return _paper_result(setup, samples, record), setup, samples
     samples = setup.collect()
-    wide = formed = None
-    if options.diffuse in ("exponent", "oren-nayar"):
-        if samples.model.name == "two-lobe":
-            raise InputError(
-                "model two-lobe: the wide lobe and the form of the diffuse component are not fitted at once; give the "
-                "form in the part file"
-            )
-        formed = fit_diffuse_form(samples, options.diffuse, caster=setup.caster, freed=options.freed, run=setup.run)
-        setup, samples = setup.with_form(formed.form), with_form(samples, formed.form, setup.caster)
+    wide = None
+    formed, setup, samples = _with_form_parameter(setup, samples)
     if samples.model.name == "two-lobe":
         wide = fit_wide_lobe(samples, freed=options.freed, held=setup.held, run=setup.run)
         setup, samples = setup.with_model(wide.model), replace(samples, model=wide.model)
@@ -314,7 +306,7 @@ def _fit_one(setup: FitSetup) -> _Fitted:
     refuse_out_of_range(found, float(found.R_s * samples.specular(found.sigma).max()), samples.model)
     values = fitted_values(found, full_scale=reflectance.full_scale, model=samples.model, wide=wide)
     if formed is not None:
-        values = formed.values(found, values, samples.model.width_key)
+        values = formed.values(found, values, samples.model)
     interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in setup.observations}
     warnings = [*setup.warnings, *convergence_warnings(found)]
@@ -322,8 +314,28 @@ def _fit_one(setup: FitSetup) -> _Fitted:
     warnings += fit_warnings(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
     result = _result("specular", setup, samples, found, quality, values, warnings)
     if formed is not None:
-        result = replace(result, fitted=(*result.fitted, DIFFUSE_KEYS[formed.name]))
+        result = replace(result, fitted=(*result.fitted, values[-1].name))
     return replace(result, correlation=found.correlation(LOG_R_S, LOG_SIGMA)), setup, samples
+
+
+def _with_form_parameter(setup: FitSetup, samples: Samples) -> tuple[FittedParameter | None, FitSetup, Samples]:
+    # the parameter of the form that is fitted, and setup and samples with it
+    options, model, form = setup.options, samples.model, setup.scene.reflectance.diffuse
+    name = options.diffuse if options.diffuse in ("exponent", "oren-nayar") else None
+    if model.name == "two-lobe" and name is not None:
+        raise InputError(
+            "model two-lobe: the wide lobe and the form of the diffuse component are not fitted at once; give the "
+            "form in the part file"
+        )
+    if name is None and options.joint and model.across_ratio > 1.0 and model.name != "two-lobe":
+        name = "across"
+    if name is None:
+        return None, setup, samples
+    found = fit_form_parameter(samples, name, caster=setup.caster, freed=options.freed, run=setup.run)
+    model, form = changed_form(model, form, name, found.value)
+    if name == "across":
+        return found, setup.with_model(model), replace(samples, model=model)
+    return found, setup.with_form(form), with_form(samples, form, setup.caster)
 
 
 def _result(

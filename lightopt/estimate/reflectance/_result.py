@@ -373,11 +373,13 @@ def _reflectance_values(
         values[(*keys, "model")] = result.model.name
         superseded = [name for name in fitted_names(SpecularModel(name=own.model)) if name not in result.fitted]
         values |= {(*keys, name): None for name in superseded}
+    across, before = result.model.across_key, SpecularModel(name=own.model).across_key
     if own.sigma_across is not None and result.model.width_key in result.fitted:
-        # a fit keeps how many times wider the lobe is across the brushing
-        wide = result.model.across_ratio * result.value(result.model.width_key)
-        values[(*keys, SpecularModel(name=own.model).across_key)] = None
-        values[(*keys, result.model.across_key)] = f"{wide:.6g}"
+        if before != across:
+            values[(*keys, before)] = None
+        if across not in result.fitted:
+            # the lobe stays as many times wider across the brushing
+            values[(*keys, across)] = f"{result.model.across_ratio * result.value(result.model.width_key):.6g}"
     if (own.diffuse_exponent or 1.0, own.oren_nayar_roughness or 0.0) != result.diffuse:
         # of another form than that of the fit
         given = [key for key in DIFFUSE_KEYS.values() if getattr(own, key) is not None and key not in result.fitted]
