@@ -10,8 +10,6 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.errors import InputError
@@ -244,6 +242,9 @@ def _smooth_surfaces(mesh: TriangleMesh) -> Int32:
         flat = np.rint(np.repeat(face_normals(mesh), 3, axis=0) / _SAME_NORMAL) + 0.0
         corners = merge_rows(np.concatenate([mesh.vertices[corners], flat], axis=1))[1]
     size = count + int(corners.max()) + 1
+    from scipy.sparse import coo_array  # takes long to load, and most commands do not need it
+    from scipy.sparse.csgraph import connected_components
+
     links = coo_array((np.ones(3 * count, np.bool_), (rows, count + corners)), shape=(size, size))
     return connected_components(links, directed=False)[1][:count].astype(np.int32)
 

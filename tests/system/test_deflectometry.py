@@ -87,7 +87,9 @@ def test_a_sphere_is_recovered(tmp_path):
     assert abs(np.median(channels["slope.x_deg"][at][seen])) < 1e-3
 
 
-@pytest.mark.parametrize("sigma", [0.003, 0.005, 0.01])
+@pytest.mark.parametrize(
+    "sigma", [pytest.param(0.003, marks=pytest.mark.nightly), pytest.param(0.005, marks=pytest.mark.nightly), 0.01]
+)
 def test_a_dent_of_a_tenth_of_a_degree_is_recovered(tmp_path, sigma):
     plate = box_mesh(np.array([[-25.0, -25.0, -5.0], [25.0, 25.0, 0.0]]))
     channels, pixels, _ = derived(tmp_path, plate, sigma=sigma, tilt=15, low=-5, defects=DENT)

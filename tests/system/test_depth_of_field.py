@@ -75,7 +75,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", ["step", pytest.param("mirror", marks=pytest.mark.nightly)])
 def test_images_are_those_of_rays_through_a_thin_lens(case):
     mesh, reflectance = CASES[case]
     camera = ref.Camera(width=48, height=36, pixel_um=25.0, image_distance=IMAGE_DISTANCE)

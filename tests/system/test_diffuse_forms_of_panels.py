@@ -22,6 +22,9 @@ FORMS = {
     "rough": DiffuseForm(roughness=1.0),
 }
 R_D = 100.0
+MOST_FORMS = [
+    name if name in ("exponent", "rough") else pytest.param(name, marks=pytest.mark.nightly) for name in FORMS
+]
 
 
 def shine(form):
@@ -38,7 +41,7 @@ def agree(image, expected):
 
 
 @pytest.mark.parametrize("points", [2, "auto"])
-@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize("name", MOST_FORMS)
 def test_convex_part(name, points):
     camera = ref.Camera(width=60, height=45, pixel_um=85)
     light = ref.Light(elevation=65, azimuth=60, size=(60, 45), k=2, falloff="inverse_square", emission=1.3)

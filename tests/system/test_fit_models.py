@@ -54,7 +54,9 @@ def setup_of(scene, caster, images, model, form=None):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("truth", TRUTHS)
+@pytest.mark.parametrize(
+    "truth", ["ggx", *(pytest.param(name, marks=pytest.mark.nightly) for name in TRUTHS if name != "ggx")]
+)
 def test_coefficients_and_form_of_the_lobe_are_found(scene_and_caster, truth):
     scene, caster = scene_and_caster
     own = TRUTHS[truth]
@@ -91,7 +93,7 @@ def drawn_with(scene, caster, own):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["torrance-sparrow", pytest.param("ggx", marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize("name", ["exponent", pytest.param("oren-nayar", marks=pytest.mark.nightly)])
 def test_exponent_and_roughness_are_found(scene_and_caster, name, model):
     scene, caster = scene_and_caster
     own = replace(TRUTHS[model], R_d=90.0, diffuse=FORMS[name])

@@ -34,7 +34,7 @@ def both_ways(monkeypatch, work):
     return with_maps, work()
 
 
-@pytest.mark.parametrize("part", ["cover-knob", "spout"])
+@pytest.mark.parametrize("part", ["cover-knob", pytest.param("spout", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("points", [4, "auto"])
 def test_images_have_the_same_bytes(monkeypatch, part, points):
     scene = scene_of(part, points)

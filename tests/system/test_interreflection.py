@@ -335,6 +335,7 @@ def test_caustics_are_of_the_region_that_throws_and_of_the_one_that_shows():
     assert sums[1][1] == 0.0
 
 
+@pytest.mark.nightly
 def test_a_region_of_the_same_reflectance_shows_the_same_bounce():
     """Half of the spout as a region: interpolation ends at its border, and the light is the same."""
     scene = small_spout(bounces=1)

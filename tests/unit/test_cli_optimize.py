@@ -416,7 +416,7 @@ QUICK = ("--step", "30", *BARE, "--posture", "0,0", "--patches", "400")
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("objective", ["coverage", "detectability"])
+@pytest.mark.parametrize("objective", ["coverage", pytest.param("detectability", marks=pytest.mark.nightly)])
 def test_plain_shapes_have_an_answer_or_an_error_in_words(three, cli, shape, objective):
     SHAPES[shape].export(three.mesh)
     ran = cli("optimize", three.rig, three.part, "-o", three.out, *QUICK, "--objective", objective)

@@ -147,7 +147,9 @@ def half_sphere(count: int) -> SurfacePoints:
 
 
 @pytest.mark.parametrize("light", LARGE)
-@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=pytest.mark.nightly) if one not in ("exponent", "rough") else one for one in FORMS]
+)
 def test_large_lights_integrate_each_form(name: str, light: str) -> None:
     """To a tenth of a level or a thousandth where R_d is 100."""
     surface, form = half_sphere(80), FORMS[name]

@@ -125,7 +125,7 @@ def test_no_blocked_ray_is_taken_for_free(name):
 
 @pytest.mark.parametrize("reach", [maps.REACH, 0.3])
 @pytest.mark.parametrize("near", [1.8, 6.0])
-@pytest.mark.parametrize("name", [*CLOSED, "bumpy ball"])
+@pytest.mark.parametrize("name", [*CLOSED, pytest.param("bumpy ball", marks=pytest.mark.nightly)])
 def test_the_map_of_a_moving_target_takes_no_blocked_ray_to_one_nearby_for_free(name, near, reach, monkeypatch):
     monkeypatch.setattr(maps, "REACH", reach)
     saved = 0

@@ -84,6 +84,7 @@ def place_defects_of(bench):
     return [[round(float(x), 4) for x in scene.placement.to_file(d.position)] for d in scene.defects]
 
 
+@pytest.mark.nightly
 def test_a_captured_set_is_held_against_the_defects_of_its_part(cli, bench, request):
     good = bench.part.read_text(encoding="utf-8")
     bench.part.write_text(good + DEFECTS, encoding="utf-8")

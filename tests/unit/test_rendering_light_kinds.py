@@ -136,6 +136,11 @@ KINDS = {
 }
 
 
+# those that take longest are left to the nightly run
+LONG_KINDS = ("dome around", "dome up", "fine display")
+MOST_KINDS = [pytest.param(name, marks=pytest.mark.nightly) if name in LONG_KINDS else name for name in KINDS]
+
+
 def sphere(count: int, *, steepest: float = 75.0, radius: float = 25.0, seed: int = 1) -> SurfacePoints:
     """Random points on a sphere around (0, 0, −radius / 2) whose normals lean up to `steepest` [deg] from Z."""
     rng = np.random.default_rng(seed)
@@ -193,7 +198,7 @@ def half_in_highlight(light: SurfaceLight, sigma: float, count: int) -> tuple[Su
 
 
 @pytest.mark.parametrize("sigma", SIGMAS)
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", MOST_KINDS)
 @pytest.mark.parametrize(
     "count", [pytest.param(24, id="sample"), pytest.param(2000, id="many", marks=pytest.mark.nightly)]
 )
@@ -205,8 +210,10 @@ def test_light_is_the_surface_integral(name: str, sigma: float, count: int) -> N
     assert np.mean(wrong(found, expected, peak)) <= 0.001
 
 
-@pytest.mark.parametrize("sigma", [*SIGMAS, 0.01, 0.1])
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize(
+    "sigma", [*SIGMAS, pytest.param(0.01, marks=pytest.mark.nightly), pytest.param(0.1, marks=pytest.mark.nightly)]
+)
+@pytest.mark.parametrize("name", MOST_KINDS)
 def test_twice_as_many_nodes_change_nothing(name: str, sigma: float) -> None:
     """Each element divided in four: twice the nodes along each side."""
     light = built(**KINDS[name][0])[0]

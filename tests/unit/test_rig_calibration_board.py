@@ -188,7 +188,11 @@ def test_the_next_posture_lowers_the_error_as_foretold():
 
 
 @pytest.mark.parametrize(
-    ("name", "lens"), [("aspect", {"aspect": 1.002}), ("p1", {"distortion": replace(NOMINAL.distortion, p1=0.003)})]
+    ("name", "lens"),
+    [
+        pytest.param("aspect", {"aspect": 1.002}, marks=pytest.mark.nightly),
+        ("p1", {"distortion": replace(NOMINAL.distortion, p1=0.003)}),
+    ],
 )
 def test_a_lens_of_another_kind_is_fitted_on_evidence(name, lens):
     rig = hidden_rig(7, **lens)

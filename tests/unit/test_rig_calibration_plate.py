@@ -110,6 +110,7 @@ def test_intervals_cover_as_often_as_they_say():
     assert min(inside[parity::2, :4].mean() for parity in (0, 1)) > 0.9
 
 
+@pytest.mark.nightly
 def test_exact_levels_give_exact_values():
     views, gains, n, vignetting = plate_levels(np.random.default_rng(4), noise=0.0, exact=True)
     fit = fitted(views, relative_error=1e-4, lambert_error=1e-6)

@@ -108,6 +108,7 @@ def test_images_of_a_wavy_part_differ_from_those_of_a_smooth_one_by_what_is_pred
         assert np.mean(square[dim]) == pytest.approx(np.mean(spread[dim] ** 2.0), rel=0.25)
 
 
+@pytest.mark.nightly
 def test_a_good_wavy_part_raises_no_false_alarms_where_its_file_says_that_it_is(wavy):
     part = load_part(wavy.part)
     options = RenderOptions(postures=(Posture(elevation_deg=0.0, rotation_deg=0.0),), noise=1)
