@@ -160,8 +160,8 @@ class BrushingConfig(Frozen):
     around_axis: AxisConfig | None = None
     """Around an axis, as turned parts are."""
     along_curve_mm: _Curve | None = Field(default=None, validate_default=True)
-    """Along a curve of straight pieces, each of which counts where it is the nearest: its corners, in the mesh file's
-    coordinates [mm]."""
+    """Along a curve, as it runs where it is nearest: its corners, in the mesh file's coordinates [mm]. The direction
+    turns evenly from one corner to the next."""
 
     @field_validator("along_curve_mm")
     @classmethod

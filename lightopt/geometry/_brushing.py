@@ -60,13 +60,23 @@ class RoundBrushing:
 
 @dataclass(frozen=True, eq=False)
 class CurvedBrushing:
-    """Brushed along a curve: as the straight piece of it that is nearest. Its corners [mm], shape (n, 3), n ≥ 2."""
+    """Brushed along a curve, as it runs where it is nearest: its corners [mm], shape (n, 3), n ≥ 2.
+
+    At a corner it runs half as before and half as after it, and turns evenly from one corner to the next.
+    """
 
     corners: Float64
 
     def along(self, points: Float64) -> Float64:
         """As :meth:`Brushing.along` has it."""
-        return np.diff(self.corners, axis=0)[_nearest_piece(self.corners, np.ascontiguousarray(points))]
+        pieces = np.diff(self.corners, axis=0)
+        pieces /= np.linalg.norm(pieces, axis=1, keepdims=True)
+        at_corners = np.concatenate([pieces[:1], pieces[:-1] + pieces[1:], pieces[-1:]])
+        # the curve may turn back on itself
+        size = np.linalg.norm(at_corners, axis=1, keepdims=True)
+        at_corners /= np.where(size > 0.0, size, 1.0)
+        piece, share = _nearest_place(self.corners, np.ascontiguousarray(points))
+        return (1.0 - share[:, None]) * at_corners[piece] + share[:, None] * at_corners[piece + 1]
 
     def moved(self, rotation: Float64, translation: Float64) -> CurvedBrushing:
         """As :meth:`Brushing.moved` has it."""
@@ -74,18 +84,19 @@ class CurvedBrushing:
 
 
 @kernel
-def _nearest_piece(corners: Float64, points: Float64) -> Int32:
-    nearest = np.zeros(len(points), np.int32)
+def _nearest_place(corners: Float64, points: Float64) -> tuple[Int32, Float64]:
+    # number of the nearest piece of a curve, and the share of it before the nearest place
+    piece, share = np.zeros(len(points), np.int32), np.zeros(len(points))
     for i in range(len(points)):
         least = np.inf
         for j in range(len(corners) - 1):
             start = vector_at(corners, j)
             side, away = minus(vector_at(corners, j + 1), start), minus(vector_at(points, i), start)
-            share = min(max(dot(away, side) / dot(side, side), 0.0), 1.0)
-            left = minus(away, scaled(side, share))
+            along = min(max(dot(away, side) / dot(side, side), 0.0), 1.0)
+            left = minus(away, scaled(side, along))
             if dot(left, left) < least:
-                nearest[i], least = j, dot(left, left)
-    return nearest
+                piece[i], share[i], least = j, along, dot(left, left)
+    return piece, share
 
 
 def vectors_across(

@@ -37,10 +37,15 @@ def test_around_an_axis_the_lobe_is_wider_towards_the_axis():
     assert not across(field, [5.0, 0.0, 0.0]).any()
 
 
-def test_the_nearest_piece_of_a_curve_counts():
+def test_a_curve_counts_where_it_is_nearest():
     curve = CurvedBrushing(np.array([[-9.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 9.0, 0.0]]))
-    assert np.allclose(np.abs(across(curve, [-4.0, 1.0, 0.0])), [0.0, 1.0, 0.0])
-    assert np.allclose(np.abs(across(curve, [1.0, 4.0, 0.0])), [1.0, 0.0, 0.0])
+    assert np.allclose(np.abs(across(curve, [-12.0, 1.0, 0.0])), [0.0, 1.0, 0.0])
+    assert np.allclose(np.abs(across(curve, [1.0, 11.0, 0.0])), [1.0, 0.0, 0.0])
+    # beyond a corner, and half way to it
+    assert np.allclose(np.abs(across(curve, [2.0, -3.0, 0.0])), np.array([1.0, 1.0, 0.0]) / math.sqrt(2.0))
+    half = 0.5 * np.array([1.0, 0.0]) + 0.5 * np.array([1.0, 1.0]) / math.sqrt(2.0)
+    found = across(curve, [-4.5, 1.0, 0.0])
+    assert abs(found[:2] @ half) < 1e-12
 
 
 @pytest.mark.parametrize(
