@@ -70,8 +70,8 @@ def optimize_from_images(
 
     options = design.FromImagesOptions(images=images, mix=mix, false_alarms=false_alarms, limit=max_combinations)
     with run_context(quiet=quiet, threads=threads) as run:
-        result = design.optimize_from_images(sets, options=options, region=region, captured=compare, run=run)
-        output = design.write_from_images(result, out, rig=rig, force=force, run=run)
+        result = design.optimize_from_images(sets, options=options, region=region, rig=rig, captured=compare, run=run)
+        output = design.write_from_images(result, out, force=force, run=run)
         page = pages.from_images_report(result) if report else None
         paths = design.finish_from_images(output, result, page)
     if quiet:

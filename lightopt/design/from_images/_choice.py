@@ -127,12 +127,22 @@ def _exchanged(correlation: Float64, factors: Float64, starts: Index, count: int
 
 
 @kernel
-def _gain(x):
+def _gain(x: float) -> float:
     return FOUND * min(1.0, x) + (1.0 - FOUND) * x / (1.0 + x)
 
 
 @kernel
-def _search_below(correlation, factors, starts, most, least, count, first, best, limit):
+def _search_below(
+    correlation: Float64,
+    factors: Float64,
+    starts: Index,
+    most: Float64,
+    least: float,
+    count: int,
+    first: int,
+    best: float,
+    limit: int,
+) -> tuple[float, Int64, float, int]:
     """The best choice whose first light is `first`, if it is better than `best`.
 
     correlation, factors, starts: of the lights, contrasts over T; most: x of each defect with all lights; least: λ

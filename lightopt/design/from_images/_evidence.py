@@ -192,7 +192,8 @@ def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) 
 
 
 def _is_good(mask: Bool) -> Bool:
-    return ~ndimage.binary_dilation(mask, iterations=SLACK_PX) if mask.any() else ~mask
+    near = ndimage.binary_dilation(mask, iterations=SLACK_PX) if mask.any() else mask
+    return ~np.asarray(near, np.bool_)
 
 
 def _padded(own: tuple[_Measured, ...], windows: int) -> Float64:

@@ -13,7 +13,7 @@ from lightopt.config import RigConfig, copied_text, load_rig, with_list
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, counted, percent, refuse
 from lightopt.core.provenance import provenance
-from lightopt.core.run_context import RunContext, part_of
+from lightopt.core.run_context import RunContext
 from lightopt.defects import DEFAULT_FALSE_ALARMS, false_alarms_problem
 from lightopt.design.from_images._choice import DEFAULT_LIMIT, Choice, choose_lights, score
 from lightopt.design.from_images._evidence import Evidence, measure_evidence
@@ -26,6 +26,7 @@ from lightopt.design.from_images._synthesis import (
     compare_captured,
     quantised,
     synthesise,
+    weights_of,
 )
 from lightopt.images import (
     ImageEntry,
@@ -75,6 +76,7 @@ class FromImagesResult:
     mixture: Mixture  # of several lights per image
     images: tuple[ChosenImage, ...]  # those to take: of the choice, or of the mixture with `mix`
     weights: Float64  # of theirs on the samples' images, shape (N, K)
+    rig: RigConfig | None  # that takes the images as its programme
     captured: ImageSet | None  # taken with a previous result of the same sets
     agreement: tuple[str, tuple[Agreement, ...]] | None  # with its images: the set of the same sample, and each
     warnings: tuple[str, ...]
@@ -86,7 +88,7 @@ class FromImagesResult:
 
     @property
     def score(self) -> float:
-        return self.mixture.score if self.options.mix else self.choice.score
+        return score(self.gains) if self.options.mix else self.choice.score
 
     @property
     def bound(self) -> float:
@@ -108,6 +110,7 @@ def optimize_from_images(
     *,
     options: FromImagesOptions = FromImagesOptions(),
     region: Path | None = None,
+    rig: Path | None = None,
     captured: Path | None = None,
     run: RunContext | None = None,
 ) -> FromImagesResult:
@@ -115,6 +118,7 @@ def optimize_from_images(
 
     sets: Image sets of good and defective samples under the same lights, all at the same place of the image.
     region: PNG that is not 0 where the part is to be inspected.
+    rig: Rig file whose lights are those of the sets, without a programme; weights are whole levels of its controllers.
     captured: Image set taken with a previous result of the same sets, which is compared with synthesised images.
     Raises InputError: What is wrong with the options, the sets or their masks.
     """
@@ -122,6 +126,7 @@ def optimize_from_images(
     problem = false_alarms_problem(options.false_alarms)
     refuse([] if problem is None else [problem])
     samples = read_samples(sets, region)
+    loaded = None if rig is None else _rig_of(samples, rig)
     if not 1 <= options.images <= len(samples.channels):
         raise InputError(
             f"option 'images': expected a number from 1 to {len(samples.channels)}, the number of lights in the sets, "
@@ -130,11 +135,13 @@ def optimize_from_images(
     evidence = measure_evidence(samples, false_alarms=options.false_alarms, run=run)
     report = run.stage("choosing lights")
     choice = choose_lights(evidence, options.images, limit=options.limit, threads=run.threads)
-    part_of(report, 0.0, 0.5)(1.0)
+    report(0.5)
     mixture = mix_lights(evidence, choice.lights)
     report(1.0)
     weights = mixture.weights if options.mix else np.eye(evidence.lights)[list(choice.lights)]
-    images = chosen_images(samples, evidence, weights)
+    hardware = None if loaded is None else loaded.hardware
+    levels = {} if hardware is None else {name: light.level for name, light in hardware.lights.items()}
+    images = chosen_images(samples, evidence, weights, levels)
     taken = None if captured is None else read_image_set(captured)
     agreement = None if taken is None else compare_captured(samples, images, taken)
     return FromImagesResult(
@@ -144,7 +151,8 @@ def optimize_from_images(
         choice=choice,
         mixture=mixture,
         images=images,
-        weights=weights,
+        weights=weights_of(samples, images),
+        rig=loaded,
         captured=taken,
         agreement=agreement,
         warnings=run.warnings,
@@ -152,27 +160,22 @@ def optimize_from_images(
 
 
 def write_from_images(
-    result: FromImagesResult,
-    folder: Path,
-    *,
-    rig: Path | None = None,
-    force: bool = False,
-    run: RunContext | None = None,
+    result: FromImagesResult, folder: Path, *, force: bool = False, run: RunContext | None = None
 ) -> ResultFolder:
     """Write the programme, the synthesised images of all sets and, with a rig, its file with the programme.
 
     The result is complete when :func:`finish_from_images` has written its JSON file.
 
-    rig: Rig file whose lights are those of the sets; without programme.
     Raises InputError: The folder has other results, or the rig cannot take the programme.
     """
     run = run or RunContext()
-    loaded = None if rig is None else load_rig(rig)
     output = ResultFolder(
-        folder, _provenance(result, loaded), name=RESULT_NAME, format=_FORMAT, what="a choice of lights", force=force
+        folder, _provenance(result), name=RESULT_NAME, format=_FORMAT, what="a choice of lights", force=force
     )
     entries = _programme(result.images)
-    text = None if loaded is None else _rig_text(result, loaded, entries, folder)
+    text = None
+    if result.rig is not None:
+        text = with_list(copied_text(result.rig, folder), "programme", entries, comment=_COMMENT)
     output.write_text(PROGRAMME_NAME, "\n".join([f"# {_COMMENT}", "programme:", *(f"  - {e}" for e in entries), ""]))
     if text is not None:
         path = output.write_text(RIG_NAME, text)
@@ -204,15 +207,15 @@ def _programme(images: Sequence[ChosenImage]) -> list[str]:
     ]
 
 
-def _rig_text(result: FromImagesResult, rig: RigConfig, entries: Sequence[str], folder: Path) -> str:
-    source = rig.source.path
+def _rig_of(samples: Samples, path: Path) -> RigConfig:
+    rig = load_rig(path)
     if rig.programme is not None:
-        raise InputError(f"{source}: has a programme; give the rig file without it, whose lights the sets show")
+        raise InputError(f"{path}: has a programme; give the rig file without it, whose lights the sets show")
     names = [light.name for light in rig.lights]
-    missing = [channel.light for channel in result.samples.channels if channel.light not in names]
+    missing = [channel.light for channel in samples.channels if channel.light not in names]
     if missing:
-        raise InputError(f"{source}: no light {', '.join(missing[:5])}, which the sets show; it has {', '.join(names)}")
-    return with_list(copied_text(rig, folder), "programme", entries, comment=_COMMENT)
+        raise InputError(f"{path}: no light {', '.join(missing[:5])}, which the sets show; it has {', '.join(names)}")
+    return rig
 
 
 def _write_images(result: FromImagesResult, number: int, folder: Path) -> None:
@@ -249,7 +252,7 @@ def _write_images(result: FromImagesResult, number: int, folder: Path) -> None:
             writer.add_levels(f"masks/{posture_folder(posture)}.png", mask, metadata={"posture": posture.as_dict()})
 
 
-def _provenance(result: FromImagesResult, rig: RigConfig | None) -> dict[str, Any]:
+def _provenance(result: FromImagesResult) -> dict[str, Any]:
     samples = result.samples
     inputs: dict[str, Any] = {
         name: {**own.fingerprint, "labels_sha256": sha256(labels.tobytes()).hexdigest()}
@@ -258,8 +261,8 @@ def _provenance(result: FromImagesResult, rig: RigConfig | None) -> dict[str, An
     inputs["region_sha256"] = sha256(np.stack(samples.regions).tobytes()).hexdigest()
     if result.captured is not None:
         inputs["compared"] = result.captured.fingerprint
-    if rig is not None:
-        inputs["rig"] = {"file": rig.source.path.name, "sha256": rig.source.sha256}
+    if result.rig is not None:
+        inputs["rig"] = {"file": result.rig.source.path.name, "sha256": result.rig.source.sha256}
     return provenance(inputs, vars(result.options))
 
 

@@ -1,8 +1,9 @@
 """Image sets of good and defective samples, each with one image per light, and the masks of their defects."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -109,7 +110,7 @@ def read_samples(paths: Sequence[Path], region: Path | None = None) -> Samples:
             f"{first.folder}: no pixel is brighter than {LIT_SHARE:.0%} of full scale under any light; take longer "
             "exposures, or give a mask with option 'region'"
         )
-    return Samples(**{**vars(samples), "regions": regions})
+    return replace(samples, regions=regions)
 
 
 def _times(one: ImageSet, sets: Sequence[ImageSet]) -> int:
@@ -173,7 +174,8 @@ def _labels(
         names: list[str] = []
         for number, (path, posture) in enumerate(zip(paths, postures, strict=True)):
             if path.is_file():
-                found, count = ndimage.label(_mask(path, shape, problems) > 0, _TOUCHING)
+                labelled: Any = ndimage.label(_mask(path, shape, problems) > 0, _TOUCHING)
+                found, count = labelled
                 labels[number] = np.where(found > 0, found - 1 + len(names), -1)
                 where = f"{posture} " if len(postures) > 1 else ""
                 names += [f"{where}{i + 1}" for i in range(count)]

@@ -1,6 +1,6 @@
 """Images of several lights from images of single ones, which add up; and how well they agree with captured images."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from lightopt.images import ImageEntry, ImageSet
 
 USED_RANGE = 0.95  # of the range up to saturation that 99.9 % of the part's pixels of an image may reach
 
+_STEPS = 1000  # of brightness, of lights whose levels are unknown
 _MEAN_PX = 5  # side of the squares whose means are compared as well, in which noise is a fifth
 
 
@@ -40,18 +41,24 @@ class Agreement:
     means_rms: float  # of means over squares of 5 × 5 px, where all of them are compared [sensor level]
 
 
-def chosen_images(samples: Samples, evidence: Evidence, weights: Float64) -> tuple[ChosenImage, ...]:
-    """The images of weights (N, K) on the samples' images, each as long as saturation allows."""
+def chosen_images(
+    samples: Samples, evidence: Evidence, weights: Float64, levels: Mapping[str, int]
+) -> tuple[ChosenImage, ...]:
+    """The images of weights (N, K) on the samples' images, each as long as saturation allows.
+
+    levels: Controller level of a light at full brightness, where it is known: its weights are whole levels
+    """
     exposures = np.array([channel.exposure for channel in samples.channels])
     room = USED_RANGE * (samples.manifest.saturated_from - samples.manifest.black_level)
     images: list[ChosenImage] = []
     for number, row in enumerate(weights, start=1):
         brightness = row * exposures  # a light that was exposed longer is darker than its image
         exposure = room / float(row @ evidence.brightest) * float(brightness.max())
-        lit = {
-            samples.channels[c].light: round(float(brightness[c] / brightness.max()), 4) or 1e-4
-            for c in np.flatnonzero(row)
-        }
+        lit: dict[str, float] = {}
+        for channel, share in zip(samples.channels, brightness / brightness.max(), strict=True):
+            steps = levels.get(channel.light, _STEPS)
+            if whole := round(float(share) * steps):
+                lit[channel.light] = round(whole / steps, 6)
         name = next(iter(lit)) if len(lit) == 1 else f"mix-{number}"
         images.append(ChosenImage(name=name, weights=lit, exposure=_rounded_down(exposure)))
     return tuple(images)
@@ -61,6 +68,11 @@ def _rounded_down(value: float) -> float:
     # to three digits, so that rounding saturates nothing
     digits = 2 - int(np.floor(np.log10(value)))
     return float(f"{np.floor(value * 10.0**digits + 1e-9) / 10.0**digits:.3g}")
+
+
+def weights_of(samples: Samples, images: Sequence[ChosenImage]) -> Float64:
+    """Weights of the samples' images in chosen images, up to a factor of each, shape (N, K)."""
+    return np.array([[image.weights.get(c.light, 0.0) / c.exposure for c in samples.channels] for image in images])
 
 
 def synthesise(
@@ -125,7 +137,7 @@ def _agreement(samples: Samples, number: int, image: ChosenImage, captured: Imag
     used &= levels < samples.manifest.saturated_from
     off = np.where(used, own - np.asarray(quantised(samples, levels), np.float32), 0.0)
     whole = ndimage.uniform_filter(used.astype(np.float32), _MEAN_PX) > 0.999
-    means = ndimage.uniform_filter(off, _MEAN_PX)[whole]
+    means = np.asarray(ndimage.uniform_filter(off, _MEAN_PX), np.float32)[whole]
     return Agreement(
         image=image.name,
         posture=entry.posture,
