@@ -134,8 +134,8 @@ def sample_sets(folder: Path, size: Size) -> tuple[list[Path], list[Path]]:
     part = folder / "part.yaml"
     part.write_text(re.sub(r"  - \{elevation_deg: 0, rotation_deg: (82|180|278)\}\n", "", plain), encoding="utf-8")
     good, bad = [folder / f"good-{i}" for i in range(size.good)], [folder / f"bad-{i}" for i in range(size.bad)]
-    # lights of 8 mm: their share of the array's light is small, so exposures are long
-    exposures = (float(size.rows * size.columns) / 4.0,)
+    # a light has its share of the light of the array
+    exposures = (float(size.rows * size.columns),)
     for seed, target in enumerate(good):
         render_image_set(rig, part, target, options=RenderOptions(noise=seed, exposures=exposures, patch_budget=500))
     for seed, target in enumerate(bad, start=100):

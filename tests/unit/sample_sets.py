@@ -10,17 +10,19 @@ import numpy as np
 from lightopt.images import write_png
 
 ANGLES = {"light_elevation_deg": 60, "light_azimuth_deg": 45}
-POSTURE = {"elevation_deg": 0, "rotation_deg": 0}
+POSTURE, TILTED = {"elevation_deg": 0, "rotation_deg": 0}, {"elevation_deg": 10, "rotation_deg": 0}
 
 
-def write_set(folder: Path, images, mask=None, *, lights=None, exposure=1.0, **manifest) -> Path:
-    """Write levels (lights, H, W) as an image set, with its mask."""
+def write_set(folder: Path, images, mask=None, *, lights=None, exposure=1.0, tilted=None, **manifest) -> Path:
+    """Write levels (lights, H, W) as an image set, with its mask; `tilted` are images of a second posture."""
     folder.mkdir(parents=True)
     names = lights or [f"led-{c + 1}" for c in range(len(images))]
     entries = []
-    for name, levels in zip(names, images, strict=True):
-        write_png(folder / f"{name}.png", np.clip(np.rint(levels), 0, 255).astype(np.uint8), metadata={})
-        entries.append({"light": name, **ANGLES, "posture": POSTURE, "exposure": exposure, "png": f"{name}.png"})
+    for posture, shown in ((POSTURE, images), (TILTED, [] if tilted is None else tilted)):
+        for name, levels in zip(names, shown, strict=False):
+            file = f"{name}-{posture['elevation_deg']}.png"
+            write_png(folder / file, np.clip(np.rint(levels), 0, 255).astype(np.uint8), metadata={})
+            entries.append({"light": name, **ANGLES, "posture": posture, "exposure": exposure, "png": file})
     head = {"format": "lightopt-images/1", "kind": "captured", "bit_depth": 8, **manifest}
     (folder / "manifest.json").write_text(json.dumps({**head, "images": entries}), encoding="utf-8")
     if mask is not None:

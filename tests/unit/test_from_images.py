@@ -19,7 +19,7 @@ from lightopt.design import FromImagesOptions, optimize_from_images
 from lightopt.design.from_images._choice import choose_lights, score
 from lightopt.design.from_images._evidence import Evidence
 from lightopt.design.from_images._mixing import _loss, mix_lights
-from lightopt.images import read_image_set, read_png
+from lightopt.images import read_image_set, read_png, write_png
 
 
 def drawn_evidence(lights, defects, seed):
@@ -149,7 +149,7 @@ def test_the_files_that_are_written(tmp_path, cli):
     assert '{"name": "led-1", "lights": {"led-1": 1.0}' in (out / "programme.yaml").read_text(encoding="utf-8")
     synthesised = read_image_set(out / "images" / "s5")
     entry = synthesised.images[0]
-    expected = np.floor(read_png(sets[5] / "led-1.png") * np.float32(entry.exposure) + 0.5)
+    expected = np.floor(read_png(sets[5] / "led-1-0.png") * np.float32(entry.exposure) + 0.5)
     assert np.array_equal(synthesised.load(entry).sensor, np.minimum(expected, 255))
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert cli(*arguments, "--threads", "1").status == 0
@@ -219,6 +219,39 @@ def test_one_good_sample_and_one_with_spots(tmp_path):
     levels, masks = drawn_samples(good=1, bad=1)
     result = optimize_from_images(write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=2))
     assert [image.name for image in result.images] == ["led-1", "led-4"]
+
+
+def test_postures_add_up(tmp_path):
+    # the second posture shows what the first one hides; masks have a file for each
+    levels, masks = drawn_samples(bad=1)
+    plain, _ = drawn_samples(good=6, bad=0, seed=8)
+    sets = []
+    for i, (own, mask, other) in enumerate(zip(levels, masks, plain, strict=True)):
+        sets.append(write_set(tmp_path / f"s{i}", other, tilted=own))
+        if mask.any():
+            (sets[-1] / "masks").mkdir()
+            write_png(sets[-1] / "masks" / "posture_10_0.png", mask, metadata={})
+    result = optimize_from_images(sets, options=FromImagesOptions(images=2))
+    assert [name for _, name in result.evidence.defects] == ["(10°, 0°) 1", "(10°, 0°) 2"]
+    assert [image.name for image in result.images] == ["led-1", "led-4"]
+    assert (result.gains >= 1.0).all()
+
+
+def test_a_region_leaves_the_rest_out(tmp_path):
+    levels, masks = drawn_samples(bad=0)
+    levels[:, 0, :, 24:] = 0.0
+    sets = write_samples(tmp_path, levels, masks)
+    region = np.zeros(masks.shape[1:], np.uint8)
+    region[:, 24:] = 1
+    write_png(tmp_path / "region.png", region, metadata={})
+    options = FromImagesOptions(images=3)
+    result = optimize_from_images(sets, options=options, region=tmp_path / "region.png")
+    assert [image.name for image in result.images] == ["led-2", "led-3", "led-4"]
+    region[:] = 0
+    region[7, 7] = 1
+    write_png(tmp_path / "region.png", region, metadata={})
+    with pytest.raises(InputError, match="no window of 3 × 3 px lies within the part"):
+        optimize_from_images(sets, options=options, region=tmp_path / "region.png")
 
 
 def test_saturated_lights_are_named(tmp_path):

@@ -17,13 +17,13 @@ values, IEEE Trans. Inf. Theory 63, 2017, equation 7): those that noise alone re
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index
-from lightopt.core.errors import counted, percent
+from lightopt.core.errors import InputError, counted, percent
 from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
 from lightopt.defects import MOST_CHANGE, least_z
@@ -109,16 +109,59 @@ class _Measured:
     saturated: float  # share of the part's pixels
 
 
+class _Windows:
+    """Windows of the defects of all sets and postures, numbered as they are found."""
+
+    def __init__(self, samples: Samples) -> None:
+        self.samples = samples
+        self.names = [(i, d) for i, defects in enumerate(samples.defects) for d in range(len(defects))]
+        self.sizes = np.zeros(len(self.names))  # pixels of each defect
+        self.defect = np.zeros(0, np.intp)  # of each window
+        self.pixels = np.zeros(0)  # of each window
+
+    def add(self, p: int, known: Bool) -> list[_Cells]:
+        """Find those of a posture, at pixels where the good part is known, shape (H, W)."""
+        index = {name: j for j, name in enumerate(self.names)}
+        cells: list[_Cells] = []
+        for i, labels in enumerate(self.samples.labels):
+            pixels = np.flatnonzero((labels[p] >= 0) & known)
+            if not len(pixels):
+                continue
+            row, column = np.unravel_index(pixels, known.shape)
+            defect = np.array([index[i, d] for d in labels[p].ravel()[pixels]], np.intp)
+            keys = np.stack([defect, row // WINDOW_PX, column // WINDOW_PX])
+            unique, window = np.unique(keys, axis=1, return_inverse=True)
+            cells.append(_Cells(i, pixels, window.ravel() + len(self.defect), defect))
+            self.defect = np.append(self.defect, unique[0].astype(np.intp))
+            self.pixels = np.append(self.pixels, np.bincount(window.ravel()))
+            self.sizes += np.bincount(defect, minlength=len(self.names))
+        return cells
+
+    def label(self, j: int) -> tuple[str, str]:
+        """Set and name of a defect."""
+        i, d = self.names[j]
+        return self.samples.names[i], self.samples.defects[i][d]
+
+
+@dataclass(frozen=True)
+class _Lights:
+    """All lights in all postures."""
+
+    measured: list[tuple[_Measured, ...]]  # per light its postures
+    variances: Float64  # (K, postures, 3)
+    correlation: Float64
+    shrinkage: float
+    root: Float64  # standard deviation of windows over that of independent pixels, (K, 1)
+    noise: Float64
+
+
 def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) -> Evidence:
     """Measure how much each light shows of each defect.
 
     false_alarms: Expected in the images of a posture of a good part
+    Raises InputError: Without defects, no window of the part is seen by good samples.
     """
-    names = [(i, d) for i, defects in enumerate(samples.defects) for d in range(len(defects))]
-    index = {name: j for j, name in enumerate(names)}
-    windows = np.zeros(0, np.intp)  # defect of each window
-    sizes = np.zeros(len(names))  # pixels of each defect
-    pixels_of_window = np.zeros(0)
+    windows = _Windows(samples)
     work: list[list[_Measured]] = []
     most = 0
     report = run.stage("measuring contrasts")
@@ -126,69 +169,76 @@ def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) 
         good = np.stack([_is_good(labels[p] >= 0) for labels in samples.labels])
         count = good.sum(axis=0)
         most = max(most, int(count.max()))
-        cells: list[_Cells] = []
-        for i, labels in enumerate(samples.labels):
-            pixels = np.flatnonzero((labels[p] >= 0) & (count > 0))
-            if len(pixels):
-                row, column = np.unravel_index(pixels, count.shape)
-                defect = np.array([index[i, d] for d in labels[p].ravel()[pixels]], np.intp)
-                keys = np.stack([defect, row // WINDOW_PX, column // WINDOW_PX])
-                unique, window = np.unique(keys, axis=1, return_inverse=True)
-                window = window.ravel() + len(windows)
-                windows = np.append(windows, unique[0].astype(np.intp))
-                pixels_of_window = np.append(pixels_of_window, np.bincount(window)[len(pixels_of_window) :])
-                cells.append(_Cells(i, pixels, window, defect))
-                sizes += np.bincount(defect, minlength=len(names))
-        total = len(windows), len(names)
-
-        def measure(c: int, p: int = p, good: Bool = good, cells: list[_Cells] = cells, total: tuple[int, int] = total):
-            return _measure(samples, c, p, good, cells, total)
-
+        cells = windows.add(p, count > 0)
+        total = len(windows.defect), len(windows.names)
+        measure = partial(_measure, samples, p, good, cells, total)
         work.append(in_threads(measure, range(len(samples.channels)), run.threads))
         report((p + 1) / len(samples.postures))
-    of_lights = list(zip(*work, strict=True))  # per light its postures
-    variances = np.array([[one.variances for one in own] for own in of_lights])  # (K, postures, 3)
-    # windows of good samples vary at least like sums of independent noise
-    spread = np.maximum(np.nan_to_num(variances[:, :, 0], nan=1.0).mean(axis=1), 1.0)
-    null = np.stack([np.concatenate([one.null for one in own]) for own in of_lights]).astype(np.float64)
-    correlation, shrinkage = _correlation(null)
-    kept = [j for j in range(len(names)) if sizes[j] > 0]
+    lights = _all_lights(list(zip(*work, strict=True)))
+    kept = np.flatnonzero(windows.sizes)
     tests = sum(int(region.sum()) for region in samples.regions) / len(samples.postures)
     z = least_z(tests, max(1, len(kept)), false_alarms)
-    root = np.sqrt(spread)[:, None]
-    noise = np.array([float(np.sqrt(np.mean([one.noise**2 for one in own]))) for own in of_lights])
-    whiten = np.linalg.cholesky(correlation)
     contrast = None
-    if kept:
-        sums = np.stack([_padded(own, len(windows)) for own in of_lights]) / np.sqrt(pixels_of_window) / root
-        factors = [whiten @ _shrunk(np.linalg.solve(whiten, sums[:, windows == j])) for j in kept]
-        squares = np.stack([np.sum([one.squares for one in own], axis=0) for own in of_lights])[:, kept]
-        deviations = np.sqrt(squares / sizes[kept]) * root
-        thresholds = z * z * _inflation(variances, sizes[kept])
-        defects = tuple((samples.names[names[j][0]], samples.defects[names[j][0]][names[j][1]]) for j in kept)
+    if len(kept):
+        factors = _contrasts(windows, kept, lights)
+        squares = np.stack([np.sum([one.squares for one in own], axis=0) for own in lights.measured])[:, kept]
+        deviations = np.sqrt(squares / windows.sizes[kept]) * lights.root
+        thresholds = z * z * _inflation(lights.variances, windows.sizes[kept])
+        defects = tuple(map(windows.label, kept.tolist()))
     else:
-        surface = np.stack([np.concatenate([one.surface for one in own]) for own in of_lights]) / root
-        energies = np.sum(surface * np.linalg.solve(correlation, surface), axis=0)
-        contrast = float(z / np.sqrt(np.median(energies)))
-        factors = list((contrast * surface).T[:, :, None])
-        deviations = np.repeat(noise[:, None] * root, len(factors), axis=1)
+        factors, contrast = _surface_contrasts(samples, lights, z)
+        deviations = np.repeat(lights.noise[:, None] * lights.root, len(factors), axis=1)
         thresholds = np.full(len(factors), z * z)
         defects = tuple(("surface", str(j + 1)) for j in range(len(factors)))
-    _warn(samples, run, most, [names[j] for j in range(len(names)) if sizes[j] == 0], of_lights, contrast)
+    _warn(samples, run, most, windows, lights, contrast)
     return Evidence(
-        correlation=correlation,
+        correlation=lights.correlation,
         factors=np.concatenate(factors, axis=1),
         starts=np.cumsum([0, *(one.shape[1] for one in factors)]),
         thresholds=thresholds,
         deviations=deviations,
         defects=defects,
-        brightest=np.array([max(one.brightest for one in own) for own in of_lights]),
-        noise=noise,
+        brightest=np.array([max(one.brightest for one in own) for own in lights.measured]),
+        noise=lights.noise,
         z=z,
-        shrinkage=shrinkage,
+        shrinkage=lights.shrinkage,
         good=most,
         surface_contrast=contrast,
     )
+
+
+def _all_lights(measured: list[tuple[_Measured, ...]]) -> _Lights:
+    variances = np.array([[one.variances for one in own] for own in measured])
+    # windows of good samples vary at least like sums of independent noise
+    spread = np.maximum(np.nan_to_num(variances[:, :, 0], nan=1.0).mean(axis=1), 1.0)
+    null = np.stack([np.concatenate([one.null for one in own]) for own in measured]).astype(np.float64)
+    correlation, shrinkage = _correlation(null)
+    noise = np.array([float(np.sqrt(np.mean([one.noise**2 for one in own]))) for own in measured])
+    return _Lights(measured, variances, correlation, shrinkage, np.sqrt(spread)[:, None], noise)
+
+
+def _contrasts(windows: _Windows, kept: Index, lights: _Lights) -> list[Float64]:
+    # a factor of M for each defect
+    total = np.zeros((len(lights.measured), len(windows.defect)))
+    for c, own in enumerate(lights.measured):
+        for one in own:  # windows of later postures have higher numbers
+            total[c, : len(one.sums)] += one.sums
+    z = total / np.sqrt(windows.pixels) / lights.root
+    whiten = np.linalg.cholesky(lights.correlation)
+    return [whiten @ _shrunk(np.linalg.solve(whiten, z[:, windows.defect == j])) for j in kept]
+
+
+def _surface_contrasts(samples: Samples, lights: _Lights, z: float) -> tuple[list[Float64], float]:
+    # of windows of the good surface, whose reflectance changes so that half of them are found with all lights
+    surface = np.stack([np.concatenate([one.surface for one in own]) for own in lights.measured]) / lights.root
+    energies = np.sum(surface * np.linalg.solve(lights.correlation, surface), axis=0)
+    if not len(energies) or not np.median(energies) > 0.0:
+        raise InputError(
+            f"{samples.sets[0].folder}: no window of {WINDOW_PX} × {WINDOW_PX} px lies within the part; expected a "
+            "larger region"
+        )
+    contrast = float(z / np.sqrt(np.median(energies)))
+    return list((contrast * surface).T[:, :, None]), contrast
 
 
 def _is_good(mask: Bool) -> Bool:
@@ -196,15 +246,7 @@ def _is_good(mask: Bool) -> Bool:
     return ~np.asarray(near, np.bool_)
 
 
-def _padded(own: tuple[_Measured, ...], windows: int) -> Float64:
-    # sums of the windows of all postures: later postures have more of them
-    total = np.zeros(windows)
-    for one in own:
-        total[: len(one.sums)] += one.sums
-    return total
-
-
-def _measure(samples: Samples, c: int, p: int, good: Bool, cells: list[_Cells], total: tuple[int, int]) -> _Measured:
+def _measure(samples: Samples, p: int, good: Bool, cells: list[_Cells], total: tuple[int, int], c: int) -> _Measured:
     region, channel = samples.regions[p], samples.channels[c]
     images = np.stack([samples.load(i, channel, samples.postures[p]) for i in range(len(good))])
     count = good.sum(axis=0)
@@ -316,12 +358,7 @@ def _shrunk(z: Float64) -> Float64:
 
 
 def _warn(
-    samples: Samples,
-    run: RunContext,
-    good: int,
-    hidden: list[tuple[int, int]],
-    of_lights: list[tuple[_Measured, ...]],
-    contrast: float | None,
+    samples: Samples, run: RunContext, good: int, windows: _Windows, lights: _Lights, contrast: float | None
 ) -> None:
     if contrast is not None:
         run.warn(
@@ -338,14 +375,19 @@ def _warn(
             f"{good} good samples: how parts differ is estimated from few of them, pooled over {_POOLED_PX} × "
             f"{_POOLED_PX} px; take at least 5"
         )
-    if hidden:
-        names = ", ".join(f"{samples.names[i]} {samples.defects[i][d]}" for i, d in hidden[:5])
+    if lights.shrinkage > LEAST_OWN:
+        run.warn(
+            f"few windows of good samples: the correlation of lights is shrunk by {percent(lights.shrinkage)} towards "
+            "independent lights"
+        )
+    if hidden := np.flatnonzero(windows.sizes == 0).tolist():
+        names = ", ".join(" ".join(windows.label(j)) for j in hidden[:5])
         run.warn(
             f"{counted(len(hidden), 'defect')} not used, since no good sample or no pixel shows the place: {names}"
         )
     saturated = [
         f"{channel.light} {percent(share)}"
-        for channel, own in zip(samples.channels, of_lights, strict=True)
+        for channel, own in zip(samples.channels, lights.measured, strict=True)
         if (share := max(one.saturated for one in own)) > _SATURATED
     ]
     if saturated:

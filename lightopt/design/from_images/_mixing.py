@@ -14,7 +14,7 @@ from lightopt.core.arrays import Float64
 from lightopt.design.from_images._choice import FOUND, score
 from lightopt.design.from_images._evidence import Evidence
 
-_STEPS = 60  # of each ascent
+_STEPS = 40  # of each ascent
 _SPREAD = 0.2  # weight of all other lights in the second start
 _RIDGE = 1e-9
 _LEAST = 0.01  # weights below this share of an image's greatest are left out
@@ -59,11 +59,9 @@ def _loss(evidence: Evidence, weights: Float64) -> tuple[float, Float64]:
     contrast = scaled @ evidence.contrasts
     # images that have become alike: their variance is bounded from below
     ridge = _RIDGE * np.eye(len(weights)) * np.mean(deviations**2, axis=2, keepdims=True)
-    known = np.concatenate([contrast, varied], axis=2)
-    solved = np.linalg.solve(varied @ scaled.transpose(0, 2, 1) + ridge, known)
-    with_contrast, with_varied = np.split(solved, [contrast.shape[2]], axis=2)
-    x = np.sum(contrast * with_contrast, axis=(1, 2)) / evidence.thresholds
+    solved = np.linalg.solve(varied @ scaled.transpose(0, 2, 1) + ridge, contrast)
+    x = np.sum(contrast * solved, axis=(1, 2)) / evidence.thresholds
     rate = FOUND * (x < 1.0) + (1.0 - FOUND) / (1.0 + x) ** 2
-    own = evidence.contrasts.transpose(0, 2, 1) - contrast.transpose(0, 2, 1) @ with_varied
-    slope = np.sum((2.0 * rate / evidence.thresholds)[:, None, None] * (with_contrast @ own) * deviations, axis=0)
+    own = evidence.contrasts.transpose(0, 2, 1) - solved.transpose(0, 2, 1) @ varied
+    slope = np.sum((2.0 * rate / evidence.thresholds)[:, None, None] * (solved @ own) * deviations, axis=0)
     return -score(x), -slope.ravel() / len(x)
