@@ -82,6 +82,8 @@ def test_weights_are_no_worse_than_single_lights_and_within_the_bound():
     assert choice.score < mixture.score <= mixture.bound == score(evidence.all_lights())
     assert (mixture.weights >= 0.0).all()
     assert mixture.weights.max(axis=1) == pytest.approx(1.0)
+    assert evidence.all_lights() == pytest.approx(evidence.gains(np.eye(12)))
+    assert evidence.gains(np.ones((2, 12))) == pytest.approx(evidence.gains(np.ones((1, 12))))
     # no weights at all, of any sign, exceed the bound
     random = np.random.default_rng(5)
     for _ in range(50):

@@ -33,6 +33,7 @@ WINDOW_PX = 3  # side of the windows whose sums are compared
 SLACK_PX = 2  # so near to a mask, a pixel is not one of a good sample
 LEAST_OWN = 0.05  # share of a light's variance that no other light can explain, at least: R is shrunk by so much
 
+_ALIKE = 1e-10  # share of the greatest variance of images below which a combination of them is none of its own
 _POOLED_PX = 7  # variances are means over squares of this side
 _ROUNDING = 1.0 / 12.0  # variance of rounding to whole levels
 _MOST_WINDOWS = 4096  # of good samples per set and posture for the correlation of lights
@@ -68,7 +69,9 @@ class Evidence:
         """E of each defect in units of its threshold, shape (J,), in images of lights with weights, shape (N, K)."""
         scaled = weights * self.deviations.T[:, None]
         contrast = scaled @ self.contrasts
-        solved = np.linalg.solve(scaled @ self.correlation @ scaled.transpose(0, 2, 1), contrast)
+        covariance = scaled @ self.correlation @ scaled.transpose(0, 2, 1)
+        # images that are alike count once
+        solved = np.linalg.pinv(covariance, rcond=_ALIKE, hermitian=True) @ contrast
         return np.sum(contrast * solved, axis=(1, 2)) / self.thresholds
 
     @cached_property
@@ -82,7 +85,8 @@ class Evidence:
 
     def all_lights(self) -> Float64:
         """What no choice and no weights exceed: E of each defect with all lights, in units of its threshold, (J,)."""
-        return self.gains(np.eye(self.lights))
+        energies = np.sum(self.factors * np.linalg.solve(self.correlation, self.factors), axis=0)
+        return np.diff(np.cumsum([0.0, *energies])[self.starts]) / self.thresholds
 
 
 @dataclass(frozen=True)
