@@ -1,8 +1,9 @@
 """Lights chosen from images: time of the search, its proof, exhaustive search, and samples that were not used.
 
-``python -m benchmarks.from_images [--quick] [--toy]``. First drawn contrasts of 64 and 128 lights. Then an array of 64
-LEDs over the cover knob: rendered with noise, good samples and samples with random defects; lights are chosen with half
-of the defective samples, and scored with the other half, against the best choice for these.
+``python -m benchmarks.from_images [--quick] [--toy]``. First images of several lights, captured on the simulated rig and
+synthesised. Then drawn contrasts of 64 and 128 lights. Then an array of 64 LEDs over the cover knob: rendered with
+noise, good samples and samples with random defects; lights are chosen with half of the defective samples, and scored
+with the other half, against the best choice for these.
 """
 
 from __future__ import annotations
@@ -21,11 +22,15 @@ import numpy as np
 from benchmarks._case import CONFIGS
 from benchmarks._report import Table
 from benchmarks.loop import run_command
+from lightopt import load_rig
 from lightopt.core.arrays import Float64
 from lightopt.design import FromImagesOptions, optimize_from_images
 from lightopt.design.from_images._choice import choose_lights, score
 from lightopt.design.from_images._evidence import Evidence
 from lightopt.design.from_images._mixing import mix_lights
+from lightopt.design.from_images._samples import read_samples
+from lightopt.design.from_images._synthesis import ChosenImage, compare_captured
+from lightopt.images import read_image_set
 from lightopt.rendering import RenderOptions, render_image_set
 
 WAVES = 3  # kinds of variation that the lights of drawn contrasts have in common
@@ -178,6 +183,41 @@ def rendered_table(size: Size) -> Table:
     return Table(f"Rendered samples, {size.good} good, {size.bad} with {size.defects} defects each", header, rows)
 
 
+PROGRAMME = """
+programme:
+  - {name: three, lights: {ring-1: 1, ring-2: 0.5, ring-4: 0.75}, exposures: [0.4]}
+  - {name: all-on, lights: {ring-1: 1, ring-2: 1, ring-3: 1, ring-4: 1}, exposures: [0.25]}
+"""
+SENSORS = {"as filed": (0.8, 60.0), "hardly any noise": (0.1, 1e6)}
+
+
+def captured_table(size: Size) -> Table:
+    """Images of several lights against those synthesised from single ones, all captured on the simulated rig."""
+    rows = []
+    text = (CONFIGS / "rigs" / "ring-quadrants.yaml").read_text(encoding="utf-8")
+    text = text.replace("640, 480", f"{2 * size.width}, {2 * size.width * 3 // 4}")
+    text = text.replace("pixel_size_um: 11", f"pixel_size_um: {11 * 320 / size.width:g}")
+    part = CONFIGS / "parts" / "cover-knob.yaml"
+    for name, (read, electrons) in SENSORS.items():
+        sensor = f"black_level: 12, read_noise_levels: {read:g}, electrons_per_level: {electrons:g}"
+        own = re.sub(r"black_level: 0, read_noise_levels: 0.8, electrons_per_level: 60", sensor, text)
+        with tempfile.TemporaryDirectory() as folder:
+            single, several = Path(folder) / "single.yaml", Path(folder) / "several.yaml"
+            single.write_text(own, encoding="utf-8")
+            several.write_text(own + PROGRAMME, encoding="utf-8")
+            sets = [rig.with_suffix("") for rig in (single, several)]
+            for rig, target in zip((single, several), sets, strict=True):
+                run_command("capture", rig, part, "-o", target, "--posture", "0,0", "--quiet")
+            images = [
+                ChosenImage(name=image.name, weights=dict(image.lights), exposure=(image.exposures or (1.0,))[0])
+                for image in load_rig(several).programme or ()
+            ]
+            _, found = compare_captured(read_samples([sets[0]]), images, read_image_set(sets[1]))
+        rows += [(f"{name}, {one.image}", f"{one.pixels:,}", f"{one.rms:.2f}", f"{one.means_rms:.2f}") for one in found]
+    header = ("sensor, image", "pixels", "rms [levels]", "rms of means of 5 × 5 px")
+    return Table("Images of several lights: captured against synthesised", header, rows)
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.from_images", description=__doc__)
@@ -185,8 +225,8 @@ def main() -> None:
     parser.add_argument("--toy", action="store_true", help="a tiny case: does it run at all")
     options = parser.parse_args()
     size = TOY if options.toy else QUICK if options.quick else FULL
-    for table in (drawn_table(size), rendered_table(size)):
-        print(table.text(), flush=True)
+    for measure in (captured_table, drawn_table, rendered_table):
+        print(measure(size).text(), flush=True)
 
 
 if __name__ == "__main__":

@@ -47,6 +47,7 @@ RESULT_NAME, PROGRAMME_NAME, RIG_NAME, REPORT_NAME = (
 IMAGES_FOLDER = "images"
 
 _FORMAT = "lightopt-from-images/1"
+_SHOWN = 4  # lights of an image in a table
 _COMMENT = "Chosen by lightopt optimize --from-images"
 
 
@@ -100,9 +101,11 @@ class FromImagesResult:
         return self.mixture.bound <= self.score if self.options.mix else self.choice.proven
 
     def lights_text(self, image: ChosenImage) -> str:
-        """The lights of an image with their weights, the brightest first."""
+        """The lights of an image with their weights, the brightest few."""
         lit = sorted(image.weights.items(), key=lambda one: -one[1])
-        return lit[0][0] if len(lit) == 1 else ", ".join(f"{light} {weight:.3g}" for light, weight in lit)
+        shown = [light if len(lit) == 1 else f"{light} {weight:.3g}" for light, weight in lit[:_SHOWN]]
+        more = len(lit) - len(shown)
+        return ", ".join(shown) + (f" and {more} more" if more else "")
 
 
 def optimize_from_images(
