@@ -1,7 +1,7 @@
 """Lights chosen from images: time of the search, its proof, exhaustive search, and samples that were not used.
 
-``python -m benchmarks.from_images [--quick] [--toy]``. First images of several lights, captured on the simulated rig and
-synthesised. Then drawn contrasts of 64 and 128 lights. Then an array of 64 LEDs over the cover knob: rendered with
+``python -m benchmarks.from_images [--quick] [--toy]``. First images of several lights, captured on the simulated rig
+and synthesised. Then drawn contrasts of 64 and 128 lights. Then an array of 64 LEDs over the cover knob: rendered with
 noise, good samples and samples with random defects; lights are chosen with half of the defective samples, and scored
 with the other half, against the best choice for these.
 """
