@@ -284,6 +284,14 @@ def test_a_mask_of_another_size_is_refused(tmp_path, three):
     assert "mask.png: a mask of 48 × 20 px for images of 48 × 36 px" in refusal([*sets, small])
 
 
+def test_images_of_another_size_are_refused(tmp_path, three):
+    sets, levels, _ = three
+    cropped = write_set(tmp_path / "cropped", levels[0, :, :30])
+    message = refusal([*sets, cropped])
+    assert "led-1-0.png: expected 48 × 36 px, the size of images of" in message
+    assert message.endswith("found 48 × 30 px")
+
+
 def test_a_mask_of_no_posture_is_refused(tmp_path, three):
     sets, _, _ = three
     (sets[0] / "masks").mkdir()

@@ -228,8 +228,9 @@ def _contrasts(windows: _Windows, kept: Index, lights: _Lights) -> list[Float64]
         for one in own:  # windows of later postures have higher numbers
             total[c, : len(one.sums)] += one.sums
     z = total / np.sqrt(windows.pixels) / lights.root
-    whiten = np.linalg.cholesky(lights.correlation)
-    return [whiten @ _shrunk(np.linalg.solve(whiten, z[:, windows.defect == j])) for j in kept]
+    root = np.linalg.cholesky(lights.correlation)
+    white = np.asarray(np.linalg.solve(root, z), np.float64)
+    return [root @ _shrunk(white[:, windows.defect == j]) for j in kept]
 
 
 def _surface_contrasts(samples: Samples, lights: _Lights, z: float) -> tuple[list[Float64], float]:

@@ -271,7 +271,6 @@ def _provenance(result: FromImagesResult) -> dict[str, Any]:
 
 def _document(result: FromImagesResult) -> dict[str, Any]:
     evidence, samples, gains = result.evidence, result.samples, result.gains
-    singles = evidence.gains
     return {
         "images": [
             {"name": image.name, "lights": image.weights, "exposure": image.exposure} for image in result.images
@@ -293,7 +292,7 @@ def _document(result: FromImagesResult) -> dict[str, Any]:
             {
                 "light": channel.light,
                 "exposure": channel.exposure,
-                "score_alone": score(singles(np.eye(evidence.lights)[[i]])),
+                "score_alone": score(evidence.gains(np.eye(evidence.lights)[[i]])),
                 "brightest_level": float(f"{evidence.brightest[i]:.6g}"),
                 "noise_levels": float(f"{evidence.noise[i]:.6g}"),
             }

@@ -60,8 +60,19 @@ class Samples:
         return next(entry for entry in self.sets[number].images if entry.key == key)
 
     def load(self, number: int, channel: Channel, posture: Posture) -> Float32:
-        """Levels above black at the channel's exposure, clipped as the camera clips [sensor level], shape (H, W)."""
-        return sensor_levels(self.sets[number], self.entry(number, channel, posture))
+        """Levels above black at the channel's exposure, clipped as the camera clips [sensor level], shape (H, W).
+
+        Raises InputError: the image is missing, damaged or of another size than those of the first set.
+        """
+        own, entry = self.sets[number], self.entry(number, channel, posture)
+        levels = sensor_levels(own, entry)
+        if levels.shape != self.labels.shape[2:]:
+            sizes = [f"{shape[1]} × {shape[0]} px" for shape in (self.labels.shape[2:], levels.shape)]
+            raise InputError(
+                f"{own.path(entry.png or entry.exr or '')}: expected {sizes[0]}, the size of images of "
+                f"{self.sets[0].folder}, found {sizes[1]}"
+            )
+        return levels
 
 
 def sensor_levels(image_set: ImageSet, entry: ImageEntry) -> Float32:
