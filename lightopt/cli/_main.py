@@ -2,6 +2,7 @@ import importlib
 import io
 import keyword
 import os
+import re
 import signal
 import sys
 import traceback
@@ -36,6 +37,7 @@ _COMMANDS = {
     "fit-diffuse": ("_fit", "Fit the diffuse coefficient to images."),
     "fit-specular": ("_fit", "Fit specular coefficient and roughness to images."),
     "optimize": ("_optimize", "Find the best light positions by exact search."),
+    "optimize --from-images": ("_optimize_from_images", "Choose lights from images of samples, without a CAD model."),
     "compare-lighting": ("_compare_lighting", "Compare lighting systems by the defects that they show on a part."),
     "inspect": ("_inspect", "Find defects in images and locate them on the part."),
     "verify": ("_verify", "Name what has changed on the rig since its file, or a known good set, was made."),
@@ -54,6 +56,12 @@ class _Commands(typer.core.TyperGroup):
         super().__init__(**attributes)
         self.commands = _MadeOnDemand()
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that the arguments begin with; ``optimize`` with ``--from-images`` has other arguments."""
+        if args[0] == "optimize" and "--from-images" in args:
+            args = ["optimize --from-images", *(text for text in args[1:] if text != "--from-images")]
+        return super().resolve_command(ctx, args)
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
@@ -64,7 +72,7 @@ class _MadeOnDemand(UserDict[str, Any]):
         from lightopt.cli._common import PLAIN, HeadedCommand
 
         module, text = _COMMANDS[name]
-        function = f"{name}_" if keyword.iskeyword(name) else name.replace("-", "_")
+        function = f"{name}_" if keyword.iskeyword(name) else re.sub(r"\W+", "_", name)
         found = getattr(importlib.import_module(f"lightopt.cli.{module}"), function)
         if not isinstance(found, typer.Typer):
             alone = typer.Typer(**PLAIN)

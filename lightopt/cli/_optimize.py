@@ -141,6 +141,8 @@ def optimize(
     positions for all postures, and write them to part.planned.yaml. --exposures, --light-tolerance and
     --pose-tolerance refer to the resulting lights and postures.
 
+    Without a CAD model, lights are chosen from images of samples: see lightopt optimize --from-images --help.
+
     Example: lightopt optimize rig.yaml part.yaml -o best --step 5
     """
     chosen_postures = common.parse_postures(posture)

@@ -54,6 +54,15 @@ from lightopt.design.blind_spots._files import (
     blind_colours as blind_colours,
     blind_legend as blind_legend,
 )
+from lightopt.design.from_images._optimize_from_images import (
+    FromImagesOptions as FromImagesOptions,
+    FromImagesResult as FromImagesResult,
+    finish_from_images as finish_from_images,
+    from_images_answer as from_images_answer,
+    optimize_from_images as optimize_from_images,
+    write_from_images as write_from_images,
+)
+from lightopt.design.from_images._synthesis import agreement_text as agreement_text, synthesise as synthesise
 from lightopt.design.objectives._detectability import (
     DetectabilityObjective as DetectabilityObjective,
     deciding_text as deciding_text,

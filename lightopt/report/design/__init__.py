@@ -1,5 +1,11 @@
 """Tables, pictures and the page of ``lightopt optimize``."""
 
+from lightopt.report.design._from_images import (
+    chosen_table as chosen_table,
+    defects_table as defects_table,
+    from_images_report as from_images_report,
+    scores_table as scores_table,
+)
 from lightopt.report.design._pictures import capture_text as capture_text
 from lightopt.report.design._plan import (
     blind_tables as blind_tables,

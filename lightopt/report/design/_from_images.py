@@ -1,0 +1,123 @@
+"""The page and the tables of ``lightopt optimize --from-images``."""
+
+import numpy as np
+
+from lightopt.core.errors import percent
+from lightopt.design import FromImagesResult, agreement_text, from_images_answer, synthesise
+from lightopt.report._page import (
+    Answer,
+    Gallery,
+    Note,
+    Page,
+    Picture,
+    Section,
+    Table,
+    Warnings,
+    camera_picture,
+    page_html,
+)
+
+_SIDE = 360  # longest side of an image [px]
+_SETS = 6  # shown, defective samples first
+_DEFECTS = 500  # rows
+
+
+def chosen_table(result: FromImagesResult) -> Table:
+    """The images to take."""
+    alone = result.evidence.gains
+    rows = [
+        [
+            image.name,
+            result.lights_text(image),
+            f"{image.exposure:.3g}",
+            str(int((alone(result.weights[[i]]) >= 1.0).sum())),
+        ]
+        for i, image in enumerate(result.images)
+    ]
+    return Table(
+        header=["image", "lights", "exposure", "found alone"],
+        rows=rows,
+        numbers_from=2,
+        caption="Lights with their brightness relative to the samples' images; exposure: relative time, as long as "
+        "saturation allows; found alone: defects that the image shows without the others.",
+    )
+
+
+def scores_table(result: FromImagesResult) -> Table:
+    """Scores and bounds, of single lights and of several lights per image."""
+    choice, mixture = result.choice, result.mixture
+    rows = [
+        ["one light per image", percent(choice.score, 2), percent(choice.bound, 2), f"{choice.scored:,}"],
+        ["several lights per image", percent(mixture.score, 2), percent(mixture.bound, 2), "-"],
+    ]
+    return Table(
+        header=["images", "score", "at most", "choices scored"],
+        rows=rows,
+        caption="Score: 90 % for defects found (in part for those below the threshold), 10 % for margin. At most: no "
+        f"choice exceeds it; there are {choice.total:,} choices of single lights.",
+    )
+
+
+def defects_table(result: FromImagesResult, most: int = _DEFECTS) -> Table:
+    """The defects, the least visible first."""
+    gains = result.gains
+    order = np.argsort(gains, kind="stable")[:most]
+    rows = [
+        [*result.evidence.defects[j], f"{np.sqrt(gains[j]) * result.evidence.z:.3g}", "yes" if gains[j] >= 1.0 else ""]
+        for j in order
+    ]
+    more = f" The first {most} of {len(gains)}." if len(gains) > most else ""
+    caption = f"Z: by how much a defect stands out; it is found from {result.evidence.z:.3g} on, the least first.{more}"
+    return Table(header=["set", "defect", "Z", "found"], rows=rows, numbers_from=2, caption=caption)
+
+
+def from_images_report(result: FromImagesResult) -> str:
+    """The report as HTML."""
+    figure, text = from_images_answer(result)
+    lead = [Answer(figure=figure, text=f"{text}."), Warnings(texts=result.warnings)]
+    sections = [
+        Section(heading="Images to take", blocks=[chosen_table(result), scores_table(result)]),
+        Section(heading="Defects", blocks=[defects_table(result)]),
+        Section(heading="Synthesised images", blocks=[_gallery(result)]),
+    ]
+    if result.agreement is not None:
+        name, found = result.agreement
+        rows = [
+            [
+                one.image,
+                str(one.posture),
+                f"{one.exposure:g}",
+                f"{one.pixels:,}",
+                f"{one.rms:.2f}",
+                f"{one.means_rms:.2f}",
+            ]
+            for one in found
+        ]
+        header = ["image", "posture", "exposure", "pixels", "rms [levels]", "rms of means"]
+        blocks = [Note(text=f"{agreement_text(name, found)}."), Table(header=header, rows=rows, numbers_from=2)]
+        sections.append(Section(heading="Against captured images", blocks=blocks))
+    subtitle = f"{len(result.samples.sets)} image sets, {len(result.samples.channels)} lights"
+    return page_html(Page(title="Lights chosen from images", subtitle=subtitle, lead=lead, sections=sections))
+
+
+def _gallery(result: FromImagesResult) -> Gallery:
+    samples = result.samples
+    order = sorted(range(len(samples.sets)), key=lambda i: (not samples.defects[i], i))[:_SETS]
+    rows: list[tuple[str, list[Picture | None]]] = []
+    posture = samples.postures[0]
+    for number in order:
+        row: list[Picture | None] = []
+        for image in result.images:
+            levels, _ = synthesise(samples, number, image, posture)
+            row.append(
+                camera_picture(
+                    levels / samples.manifest.max_level,
+                    levels >= samples.manifest.saturated_from,
+                    limit=_SIDE,
+                    alt=f"{samples.names[number]}, {image.name}",
+                    caption=image.name,
+                )
+            )
+        rows.append((samples.names[number], row))
+    caption = f"Posture {posture}; red: saturated pixels."
+    return Gallery(header=[image.name for image in result.images], rows=rows, caption=caption)

@@ -1,0 +1,331 @@
+"""Lights chosen from images: the statistic, the search and its bound, weights, files, bad input."""
+
+from __future__ import annotations
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+from reference._from_images import reference_gains
+from sample_sets import drawn_samples, write_samples, write_set
+from scipy import ndimage
+
+from lightopt.cli._main import run
+from lightopt.config import load_rig
+from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
+from lightopt.design import FromImagesOptions, optimize_from_images
+from lightopt.design.from_images._choice import choose_lights, score
+from lightopt.design.from_images._evidence import Evidence
+from lightopt.design.from_images._mixing import _loss, mix_lights
+from lightopt.images import read_image_set, read_png, write_png
+
+
+def drawn_evidence(lights, defects, seed):
+    random = np.random.default_rng(seed)
+    common = random.normal(size=(lights, 3))
+    covariance = np.eye(lights) + 0.3 * common @ common.T
+    scale = np.sqrt(np.diag(covariance))
+    starts = np.cumsum([0, *random.integers(0, 3, defects)])
+    shape = (lights, int(starts[-1]))
+    return Evidence(
+        correlation=covariance / np.outer(scale, scale),
+        factors=4.0 * random.normal(size=shape) * random.exponential(size=shape),
+        starts=starts,
+        thresholds=random.uniform(25.0, 60.0, defects),
+        deviations=random.uniform(0.5, 2.0, (lights, defects)),
+        defects=tuple(("set", str(j)) for j in range(defects)),
+        brightest=np.full(lights, 100.0),
+        noise=np.ones(lights),
+        z=6.0,
+        shrinkage=0.05,
+        good=5,
+        surface_contrast=None,
+    )
+
+
+def exhaustive(evidence, count):
+    choices = itertools.combinations(range(evidence.lights), count)
+    return max(score(evidence.gains(np.eye(evidence.lights)[list(choice)])) for choice in choices)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("count", [1, 2, 4, 9])
+def test_the_search_finds_what_exhaustive_search_finds(count, seed):
+    evidence = drawn_evidence(9, 6, seed)
+    found = choose_lights(evidence, count)
+    best = exhaustive(evidence, count)
+    assert found.proven
+    assert found.score == pytest.approx(best, abs=1e-12)
+    assert found.score == pytest.approx(score(evidence.gains(np.eye(9)[list(found.lights)])), abs=1e-12)
+    assert found == choose_lights(evidence, count, threads=1)
+    stopped = choose_lights(evidence, count, limit=1)
+    assert stopped.score <= best + 1e-12
+    assert stopped.bound >= best - 1e-12
+
+
+def test_a_stopped_search_says_so():
+    evidence = drawn_evidence(24, 8, 3)
+    stopped = choose_lights(evidence, 6, limit=10)
+    whole = choose_lights(evidence, 6)
+    assert not stopped.proven
+    assert whole.proven
+    assert stopped.score <= whole.score <= stopped.bound
+    assert stopped.scored < whole.scored < whole.total
+
+
+def test_weights_are_no_worse_than_single_lights_and_within_the_bound():
+    evidence = drawn_evidence(12, 6, 1)
+    choice = choose_lights(evidence, 2)
+    mixture = mix_lights(evidence, choice.lights)
+    assert choice.score < mixture.score <= mixture.bound == score(evidence.all_lights())
+    assert (mixture.weights >= 0.0).all()
+    assert mixture.weights.max(axis=1) == pytest.approx(1.0)
+    assert evidence.all_lights() == pytest.approx(evidence.gains(np.eye(12)))
+    assert evidence.gains(np.ones((2, 12))) == pytest.approx(evidence.gains(np.ones((1, 12))))
+    # no weights at all, of any sign, exceed the bound
+    random = np.random.default_rng(5)
+    for _ in range(50):
+        assert score(evidence.gains(random.normal(size=(2, 12)))) <= mixture.bound
+
+
+def test_the_gradient_of_the_weights():
+    evidence = drawn_evidence(6, 5, 2)
+    weights = np.random.default_rng(3).uniform(0.1, 1.0, (2, 6))
+    value, slope = _loss(evidence, weights)
+    assert value == pytest.approx(-score(evidence.gains(weights)), abs=1e-9)
+    for i in range(weights.size):
+        step = np.zeros(weights.size)
+        step[i] = 1e-6
+        ends = [_loss(evidence, weights + sign * step.reshape(weights.shape))[0] for sign in (1, -1)]
+        assert slope[i] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("subset", [[0], [1, 3], [0, 1, 2, 3]])
+def test_the_evidence_is_that_of_the_plain_reference(tmp_path, subset):
+    levels, masks = drawn_samples(size=(30, 36), contrast=14.0)
+    result = optimize_from_images(write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=2))
+    numbers, begin = np.zeros(masks.shape, int), 0
+    for i, mask in enumerate(masks):
+        own, count = ndimage.label(mask > 0, np.ones((3, 3)))
+        numbers[i] = np.where(own > 0, own + begin, 0)
+        begin += count
+    expected = reference_gains(levels, numbers, np.ones(masks.shape[1:], bool), subset)
+    gains = result.evidence.gains(np.eye(4)[subset])
+    # the thresholds of these small images know nothing of larger windows than one
+    assert gains * result.evidence.thresholds / result.evidence.z**2 == pytest.approx(expected, rel=1e-3, abs=1e-4)
+
+
+def test_the_lights_that_show_the_spots_are_chosen(tmp_path):
+    result = optimize_from_images(write_samples(tmp_path, *drawn_samples()), options=FromImagesOptions(images=2))
+    assert [image.name for image in result.images] == ["led-1", "led-4"]
+    assert (result.gains >= 1.0).all()
+    assert result.choice.proven
+    assert len(result.gains) == 4
+    top = result.evidence.brightest[[0, 3]]
+    for image, brightest in zip(result.images, top, strict=True):
+        assert image.exposure == pytest.approx(0.95 * 255.0 / brightest, rel=0.01)
+
+
+def test_good_samples_alone_raise_no_alarm(tmp_path):
+    # masks where nothing is: noise is no evidence
+    levels, masks = drawn_samples(contrast=0.0, seed=2)
+    result = optimize_from_images(write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=2))
+    assert (result.evidence.all_lights() < 0.5).all()
+
+
+def test_the_files_that_are_written(tmp_path, cli):
+    sets = write_samples(tmp_path, *drawn_samples())
+    out = tmp_path / "out"
+    arguments = ["optimize", "--from-images", *map(str, sets), "-k", "2", "-o", str(out)]
+    ran = cli(*arguments)
+    assert ran.status == 0, ran.err
+    assert ran.out.startswith("4 of 4 defects found in 2 images; no other choice scores more (proven)")
+    document = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert document["format"] == "lightopt-from-images/1"
+    assert [image["name"] for image in document["images"]] == ["led-1", "led-4"]
+    assert document["found"] == 4
+    assert "led-4" in (out / "report.html").read_text(encoding="utf-8")
+    assert '{"name": "led-1", "lights": {"led-1": 1.0}' in (out / "programme.yaml").read_text(encoding="utf-8")
+    synthesised = read_image_set(out / "images" / "s5")
+    entry = synthesised.images[0]
+    expected = np.floor(read_png(sets[5] / "led-1-0.png") * np.float32(entry.exposure) + 0.5)
+    assert np.array_equal(synthesised.load(entry).sensor, np.minimum(expected, 255))
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert cli(*arguments, "--threads", "1").status == 0
+    assert before == {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    other = cli(*arguments, "--mix")
+    assert other.status == 2
+    assert "mix: previously false, now true" in other.err
+    # the synthesised images are samples themselves
+    again = optimize_from_images([out / "images" / f"s{i}" for i in range(7)], options=FromImagesOptions(images=1))
+    assert len(again.evidence.defects) == 4
+
+
+RIG = """\
+format: lightopt-rig/1
+name: array
+camera: {distance_mm: 550, elevation_deg: 90, resolution_px: [48, 36], pixel_size_um: 44, image_distance_mm: 55,
+  sensor: {bit_depth: 8}}
+lights:   # four of them
+  - {name: led, kind: led_array, size_mm: [240, 160], rows: 2, columns: 2, led_mm: 8, distance_mm: 250}
+"""
+
+
+def test_the_programme_goes_into_the_rig(tmp_path, cli):
+    sets = write_samples(tmp_path, *drawn_samples())
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(RIG, encoding="utf-8")
+    out = tmp_path / "out"
+    common = ["optimize", "--from-images", *map(str, sets), "--rig", str(rig), "--mix", "--no-report"]
+    ran = cli(*common, "-k", "1", "-o", str(out))
+    assert ran.status == 0, ran.err
+    programmed = load_rig(out / "rig.optimized.yaml")
+    document = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert [light.name for light in programmed.lights] == [image["name"] for image in document["images"]]
+    assert programmed.lights[0].exposures == (document["images"][0]["exposure"],)
+    assert {channel.name: weight for channel, weight in programmed.lights[0].mixture} == document["images"][0]["lights"]
+    refused = cli(*common, "-k", "1", "-o", str(tmp_path / "again"), "--rig", str(out / "rig.optimized.yaml"))
+    assert refused.status == 2
+    assert "has a programme" in refused.err
+
+
+def test_no_defective_sample_is_said(tmp_path):
+    levels, masks = drawn_samples(bad=0)
+    levels[:, 2] *= 0.2
+    warned: list[str] = []
+    result = optimize_from_images(
+        write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=2), run=RunContext(warn=warned.append)
+    )
+    assert "no defective sample: signal over noise of the good surface is all that can be optimised" in warned[0]
+    assert "led-3" not in [image.name for image in result.images]
+    assert result.evidence.surface_contrast is not None
+
+
+@pytest.mark.parametrize(("good", "text"), [(1, "one good sample"), (3, "3 good samples")])
+def test_few_good_samples_are_said(tmp_path, good, text):
+    warned: list[str] = []
+    result = optimize_from_images(
+        write_samples(tmp_path, *drawn_samples(good=good, bad=0)),
+        options=FromImagesOptions(images=1),
+        run=RunContext(warn=warned.append),
+    )
+    assert any(text in line for line in warned)
+    # of a single sample too, noise is about the 1.5 levels that it was drawn with
+    assert result.evidence.noise == pytest.approx(1.5, rel=0.25)
+
+
+def test_one_good_sample_and_one_with_spots(tmp_path):
+    levels, masks = drawn_samples(good=1, bad=1)
+    result = optimize_from_images(write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=2))
+    assert [image.name for image in result.images] == ["led-1", "led-4"]
+
+
+def test_postures_add_up(tmp_path):
+    # the second posture shows what the first one hides; masks have a file for each
+    levels, masks = drawn_samples(bad=1)
+    plain, _ = drawn_samples(good=6, bad=0, seed=8)
+    sets = []
+    for i, (own, mask, other) in enumerate(zip(levels, masks, plain, strict=True)):
+        sets.append(write_set(tmp_path / f"s{i}", other, tilted=own))
+        if mask.any():
+            (sets[-1] / "masks").mkdir()
+            write_png(sets[-1] / "masks" / "posture_10_0.png", mask, metadata={})
+    result = optimize_from_images(sets, options=FromImagesOptions(images=2))
+    assert [name for _, name in result.evidence.defects] == ["(10°, 0°) 1", "(10°, 0°) 2"]
+    assert [image.name for image in result.images] == ["led-1", "led-4"]
+    assert (result.gains >= 1.0).all()
+
+
+def test_a_region_leaves_the_rest_out(tmp_path):
+    levels, masks = drawn_samples(bad=0)
+    levels[:, 0, :, 24:] = 0.0
+    sets = write_samples(tmp_path, levels, masks)
+    region = np.zeros(masks.shape[1:], np.uint8)
+    region[:, 24:] = 1
+    write_png(tmp_path / "region.png", region, metadata={})
+    options = FromImagesOptions(images=3)
+    result = optimize_from_images(sets, options=options, region=tmp_path / "region.png")
+    assert [image.name for image in result.images] == ["led-2", "led-3", "led-4"]
+    region[:] = 0
+    region[7, 7] = 1
+    write_png(tmp_path / "region.png", region, metadata={})
+    with pytest.raises(InputError, match="no window of 3 × 3 px lies within the part"):
+        optimize_from_images(sets, options=options, region=tmp_path / "region.png")
+
+
+def test_saturated_lights_are_named(tmp_path):
+    levels, masks = drawn_samples()
+    levels[:, 1] = 255.0
+    warned: list[str] = []
+    optimize_from_images(
+        write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=1), run=RunContext(warn=warned.append)
+    )
+    assert any(line.startswith("saturated pixels, which show no defect: led-2 100.0 %") for line in warned)
+
+
+@pytest.fixture
+def three(tmp_path):
+    levels, masks = drawn_samples(good=2, bad=1)
+    return write_samples(tmp_path, levels, masks), levels, masks
+
+
+def refusal(sets, **given):
+    with pytest.raises(InputError) as caught:
+        optimize_from_images(sets, **{"options": FromImagesOptions(images=1), **given})
+    return str(caught.value)
+
+
+def test_a_mask_of_another_size_is_refused(tmp_path, three):
+    sets, levels, masks = three
+    small = write_set(tmp_path / "small", levels[2], masks[2, :20])
+    assert "mask.png: a mask of 48 × 20 px for images of 48 × 36 px" in refusal([*sets, small])
+
+
+def test_images_of_another_size_are_refused(tmp_path, three):
+    sets, levels, _ = three
+    cropped = write_set(tmp_path / "cropped", levels[0, :, :30])
+    message = refusal([*sets, cropped])
+    assert "led-1-0.png: expected 48 × 36 px, the size of images of" in message
+    assert message.endswith("found 48 × 30 px")
+
+
+def test_a_mask_of_no_posture_is_refused(tmp_path, three):
+    sets, _, _ = three
+    (sets[0] / "masks").mkdir()
+    (sets[2] / "mask.png").rename(sets[0] / "masks" / "posture_0_5.png")
+    message = refusal(sets)
+    assert "posture_0_5.png: the set has no such posture; expected a name such as masks/posture_0_0.png" in message
+
+
+def test_sets_of_other_lights_exposures_or_sensors_are_refused(tmp_path, three):
+    sets, levels, _ = three
+    other = write_set(tmp_path / "other", levels[0], lights=["led-1", "led-2", "led-3", "top"])
+    longer = write_set(tmp_path / "longer", levels[0], exposure=2.0)
+    deeper = write_set(tmp_path / "deeper", levels[0], black_level=4)
+    message = refusal([*sets, other, longer, deeper])
+    assert "other: no image of light 'led-4' at exposure 1 in posture (0°, 0°)" in message
+    assert "s0: no image of light 'top' at exposure 1" in message
+    assert "longer: no image of light 'led-1' at exposure 1 in posture (0°, 0°) and 3 images more" in message
+    assert "deeper: black_level: 4, but" in message
+
+
+def test_other_bad_input_is_refused(tmp_path, three):
+    sets, levels, _ = three
+    assert "given twice" in refusal([*sets, sets[0]])
+    assert "option 'images': expected a number from 1 to 4" in refusal(sets, options=FromImagesOptions(images=5))
+    assert "false_alarms" in refusal(sets, options=FromImagesOptions(images=1, false_alarms=2.0))
+    dark = write_set(tmp_path / "dark", 0.0 * levels[0])
+    assert "no pixel is brighter than 2% of full scale" in refusal([dark])
+    assert "none of the chosen images: expected led-" in refusal(
+        sets, captured=write_set(tmp_path / "captured", levels[0, :1], lights=["ring"])
+    )
+
+
+def test_the_command_without_sets_says_what_is_missing(cli):
+    ran = cli("optimize", "--from-images", "-o", "out")
+    assert ran.status == 2
+    assert "SETS" in ran.err
+    assert run(["optimize", "--from-images", "--help"]) == 0
