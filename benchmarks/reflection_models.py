@@ -2,14 +2,16 @@
 
 ``python -m benchmarks.reflection_models [--kinds panel dome ...] [--samples N] [--page]``. Needs what
 ``benchmarks.light_kinds`` needs, and takes surface, lights and verdict from there. GGX is Mitsuba's own BSDF
-``roughconductor``, sampled by lobe and by emitter, each sample weighted by the balance heuristic. Two lobes are the sum
-of two of ``benchmarks.light_kinds``. Specular light alone is compared. The noise is the standard error of the mean of
-eight parts of the samples: two halves are too few where some points have most of the noise.
+``roughconductor``, also brushed, with two roughnesses. It is sampled by lobe and by emitter, each sample weighted by
+the balance heuristic. Two lobes are the sum of two of ``benchmarks.light_kinds``. Specular light alone is compared. The
+noise is the standard error of the mean of eight parts of the samples: two halves are too few where some points have
+most of the noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,19 +29,24 @@ ALPHAS = (0.02, 0.1, 0.3)
 INDICES = {"nickel": (1.96, 3.80), "n = 1.5": (1.5, 0.01)}
 TWO_LOBES = SpecularModel(name="two-lobe", wide_share=0.02, wide_ratio=10.0)
 NARROW_SIGMA = 0.003
+BRUSHED = ((0.05, 4.0), (0.1, 4.0))  # α along the brushing, and how many times as much it is across
+ALONG = np.array([0.8, -0.3, 0.2])  # the brushing
 PARTS = 8  # of the samples
 
 
 class Conductor(MitsubaLight):
     """An emitter, and its light mirrored by a rough metal of Mitsuba's."""
 
-    def __init__(self, kind: str, config: LightConfig, alpha: float, index: tuple[float, float]) -> None:
+    def __init__(
+        self, kind: str, config: LightConfig, alpha: float, index: tuple[float, float], *, ratio: float = 1.0
+    ) -> None:
         super().__init__(CASES[kind], config)
-        words = {"type": "roughconductor", "distribution": "ggx", "alpha": alpha, "eta": index[0], "k": index[1]}
+        words = {"type": "roughconductor", "distribution": "ggx", "eta": index[0], "k": index[1]}
+        words |= {"alpha": alpha} if ratio == 1.0 else {"alpha_u": ratio * alpha, "alpha_v": alpha}
         self._metal = self._mi.load_dict(words)
         n = complex(*index)
         # D·F/4 where light, view and normal are one direction
-        self._peak = abs((n - 1.0) / (n + 1.0)) ** 2 / (4.0 * np.pi * alpha**2)
+        self._peak = abs((n - 1.0) / (n + 1.0)) ** 2 / (4.0 * np.pi * alpha**2 * ratio)
 
     def _batch(self, surface: SurfacePoints, sigma: float, samples: int, seed: tuple[int, int], diffuse: bool) -> Array:
         mi, dr, size = self._mi, self._dr, len(surface) * samples
@@ -52,7 +59,11 @@ class Conductor(MitsubaLight):
 
         place = dr.zeros(mi.SurfaceInteraction3f, size)
         place.p, place.n = mi.Point3f(rows(surface.points)), mi.Normal3f(rows(surface.normals))
-        place.sh_frame = mi.Frame3f(place.n)
+        if surface.across is None:
+            place.sh_frame = mi.Frame3f(place.n)
+        else:
+            u = rows(surface.across)
+            place.sh_frame = mi.Frame3f(u, dr.cross(mi.Vector3f(place.n), u), mi.Vector3f(place.n))
         place.wi = place.to_local(rows(surface.views))
         context = mi.BSDFContext()
         by_lobe, weight = self._metal.sample(context, place, sampler.next_1d(), sampler.next_2d())
@@ -80,6 +91,14 @@ def compare(kind: str, *, count: int, samples: int) -> Iterator[Row]:
             parts = np.array([peer.at(surface, sigma, samples // PARTS, 2 + k, diffuse=False)[0] for k in range(PARTS)])
             model = SpecularModel(name="ggx", refractive_index=index)
             yield _row(kind, f"GGX, α = {alpha}, {name}", "both", surface, light, parts, sigma, model)
+    for alpha, ratio in BRUSHED:
+        sigma, index = 0.5 * alpha, INDICES["nickel"]
+        peer = Conductor(kind, config, alpha, index, ratio=ratio)
+        surface = _brushed(chosen_points(Conductor(kind, config, alpha, index), ratio * sigma, count))
+        parts = np.array([peer.at(surface, sigma, samples // PARTS, 2 + k, diffuse=False)[0] for k in range(PARTS)])
+        model = SpecularModel(name="ggx", refractive_index=index, across_ratio=ratio)
+        finish = f"GGX, brushed, α = {alpha} and {ratio * alpha:g}, nickel"
+        yield _row(kind, finish, "both", surface, light, parts, sigma, model)
     plain, model = MitsubaLight(CASES[kind], config), TWO_LOBES
     surface = chosen_points(plain, NARROW_SIGMA, count)
     widths = (NARROW_SIGMA, NARROW_SIGMA * model.wide_ratio)
@@ -89,6 +108,11 @@ def compare(kind: str, *, count: int, samples: int) -> Iterator[Row]:
     parts = lobes[0, :, ways[0]] + model.wide_share * lobes[1, :, ways[1]]
     sampled = " and ".join(("lobe", "emitter")[way] for way in ways)
     yield _row(kind, "two lobes, σ = 0.003 and 0.03", sampled, surface, light, parts, NARROW_SIGMA, model)
+
+
+def _brushed(surface: SurfacePoints) -> SurfacePoints:
+    across = np.cross(surface.normals, ALONG)
+    return replace(surface, across=across / np.linalg.norm(across, axis=1)[:, None])
 
 
 def _row(
