@@ -21,7 +21,7 @@ from lightopt.scene import build_catalogue, build_scene
 CATALOGUE = """\
 defect_catalogue:
   - {name: knock, kind: dent, size_mm: 4, slope_deg: 8, size_range: [0.5, 1.5]}
-  - {name: line, kind: scratch, size_mm: [6, 1.5], slope_deg: 12, slope_range: [0.05, 1]}
+  - {name: line, kind: scratch, size_mm: [6, 1.5], slope_deg: 12, slope_range: [0.1, 1]}
   - {name: "a spot: dark", kind: stain, size_mm: [4, 3], R_d_factor: 0.4}
 """
 RANGES = """\
@@ -42,13 +42,11 @@ def with_catalogue(bench):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(shared_bench, tmp_path_factory):
     """A dataset of twelve samples in four poses, made by one thread."""
-    from conftest import Bench  # type: ignore[import-not-found]
-
     from lightopt.cli._main import run
 
-    bench = with_catalogue(Bench.make(tmp_path_factory.mktemp("dataset") / "bench"))
+    bench = with_catalogue(shared_bench.make(tmp_path_factory.mktemp("dataset") / "bench"))
     assert run([*command(bench), "--threads", "1", "-q"]) == 0
     return bench
 
@@ -388,7 +386,7 @@ def test_wrong_options_are_named(made, tmp_path, cli, options, words):
     [
         ("samples_per_pose: 3", "samples_per_pose: 0", ":2: samples_per_pose: expected a whole number from 1 to 1000"),
         ("test: 0.25", "test: 0.5", ":5: split.test: expected shares train, val and test that add up to 1, found 1.25"),
-        ("defective", "defectiv", ":3: defectiv: unknown key"),
+        ("defective", "defectiv", ':3: unknown key "defectiv"; did you mean "defective"?'),
         ("defective: 0.8", "R_d: [1.2, 1.1]", ":3: R_d: expected [low, high], found the low end 1.2 above"),
         ("defective: 0.8", "fit: nowhere.json", ":3: fit: no such file"),
         ("defective: 0.8", "fit: ranges.yaml", "cannot be read as the fit.json of a fit"),
