@@ -40,6 +40,11 @@ class Row:
     def per_hour(self) -> float:
         return 3600.0 * self.images / self.seconds
 
+    @property
+    def per_hour_alone(self) -> float:
+        """With both processors to itself, by processor time."""
+        return 3600.0 * self.images * THREADS / self.processor_seconds
+
 
 def measure(folder: Path, name: str, *, samples: int, each: int, fused: bool, width: int) -> Row:
     rig_file, part_file = files(folder, name, width=width)
@@ -56,12 +61,12 @@ def measure(folder: Path, name: str, *, samples: int, each: int, fused: bool, wi
 
 def table(rows: list[Row]) -> str:
     lines = [
-        "| part | samples per pose | fused image | images | seconds | processor seconds | images per hour |",
-        "|---|---|---|---|---|---|---|",
+        "| part | samples per pose | fused | images | seconds | processor seconds | images per hour | by processor |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         fused = "yes" if row.fused else "no"
-        times = f"{row.seconds:.1f} | {row.processor_seconds:.1f} | {row.per_hour:,.0f}"
+        times = f"{row.seconds:.1f} | {row.processor_seconds:.1f} | {row.per_hour:,.0f} | {row.per_hour_alone:,.0f}"
         lines.append(f"| {row.part} | {row.samples_per_pose} | {fused} | {row.images} | {times} |")
     return "\n".join(lines)
 
