@@ -211,54 +211,46 @@ def compare(folder: Path, name: str, given: argparse.Namespace) -> Iterator[Row]
     plain = [(images, np.zeros(part_pixels.shape, np.int8)) for images in good]
     pieces = [render_piece(rig, part, folder / f"{name}-bad-{i}", 500 + i, given.defects) for i in range(given.pieces)]
     goods = [render_piece(rig, part, folder / f"{name}-good-{i}", 900 + i, 0) for i in range(2 * given.pieces)]
-    cache = PredictionCache()
-    inspected = [inspect_set(rig, part, one.set, options=InspectOptions(fusion=None), cache=cache) for one in pieces]
-    judged = [evaluate_set(one.set, result, known=()) for one, result in zip(pieces, inspected, strict=True)]
-    by_inspect = [{d.name for d in one.defects if d.found} for one in judged]
     names = [[str(one["name"]) for one in piece.set.manifest.extra["defects"]] for piece in pieces]
+    learned: list[tuple[str, list[set[str]], int, float]] = []
     for trained_on, samples in (("dataset", bad), ("pasted noise", pasted)):
         classifier = train(golden, [*samples, *plain], part_pixels, 5)
         limit = max(score(golden, classifier, piece)[piece.part].max() for piece in goods[: given.pieces])
-        found, areas = [], []
+        found: list[set[str]] = []
+        areas: list[float] = []
         for piece, own_names in zip(pieces, names, strict=True):
             scores = score(golden, classifier, piece)
-            hits = region_hits(ndimage.label(scores > limit, np.ones((3, 3)))[0].astype(np.int32), piece.labels)
+            hits = region_hits(regions(scores > limit), piece.labels)
             found.append({own_names[i] for hit in hits for i in hit.tolist()})
             areas.append(area_under_roc(scores[piece.part], piece.labels[piece.part] >= 0))
-        alarms = sum(
-            ndimage.label(score(golden, classifier, piece) > limit, np.ones((3, 3)))[1]
-            for piece in goods[given.pieces :]
-        )
-        yield _row(name, trained_on, found, by_inspect, judged, alarms, given.pieces, float(np.mean(areas)))
-    results = [inspect_set(rig, part, one.set, options=InspectOptions(fusion=None), cache=cache) for one in goods]
-    alarms = sum(evaluate_set(g.set, r, known=()).false_alarms for g, r in zip(goods, results, strict=True))
+        alarms = sum(int(regions(score(golden, classifier, one) > limit).max()) for one in goods[given.pieces :])
+        learned.append((trained_on, found, alarms, float(np.mean(areas))))
+        print(trained_on, sum(map(len, found)), alarms, areas, flush=True)
+    cache, options = PredictionCache(), InspectOptions(fusion=None)
+    judged, others = [
+        [evaluate_set(one.set, inspect_set(rig, part, one.set, options=options, cache=cache), known=()) for one in some]
+        for some in (pieces, goods[given.pieces :])
+    ]
+    by_inspect = [{d.name for d in one.defects if d.found} for one in judged]
     area = float(np.mean([area for one in judged for area in one.areas]))
-    yield _row(name, "no training: inspect", by_inspect, by_inspect, judged, alarms, len(goods), area)
+    learned.append(("nothing: inspect", by_inspect, sum(one.false_alarms for one in others), area))
+    for trained_on, found, alarms, auc in learned:
+        yield Row(
+            part=name,
+            trained_on=trained_on,
+            found=sum(len(own) for own in found),
+            placed=given.pieces * given.defects,
+            found_visible=sum(len(own & other) for own, other in zip(found, by_inspect, strict=True)),
+            visible=sum(len(other) for other in by_inspect),
+            false_alarms=alarms,
+            good=given.pieces,
+            auc=auc,
+        )
 
 
-def _row(
-    part: str,
-    trained_on: str,
-    found: list[set[str]],
-    by_inspect: list[set[str]],
-    judged: list[Any],
-    alarms: int,
-    good: int,
-    auc: float,
-) -> Row:
-    row = Row(
-        part=part,
-        trained_on=trained_on,
-        found=sum(len(own) for own in found),
-        placed=sum(len(one.defects) + len(one.hidden) for one in judged),
-        found_visible=sum(len(own & other) for own, other in zip(found, by_inspect, strict=True)),
-        visible=sum(len(other) for other in by_inspect),
-        false_alarms=alarms,
-        good=good,
-        auc=auc,
-    )
-    print(row, flush=True)
-    return row
+def regions(mask: Array) -> NDArray[np.int32]:
+    """Numbers of the regions of a mask, from 1."""
+    return np.asarray(ndimage.label(mask, np.ones((3, 3)))[0], np.int32)
 
 
 def table(rows: list[Row]) -> str:

@@ -68,15 +68,6 @@ class Factors:
     sigma: Range
     gains: dict[str, Range]
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "R_d": self.R_d,
-            "R_s": self.R_s,
-            "sigma": self.sigma,
-            **{f"gain of {k}": v for k, v in self.gains.items()},
-        }
-
 
 def factors_of(ranges: RangesConfig, rig: RigConfig, part: PartConfig) -> Factors:
     """The limits of factors: by the intervals of a fit and of a calibrated rig where there are some, else the ranges'.

@@ -38,6 +38,8 @@ from lightopt.scene import Scene, surface_footprint, typical_blur
 
 MARGIN_PX = 2.0  # around the outline of a defect pixels may show some of it
 
+NOISE = 4.0  # standard deviations above the good part's levels that fused images show as grey
+
 STACK, FUSED = "stack", "fused"
 
 Levels = UInt8 | NDArray[np.uint16]
@@ -169,7 +171,10 @@ def posture_limits(
         number=0, posture=posture, split="", placement=Placement(), sigma_factor=1.0, waviness_seed=0, samples=range(0)
     )
     pose = render_pose(rig, nominal, at_rest, options, threads)
-    picture = None if pose.fused is None else grey_picture(pose.fused.level, pose.fused.mask)
+    picture = None
+    if pose.fused is not None:
+        # with room for noise, which is all that a mirror scatters
+        picture = grey_picture(pose.fused.level + NOISE * pose.fused.deviation, pose.fused.mask)
     pixels = int(pose.view.clean.sum())
     found = thresholds(catalogue, pixels, pose.footprint, pose.blur, options.false_alarms)
     return PostureLimits(thresholds=found, picture=picture)
