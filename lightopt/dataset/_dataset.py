@@ -179,7 +179,8 @@ class _Work:
             lights = tuple(light.name for light in self.nominal.lights)
             sample = draw_sample(number, self.options, self.ranges, self.factors, self.catalogue, lights)
             images = sample_images(pose, sample, limits, self.options, where=f"sample {number}")
-            facts = {
+            defects = self._defects(pose, images)
+            facts: dict[str, Any] = {
                 "sample": number,
                 "pose": draw.number,
                 "posture": draw.posture.as_dict(),
@@ -189,9 +190,9 @@ class _Work:
                 "gain_factors": {name: round(gain, 6) for name, gain in zip(lights, sample.gains, strict=True)},
                 "particles": len(sample.dust),
                 "omitted": images.omitted,
-                "defects": self._defects(pose, images),
+                "defects": defects,
+                "files": {view: image_name(view, number, defects, draw.split) for view in self.views},
             }
-            facts["files"] = {view: image_name(view, number, facts["defects"], draw.split) for view in self.views}
             return facts, self._write_sample(facts, images), images if self.options.stacks else None
 
         found = in_threads(make, list(draw.samples), threads)

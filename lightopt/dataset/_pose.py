@@ -174,7 +174,8 @@ def posture_limits(
     picture = None
     if pose.fused is not None:
         # with room for noise, which is all that a mirror scatters
-        picture = grey_picture(pose.fused.level + NOISE * pose.fused.deviation, pose.fused.mask)
+        brighter = pose.fused.level + NOISE * pose.fused.deviation
+        picture = grey_picture(brighter.astype(np.float32), pose.fused.mask)
     pixels = int(pose.view.clean.sum())
     found = thresholds(catalogue, pixels, pose.footprint, pose.blur, options.false_alarms)
     return PostureLimits(thresholds=found, picture=picture)
@@ -243,8 +244,10 @@ def _change_of(pose: PoseImages, placed: Sequence[PlacedDefect]) -> _Change:
         pixels = np.concatenate([pixels, pose.flat[around[~inside]]])
         images = render_posture(spoilt, posture, caster=pose.caster, layers=True, threads=1)
         pairs = list(zip(images.lights, pose.actual.lights, strict=True))
-        diffuse = np.stack([(_layer(a.diffuse) - _layer(b.diffuse)).ravel()[pixels] for a, b in pairs])
-        specular = np.stack([(_layer(a.specular) - _layer(b.specular)).ravel()[pixels] for a, b in pairs])
+        diffuse, specular = (
+            np.stack([(_layer(a) - _layer(b)).ravel()[pixels] for a, b in layers], dtype=np.float64)
+            for layers in ([(a.diffuse, b.diffuse) for a, b in pairs], [(a.specular, b.specular) for a, b in pairs])
+        )
     return _Change(placed, shown, bad.defect[:, inside], pixels, diffuse, specular)
 
 
@@ -257,7 +260,7 @@ def _fused_change(pose: PoseImages, change: _Change, options: DatasetOptions) ->
     varied = flat[:, change.pixels] + change.diffuse + change.specular
     flat[:, change.pixels] = np.clip(varied, 0.0, limit[:, change.pixels])
     varied = synthetic_image(replace(pose.view, level=level), options.fusion, probes=0, threads=1).level
-    return (varied - pose.fused.level) / np.maximum(pose.fused.deviation, 1e-6)
+    return ((varied - pose.fused.level) / np.maximum(pose.fused.deviation, 1e-6)).astype(np.float32)
 
 
 def _label(

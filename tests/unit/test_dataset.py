@@ -16,7 +16,7 @@ from lightopt.dataset import DatasetOptions, _dataset, _draws, _masks, _pose, _v
 from lightopt.defects import expected_change
 from lightopt.images import read_exr, read_png
 from lightopt.rendering import render_posture
-from lightopt.scene import build_catalogue, build_scene
+from lightopt.scene import Lens, build_catalogue, build_scene
 
 CATALOGUE = """\
 defect_catalogue:
@@ -31,6 +31,7 @@ defective: 0.8
 pose: {shift_mm: 0.5, rotation_deg: 1}
 split: {train: 0.5, val: 0.25, test: 0.25}
 """
+FACTORS = _draws.Factors((1.0, 1.0), (1.0, 1.0), (1.0, 1.0), {})
 VIEWS = ("light1", "light3", "fused")
 SIZE = (160, 120)
 
@@ -238,28 +239,76 @@ def pose(made):
     return rendered, sample, limits, options, catalogue
 
 
+def silent(rendered, sample, **lights):
+    """The pose by a camera of 16 bits without noise, and the sample with the nominal reflectance and no dust."""
+    sensor = replace(rendered.scene.sensor, bit_depth=16, read_noise_levels=0.0, electrons_per_level=None)
+    plain = replace(sample, R_d=1.0, R_s=1.0, gains=(1.0, 1.0), dust=np.zeros((0, 2)), places=np.zeros((0, 3)))
+    return replace(rendered, scene=replace(rendered.scene, sensor=sensor)), replace(plain, **lights)
+
+
+def levels_of(images):
+    return [levels.ravel() * (255.0 / 65535.0) for levels in images.levels]
+
+
 def test_masks_are_where_rendered_images_differ(pose):
     rendered, sample, limits, options, _ = pose
-    plain = replace(sample, R_d=1.0, R_s=1.0, gains=(1.0, 1.0), dust=np.zeros((0, 2)), places=np.zeros((0, 3)))
-    silent = replace(rendered.scene, sensor=replace(rendered.scene.sensor, bit_depth=16, read_noise_levels=0.0,
-                                                    electrons_per_level=None))  # fmt: skip
-    images = _pose.sample_images(replace(rendered, scene=silent), plain, limits, options, where="a test")
+    images = _pose.sample_images(*silent(rendered, sample), limits, options, where="a test")
     assert len(images.defects) >= 3
     spoilt = replace(rendered.waved, defects=tuple(one.placed for one in images.defects))
     whole = np.ones(SIZE[::-1], np.bool_)
-    kwargs = {"caster": rendered.caster, "averaged": whole, "threads": 1}
-    truth = render_posture(spoilt, rendered.view.posture, **kwargs)
+    truth = render_posture(spoilt, rendered.view.posture, caster=rendered.caster, averaged=whole, threads=1)
     mask = np.zeros(whole.size, np.bool_)
     for one in images.defects:
         mask[one.pixels] = True
-    for got, exact, good in zip(images.levels, truth.lights, rendered.actual.lights, strict=True):
-        level = got.ravel() * (255.0 / 65535.0)
-        expected = np.clip(exact.level.ravel(), 0.0, 255.0)
+    for level, exact, good in zip(levels_of(images), truth.lights, rendered.actual.lights, strict=True):
+        expected, before = (np.clip(image.level.ravel(), 0.0, 255.0) for image in (exact, good))
         # off the masks nothing changes; in them what a rendering of all pixels has, to what few rays in each leave
-        np.testing.assert_allclose(level[~mask], np.clip(good.level.ravel(), 0.0, 255.0)[~mask], atol=0.003)
-        assert np.abs(level - expected)[mask].mean() < 0.05 * np.abs(expected - good.level.ravel())[mask].mean() + 0.05
-        changed = np.abs(exact.level - good.level).ravel() > 0.5
-        assert mask[changed].mean() > 0.98
+        np.testing.assert_allclose(level[~mask], before[~mask], atol=0.003)
+        assert np.abs(level - expected)[mask].mean() < 0.05 * np.abs(expected - before)[mask].mean() + 0.05
+        assert mask[np.abs(exact.level - good.level).ravel() > 0.5].mean() > 0.98
+
+
+def test_brightness_and_dust_are_those_of_linear_images(pose):
+    rendered, sample, limits, options, _ = pose
+    plain = _pose.sample_images(*silent(rendered, sample, kinds=()), limits, options, where="a test")
+    place = float(np.argmax(rendered.view.predicted[0].ravel()[rendered.flat] > 20.0)) + 0.5
+    brighter = {"R_d": 1.1, "R_s": 0.9, "gains": (0.5, 2.0)}
+    dust = {"dust": np.array([[3.0, 80.0]]), "places": np.array([[place / len(rendered.flat), 0.5, 0.5]])}
+    lit = _pose.sample_images(*silent(rendered, sample, kinds=(), **brighter, **dust), limits, options, where="a test")
+    ((pixels, cover, _),) = _pose._dust(rendered, replace(sample, **dust))
+    assert cover.max() == 1.0
+    clean = np.setdiff1d(np.arange(SIZE[0] * SIZE[1]), pixels)
+    for light, (got, before) in enumerate(zip(levels_of(lit), levels_of(plain), strict=True)):
+        image, gain = rendered.actual.lights[light], brighter["gains"][light]
+        expected = gain * (1.1 * image.diffuse.ravel() + 0.9 * image.specular.ravel())
+        np.testing.assert_allclose(got[clean], np.clip(expected, 0.0, 255.0)[clean], atol=0.01)
+        np.testing.assert_allclose(before, np.clip(image.level.ravel(), 0.0, 255.0), atol=0.003)
+        grain = gain * 80.0 * image.diffuse.ravel() / 45.0
+        inner = pixels[cover == 1.0]
+        np.testing.assert_allclose(got[inner], np.clip(grain, 0.0, 255.0)[inner], atol=0.01)
+
+
+@pytest.mark.nightly
+def test_a_lens_blurs_defects_over_their_masks(pose, made):
+    _, sample, limits, options, _ = pose
+    scene = build_scene(load_rig(made.rig), load_part(made.part), defects=False)
+    blurred = replace(scene, camera=replace(scene.camera, lens=Lens(aperture=4.0, focus=480.0)))
+    draw = replace(_draws.draw_poses(options, RangesConfig(format="lightopt-ranges/1"), FACTORS, scene.postures)[0])
+    seen = _pose.render_pose(load_rig(made.rig), blurred, draw, options, 1)
+    assert seen.blur > 1.0
+    images = _pose.sample_images(*silent(seen, sample, rng=np.random.default_rng(1)), limits, options, where="a test")
+    spoilt = replace(seen.waved, defects=tuple(one.placed for one in images.defects))
+    truth = render_posture(spoilt, draw.posture, caster=seen.caster, threads=1)
+    mask = np.zeros(SIZE[0] * SIZE[1], np.bool_)
+    for one in images.defects:
+        mask[one.pixels] = True
+    beyond = 0
+    for level, exact, good in zip(levels_of(images), truth.lights, seen.actual.lights, strict=True):
+        expected, before = (np.clip(image.level.ravel(), 0.0, 255.0) for image in (exact, good))
+        changed = np.abs(level - before) > 0.1
+        np.testing.assert_allclose(level[changed], expected[changed], atol=0.02)
+        beyond += int((changed & ~mask).sum())
+    assert beyond
 
 
 def test_marks_are_the_statistic_of_inspections(pose):
