@@ -1,8 +1,8 @@
 """Images per hour of ``lightopt dataset`` at 800 × 600 by two threads.
 
-``python -m benchmarks.dataset [--images 64] [--page]``. An image is one light's, with noise, on disk as PNG; labels,
-masks and records are written, too. A row is a whole run from loaded rig and part files, the set-up of the part and of
-its posture included.
+``python -m benchmarks.dataset [--parts cover-knob spout] [--per-pose 8] [--images 64] [--page]``. An image is one
+light's, with noise, on disk as PNG; labels, masks and records are written, too. A row is a whole run from loaded rig
+and part files, the set-up of the part and of its posture included.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from lightopt.config import RangesConfig
 from lightopt.core.run_context import RunContext
 from lightopt.dataset import DatasetOptions, make_dataset
 
-PARTS = ("cover-knob", "spout")
 THREADS = 2
 
 
@@ -74,17 +73,20 @@ def table(rows: list[Row]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--images", type=int, default=64, help="samples of each run")
+    parser.add_argument("--parts", nargs="+", default=["cover-knob", "spout"])
+    parser.add_argument("--per-pose", nargs="+", type=int, default=[8], help="samples of a pose")
     parser.add_argument("--width", type=int, default=800)
     parser.add_argument("--page", action="store_true", help="put the table into the page")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         # what is compiled once is no work of a run
-        measure(folder, PARTS[0], samples=1, each=1, fused=True, width=given.width)
+        measure(folder, given.parts[0], samples=1, each=1, fused=True, width=given.width)
         rows = [
             measure(folder, part, samples=given.images, each=each, fused=fused, width=given.width)
-            for part in PARTS
-            for each, fused in ((8, True), (8, False), (1, False))
+            for part in given.parts
+            for each in given.per_pose
+            for fused in (True, False)
         ]
     write_records(ROOT / "out" / "benchmarks" / "dataset.csv", rows)
     print(text := table(rows))
