@@ -18,7 +18,7 @@ class DatasetFolder:
 
     made_from: From :func:`lightopt.core.provenance.provenance`.
     names: Of the files and folders at its top.
-    force: Whether a dataset of other inputs is removed first.
+    force: Whether a dataset of other inputs is replaced.
     Raises InputError: The folder holds a dataset of other inputs, and `force` is False; or it holds files of others.
     """
 
@@ -34,17 +34,14 @@ class DatasetFolder:
                     f"{folder} already has a dataset of other inputs or with other options ({changed}); use option "
                     "'force' to replace it, or choose another folder"
                 )
-            self._old = old
-            if changed:
-                self._remove(old)
-                self._old = None
+            self._old, self._replaced = (None, old) if changed else (old, None)
         else:
             there = [name for name in (MANIFEST, *names) if (folder / name).exists()]
             if there:
                 raise InputError(
                     f"{folder} has {', '.join(there)}, which no dataset lists; remove it, or choose another folder"
                 )
-            self._old = None
+            self._old = self._replaced = None
 
     @property
     def complete(self) -> Mapping[str, Any] | None:
@@ -57,8 +54,10 @@ class DatasetFolder:
         return old if there else None
 
     def begin(self) -> None:
-        """Write the manifest of a dataset without files, unless one is continued."""
+        """Write the manifest of a dataset without files, unless one is continued; remove the one that is replaced."""
         make_folder(self.folder)
+        if self._replaced is not None:
+            self._remove(self._replaced)
         if self._old is None:
             self._write({"complete": False, "files": []})
 
