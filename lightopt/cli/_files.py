@@ -1,9 +1,11 @@
 """Commands on rig and part files: written, explained by a schema, validated, given random defects."""
 
+from __future__ import annotations
+
 import json
 from collections import Counter
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from typer import Argument, Option
 
@@ -12,6 +14,9 @@ from lightopt.cli._common import output_option
 from lightopt.cli._terminal import echo
 from lightopt.core.errors import CheckFailed, InputError, counted
 from lightopt.core.run_context import RunContext
+
+if TYPE_CHECKING:
+    from lightopt.config import FileKind
 
 
 def init(
@@ -49,8 +54,12 @@ def init(
     echo(f"next: lightopt check {folder / 'rig.yaml'} {folder / 'part.yaml'}")
 
 
-def schema(kind: Literal["rig", "part"] = Argument(..., metavar="KIND", help="Kind of file: rig or part.")) -> None:
-    """Print the JSON schema of a rig or part file, for editors and other programs.
+def schema(
+    kind: Literal["rig", "part", "ranges"] = Argument(
+        ..., metavar="KIND", help="Kind of file: rig, part, or ranges of a dataset."
+    ),
+) -> None:
+    """Print the JSON schema of a kind of file, for editors and other programs.
 
     Example: lightopt schema rig > rig.json
 
@@ -61,7 +70,7 @@ def schema(kind: Literal["rig", "part"] = Argument(..., metavar="KIND", help="Ki
     echo(_schema_text(kind))
 
 
-def _schema_text(kind: Literal["rig", "part"]) -> str:
+def _schema_text(kind: FileKind) -> str:
     from lightopt.config import json_schema
 
     return json.dumps(json_schema(kind), indent=2, ensure_ascii=False)

@@ -33,6 +33,7 @@ _COMMANDS = {
     "import": ("_import", "Make rig, part and image set from photographs."),
     "capture": ("_capture", "Capture images on the rig or the virtual bench."),
     "defects": ("_files", "Place random defects on a part for testing."),
+    "dataset": ("_dataset", "Render a labelled training set for defect detectors."),
     "calibrate": ("_calibrate", "Measure a rig from images of targets on its stage."),
     "fit-diffuse": ("_fit", "Fit the diffuse coefficient to images."),
     "fit-specular": ("_fit", "Fit specular coefficient and roughness to images."),

@@ -21,11 +21,13 @@ from lightopt.config._hardware import (
 )
 from lightopt.config._light import RANGE_KEYS as RANGE_KEYS
 from lightopt.config._load import (
+    FileKind as FileKind,
     LightsOnly as LightsOnly,
     input_hashes as input_hashes,
     json_schema as json_schema,
     load_lights as load_lights,
     load_part as load_part,
+    load_ranges as load_ranges,
     load_rig as load_rig,
     load_targets as load_targets,
 )
@@ -39,6 +41,7 @@ from lightopt.config._part import (
     RegionConfig as RegionConfig,
 )
 from lightopt.config._pose import standing_at as standing_at
+from lightopt.config._ranges import RangesConfig as RangesConfig
 from lightopt.config._rig import LightConfig as LightConfig, RigConfig as RigConfig
 from lightopt.config._source_file import Source as Source
 from lightopt.config._targets import BoardTargetConfig as BoardTargetConfig, TargetsConfig as TargetsConfig

@@ -165,7 +165,7 @@ def _square(points: int | str) -> int | str:
     return points
 
 
-_ASCENDING = AfterValidator(_ordered)
+ASCENDING = AfterValidator(_ordered)
 LIST = Field(strict=False)  # of fixed length; it becomes a tuple, which strict validation would refuse
 
 Number = Annotated[float, Field(ge=-1e6, le=1e6), expecting("a number")]
@@ -178,10 +178,10 @@ ABOVE_TABLE = "a number between 0 and 180 (degrees above the table, ends exclude
 Elevation = Annotated[float, Field(gt=0, lt=180), expecting(ABOVE_TABLE)]
 Azimuth = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 to 360 (degrees about Z)")]
 ElevationRange = Annotated[
-    tuple[Elevation, Elevation], LIST, _ASCENDING, expecting("[low, high], two numbers between 0 and 180 (degrees)")
+    tuple[Elevation, Elevation], LIST, ASCENDING, expecting("[low, high], two numbers between 0 and 180 (degrees)")
 ]
 AzimuthRange = Annotated[
-    tuple[Azimuth, Azimuth], LIST, _ASCENDING, expecting("[low, high], two numbers from -360 to 360 (degrees)")
+    tuple[Azimuth, Azimuth], LIST, ASCENDING, expecting("[low, high], two numbers from -360 to 360 (degrees)")
 ]
 Distance = Annotated[
     float,
@@ -189,11 +189,11 @@ Distance = Annotated[
     expecting("a length between 0.001 and 1000000 (a number); a light around the part may be at 0"),
 ]
 DistanceRange = Annotated[
-    tuple[Distance, Distance], LIST, _ASCENDING, expecting("[low, high], two lengths from 0 to 1000000")
+    tuple[Distance, Distance], LIST, ASCENDING, expecting("[low, high], two lengths from 0 to 1000000")
 ]
 Tilt = Annotated[float, Field(ge=-180, le=180), expecting("a number from -180 to 180 (degrees of tilt)")]
 TiltRange = Annotated[
-    tuple[Tilt, Tilt], LIST, _ASCENDING, expecting("[low, high], two numbers from -180 to 180 (degrees)")
+    tuple[Tilt, Tilt], LIST, ASCENDING, expecting("[low, high], two numbers from -180 to 180 (degrees)")
 ]
 Coordinates = Annotated[tuple[Number, Number, Number], LIST, expecting("[x, y, z], three numbers up to 1000000")]
 

@@ -17,6 +17,7 @@ from lightopt.config._fields import mapping
 from lightopt.config._hardware import ChannelConfig, ControllerConfig, HardwareConfig
 from lightopt.config._part import PartConfig
 from lightopt.config._pose import POSE_REPLACES
+from lightopt.config._ranges import RangesConfig
 from lightopt.config._rig import RigConfig
 from lightopt.config._strict_yaml import YamlError, parse
 from lightopt.config._targets import TargetsConfig
@@ -25,6 +26,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 
 Entry = TypeVar("Entry", bound=BaseModel)
+FileKind = Literal["rig", "part", "ranges"]
 
 
 def load_rig(path: Path | str) -> RigConfig:
@@ -48,6 +50,11 @@ def load_targets(path: Path | str) -> TargetsConfig:
     return load_file(Path(path), TargetsConfig, "lightopt-targets/1")
 
 
+def load_ranges(path: Path | str) -> RangesConfig:
+    """Read the ranges of a dataset (``lightopt-ranges/1``) as :func:`load_rig` does."""
+    return load_file(Path(path), RangesConfig, "lightopt-ranges/1")
+
+
 def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str, str]]:
     """Names and SHA-256 of the files as they were read, and those of mesh and pictures, which may raise an OSError."""
     files = {"rig": rig} if part is None else {"rig": rig, "part": part}
@@ -62,9 +69,9 @@ def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str,
     return hashes
 
 
-def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
-    """JSON schema (draft 2020-12) of rig or part files; rules that tie keys together are not in it."""
-    models = {"rig": RigConfig, "part": PartConfig}
+def json_schema(kind: FileKind) -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of a kind of file; rules that tie keys together are not in it."""
+    models = {"rig": RigConfig, "part": PartConfig, "ranges": RangesConfig}
     schema = models[kind].model_json_schema()
     for model in (schema, *schema["$defs"].values()):
         for field in model["properties"].values():

@@ -18,6 +18,7 @@ from lightopt.inspection._inspect import (
 )
 from lightopt.inspection._options import InspectOptions as InspectOptions
 from lightopt.inspection._random_defects import (
+    place_in_image as place_in_image,
     place_random_defects as place_random_defects,
     random_defect_provenance as random_defect_provenance,
     random_defects_text as random_defects_text,
@@ -56,8 +57,16 @@ from lightopt.inspection.evaluation._evaluation import (
     summarise as summarise,
     truth_sources as truth_sources,
 )
-from lightopt.inspection.fusion._synthetic_image import SyntheticImage as SyntheticImage
-from lightopt.inspection.prediction._posture_view import PostureView as PostureView
+from lightopt.inspection.fusion._gradient_fusion import FUSIONS as FUSIONS, Fusion as Fusion
+from lightopt.inspection.fusion._synthetic_image import (
+    SyntheticImage as SyntheticImage,
+    synthetic_image as synthetic_image,
+)
+from lightopt.inspection.prediction._posture_view import PostureView as PostureView, posture_view as posture_view
 from lightopt.inspection.prediction._predict import predict as predict
 from lightopt.inspection.prediction._prediction_cache import PredictionCache as PredictionCache
 from lightopt.inspection.prediction._reference import REFERENCES as REFERENCES
+from lightopt.inspection.prediction._template_bank import (
+    entry_deviation as entry_deviation,
+    expected_deviation as expected_deviation,
+)

@@ -212,12 +212,17 @@ class GreyPicture:
         return {"black_level": round(self.black, 4), "white_level": round(self.white, 4), "power": self.power}
 
 
-def grey_picture(level: Float32, mask: Bool) -> GreyPicture:
+def grey_picture(level: Float32, mask: Bool, *, like: GreyPicture | None = None) -> GreyPicture:
     """Show an image: white is the level that one in a thousand pixels exceeds, and dark images are stretched.
 
     level: Shape (H, W) [grey level].
     mask: Pixels that show the part; the others are black, shape (H, W).
+    like: Another image, whose black, white and power are taken.
     """
+    if like is not None:
+        return GreyPicture(
+            _as_grey(level, mask, like.black, like.white, like.power), like.black, like.white, like.power
+        )
     inside = level[mask]
     white = max(float(np.percentile(inside, 99.9)), 1e-6) if inside.size else 1.0
     # gradients do not determine the level of a dark field: integrated, it may be below black
@@ -227,4 +232,9 @@ def grey_picture(level: Float32, mask: Bool) -> GreyPicture:
     power = 1.0
     if middle < DARK:
         power = max(LEAST_POWER, round(math.log(LIFTED) / math.log(max(middle, 1e-6)), 2))
-    return GreyPicture((255.0 * share**power + 0.5).astype(np.uint8), black, white, power)
+    return GreyPicture(_as_grey(level, mask, black, white, power), black, white, power)
+
+
+def _as_grey(level: Float32, mask: Bool, black: float, white: float, power: float) -> UInt8:
+    share = np.where(mask, np.clip((level - black) / (white - black), 0.0, 1.0), 0.0)
+    return (255.0 * share**power + 0.5).astype(np.uint8)

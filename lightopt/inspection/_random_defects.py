@@ -110,6 +110,28 @@ def place_random_defects(
     return tuple(result)
 
 
+def place_in_image(
+    scene: Scene, kind: CatalogueEntry, pixels: PosturePixels, others: Sequence[PlacedDefect], rng: np.random.Generator
+) -> PlacedDefect | None:
+    """Place one random defect as :func:`place_random_defects` does, where one image shows it whole.
+
+    others: That it must be apart from.
+    Returns None where none of :data:`TRIES` places will do.
+    """
+    index = _pixel_numbers(pixels)
+    for one in _draw(scene, [kind], rng):
+        if _is_visible(one.placed, pixels, index) and not any(_overlap(one.placed, other) for other in others):
+            return one.placed
+    return None
+
+
+def _pixel_numbers(pixels: PosturePixels) -> Int32:
+    # the number of each pixel of the image among `pixels`, or −1
+    index = np.full(pixels.shape, -1, np.int32)
+    index[pixels.row, pixels.column] = np.arange(len(pixels.row), dtype=np.int32)
+    return index
+
+
 def _draw(scene: Scene, kinds: list[CatalogueEntry], rng: np.random.Generator) -> list[RandomDefect]:
     # of each kind as many as are tried; all random numbers are drawn whatever becomes of them
     total = len(kinds) * TRIES
@@ -139,8 +161,7 @@ def _fit(scene: Scene, candidates: list[RandomDefect], threads: int | None) -> B
     caster = cast_rays_at(scene)
     for posture in scene.postures:
         pixels = trace_pixels(scene, posture, caster, threads=threads)
-        index = np.full(pixels.shape, -1, np.int32)
-        index[pixels.row, pixels.column] = np.arange(len(pixels.row), dtype=np.int32)
+        index = _pixel_numbers(pixels)
         for i in np.flatnonzero(~fits):
             fits[i] = _is_visible(candidates[i].placed, pixels, index)
     # a place that a later reader would take for another, on the other side of an edge, is no place

@@ -20,6 +20,7 @@ from lightopt.rendering._images import (
     rays_of_images as rays_of_images,
     render as render,
     render_lights as render_lights,
+    render_pixels as render_pixels,
     render_posture as render_posture,
 )
 from lightopt.rendering._light_layer import (

@@ -110,6 +110,19 @@ class PostureImages:
     rays: int
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PixelLevels:
+    """Some pixels of the images of a posture, k of them: means over their area.
+
+    diffuse, specular: Direct light under each light [grey level], shape (lights, k)
+    defect: Share of each pixel that each of the scene's defects takes, shape (defects, k)
+    """
+
+    diffuse: Float64
+    specular: Float64
+    defect: Float64
+
+
 def cast_rays_at(scene: Scene, *, rays: float = math.inf) -> RayCaster:
     """The ray caster of a scene's part, in the part's frame; serves all postures.
 
@@ -217,6 +230,19 @@ def render_lights(
     job = _PostureJob(scene, view, caster, True, 1, False, None, averaged=averaged, geometry=False)
     _run(job, posture, threads, None)
     return tuple(job.images)
+
+
+def render_pixels(scene: Scene, posture: Posture, pixels: Index, *, caster: RayCaster) -> PixelLevels:
+    """Render some pixels of a posture's images, raveled indices, from a few rays in each.
+
+    What defects change is the difference between two calls, with and without them: both cast the same rays. Light from
+    the part to itself and a lens of finite aperture are left out.
+    """
+    job = _PostureJob(scene, view_from_part(scene, posture), caster, True, 1, True, None, geometry=False)
+    step = max(1, BLOCK_SAMPLES // RAYS_ACROSS**2)
+    parts = [job.levels_of(pixels[start : start + step]) for start in range(0, max(1, len(pixels)), step)]
+    names = ("diffuse", "specular", "defect")
+    return PixelLevels(**{name: np.concatenate([getattr(one, name) for one in parts], axis=1) for name in names})
 
 
 def _through_lens(
@@ -414,6 +440,26 @@ class _PostureJob:
 
     def average(self, numbers: list[int], pixels: Index) -> None:
         """Render means over those of some pixels, raveled indices, that are rough in each light."""
+        for number, light in self._means_inside(numbers, pixels)[1]:
+            own = np.isin(pixels, self.rough[number], assume_unique=True)
+            for target, means in light:
+                target.ravel()[pixels[own]] = means[own]
+
+    def levels_of(self, pixels: Index) -> PixelLevels:
+        """Means over some pixels, raveled indices."""
+        diffuse, specular = np.zeros((2, len(self.images), len(pixels)))
+        share = np.zeros((len(self.scene.defects), len(pixels)))
+        for numbers in self.together:
+            share, lights = self._means_inside(numbers, pixels)
+            for number, light in lights:
+                _, (_, diffuse[number]), (_, specular[number]) = light
+        return PixelLevels(diffuse=diffuse, specular=specular, defect=share)
+
+    def _means_inside(
+        self, numbers: list[int], pixels: Index
+    ) -> tuple[Float64, Iterator[tuple[int, list[tuple[Float32, Float64]]]]]:
+        # the share of each pixel that each defect takes; of each light its arrays, and the means over the pixels for
+        # each
         n = RAYS_ACROSS
         row, column = np.divmod(pixels, self.scene.camera.width)
         columns, rows = _inner_points(column, row)
@@ -423,12 +469,19 @@ class _PostureJob:
         # to the shadows' refinement the rays of a pixel are neighbours, those of two pixels are not
         grid = (len(pixels) * (n + 1), n)
         sample = hits.ray.astype(np.intp) + hits.ray // n**2 * n
-        marked, lights = self._in_defects(surface), self._shade(surface, numbers, sample, grid)
-        for number, light in zip(numbers, lights, strict=True):
-            own = np.isin(pixels, self.rough[number], assume_unique=True)
-            for target, values in self._light(marked, number, light, sample, grid, passed):
-                means = np.bincount(hits.ray // n**2, values, len(pixels)) / n**2
-                target.ravel()[pixels[own]] = means[own]
+        pixel = hits.ray // n**2
+        marked = self._in_defects(surface)
+        share = np.zeros((len(self.scene.defects), len(pixels)))
+        for some in marked:
+            np.add.at(share, (some.label, pixel[some.index]), 1.0 / n**2)
+
+        def lights() -> Iterator[tuple[int, list[tuple[Float32, Float64]]]]:
+            shaded = self._shade(surface, numbers, sample, grid)
+            for number, light in zip(numbers, shaded, strict=True):
+                found = self._light(marked, number, light, sample, grid, passed)
+                yield number, [(target, np.bincount(pixel, values, len(pixels)) / n**2) for target, values in found]
+
+        return share, lights()
 
     def add_bounces(self, threads: int) -> None:
         """Add the light that reaches the camera from the part, or its surroundings, by way of the part."""

@@ -65,7 +65,7 @@ def test_init_in_a_place_that_cannot_be(cli, tmp_path):
     assert "Traceback" not in ran.err
 
 
-@pytest.mark.parametrize("kind", ["rig", "part"])
+@pytest.mark.parametrize("kind", ["rig", "part", "ranges"])
 def test_schema_prints_what_is_committed(cli, kind):
     ran = cli("schema", kind)
     assert (ran.status, ran.err) == (0, "")

@@ -52,15 +52,25 @@ class Prediction:
 
 
 def predict(
-    scene: Scene, posture: Posture, caster: RayCaster, *, lights: Sequence[str], threads: int | None = None
+    scene: Scene,
+    posture: Posture,
+    caster: RayCaster,
+    *,
+    lights: Sequence[str],
+    edges: bool = False,
+    threads: int | None = None,
 ) -> Prediction:
-    """Render the good part in a posture of a scene with the part at its registered placement."""
+    """Render the good part in a posture of a scene with the part at its registered placement.
+
+    edges: Whether pixels that cannot be judged are means over their area, too.
+    """
     chosen = tuple(light for light in scene.lights if light.name in lights)
     # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
     traced = [replace(one, R_d=max(one.R_d, TRACE)) for one in scene.reflectances]
     lit = replace(with_reflectances(scene, traced), lights=chosen)
     masks = rendering.mask_pixels(scene, posture, caster, threads=threads)
-    images = rendering.render_posture(lit, posture, caster=caster, layers=True, averaged=masks.clean, threads=threads)
+    averaged = np.ones_like(masks.clean) if edges else masks.clean
+    images = rendering.render_posture(lit, posture, caster=caster, layers=True, averaged=averaged, threads=threads)
     return Prediction(
         images=images,
         clean=masks.clean & images.geometry.hit,

@@ -224,7 +224,7 @@ def _entry_pixels(
 ) -> _EntryPixels:
     grid = search_grid(own, surface.footprint, surface.blur)
     ratio = grid.ratio
-    deviation, attenuation = _with_waviness(own, view, deviation)
+    deviation, attenuation = entry_deviation(own, view, deviation)
     reach = max(shape.length for shape in own.shapes) / surface.footprint + surface.blur
     border = 2 + math.ceil(0.5 * reach / ratio)
     rows, columns = mask_window(view.clean)
@@ -341,8 +341,11 @@ def _templates(entry: _EntryPixels, surface: _Surface, threads: int | None) -> E
     )
 
 
-def _with_waviness(own: DefectHypotheses, view: PostureView, deviation: Float32) -> tuple[Float32, Float32 | None]:
-    # the deviation in sums over the pixels of an entry's defects, and that of other sums as a share of it
+def entry_deviation(own: DefectHypotheses, view: PostureView, deviation: Float32) -> tuple[Float32, Float32 | None]:
+    """The deviation in sums over the pixels of an entry's defects, and that of other sums as a share of it.
+
+    deviation: From :func:`expected_deviation`
+    """
     known = view.prediction.waviness
     if known is None or view.wavy is None:
         return deviation, None

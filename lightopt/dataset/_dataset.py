@@ -1,0 +1,275 @@
+"""Make a dataset: draw it, render it pose by pose, write it; a run that was stopped is continued."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightopt.config import PartConfig, RangesConfig, RigConfig, input_hashes
+from lightopt.core.arrays import UInt8
+from lightopt.core.errors import counted, refuse
+from lightopt.core.provenance import file_sha256, provenance
+from lightopt.core.run_context import RunContext
+from lightopt.core.threads import in_threads
+from lightopt.dataset._draws import SPLITS, DatasetOptions, Factors, PoseDraw, draw_poses, draw_sample, factors_of
+from lightopt.dataset._folder import MANIFEST, DatasetFolder
+from lightopt.dataset._formats import datasheet, image_name, mask_name, union, write_formats, yolo_name, yolo_text
+from lightopt.dataset._masks import box_of, run_lengths
+from lightopt.dataset._pose import (
+    FUSED,
+    STACK,
+    Levels,
+    PoseImages,
+    PostureLimits,
+    SampleImages,
+    posture_limits,
+    render_pose,
+    sample_images,
+)
+from lightopt.dataset._stack import require_h5py, write_stack
+from lightopt.defects import CatalogueEntry
+from lightopt.images import write_exr, write_png
+from lightopt.rendering import cast_rays_at, refuse_unusable_scene
+from lightopt.scene import Scene, build_catalogue, build_scene, defect_facts
+
+TAKEN = (FUSED, STACK, "poses", "stacks")  # names that no light may have
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetResult:
+    """What :func:`make_dataset` left on disk.
+
+    samples: With how many images under single lights
+    poses, resumed: Number of poses, and of those that a previous run had finished
+    defects: Number of defects, and of those that all images of their sample together can show
+    """
+
+    folder: Path
+    samples: int
+    images: int
+    poses: int
+    resumed: int
+    defects: int
+    visible: int
+    files: tuple[Path, ...]
+
+
+def make_dataset(
+    rig: RigConfig,
+    part: PartConfig,
+    folder: Path,
+    *,
+    options: DatasetOptions,
+    ranges: RangesConfig | None = None,
+    force: bool = False,
+    run: RunContext | None = None,
+) -> DatasetResult:
+    """Render a labelled training set of a part for detectors of its catalogue's defects.
+
+    A pose is a placement of the part in one of its postures. It is rendered once, and several samples share it, each
+    with its own defects, dust, reflectance, gains and noise. The same inputs give the same bytes.
+
+    ranges: What is randomised; :class:`lightopt.config.RangesConfig` has the defaults.
+    run: Its stages are poses.
+    Raises InputError: whatever is wrong with files, options, ranges or folder
+    """
+    run = run or RunContext()
+    ranges = ranges or RangesConfig(format="lightopt-ranges/1")
+    lights = tuple(light.name for light in rig.lights)
+    views = (*lights, *([FUSED] if options.fusion else []))
+    problems = options.problems()
+    problems += [
+        f"{rig.source.at('lights', i)}: a dataset has a folder {name}; give the light another name"
+        for i, name in enumerate(lights)
+        if name.lower() in TAKEN
+    ]
+    refuse(problems)
+    if options.stacks:
+        require_h5py()
+    factors, catalogue = factors_of(ranges, rig, part), build_catalogue(part)
+    inputs: dict[str, Any] = dict(input_hashes(rig, part))
+    if ranges.fit is not None:
+        inputs["fit"] = {"sha256": file_sha256(ranges.source.resolve(ranges.fit))}
+    made_from = provenance(inputs, {**asdict(options), "ranges": ranges.model_dump(mode="json")})
+    out = DatasetFolder(
+        folder, made_from, names=[*views, "poses", "stacks", "samples.csv", "datasheet.md"], force=force
+    )
+    if (before := out.complete) is not None:
+        return _result(folder, before, resumed=int(before["poses"]))
+    scene = build_scene(rig, part, defects=False, bounces=part.inspection.bounces)
+    refuse_unusable_scene(scene, rig, part, cast_rays_at(scene))
+    run.warn(*scene.warnings)
+    poses = draw_poses(options, ranges, factors, scene.postures)
+    splits = Counter(pose.split for pose in poses)
+    if empty := [name for name in SPLITS if getattr(ranges.split, name) > 0.0 and not splits[name]]:
+        run.warn(
+            f"{counted(len(poses), 'pose')}: none is in the split {' or '.join(empty)}; more samples, or fewer samples "
+            "per pose, fill it"
+        )
+    out.begin()
+    kinds = list(dict.fromkeys(entry.shape.kind for entry in catalogue))
+    size = scene.camera.width, scene.camera.height
+    work = _Work(rig, scene, catalogue, options, ranges, factors, views, kinds, size, out)
+    limits: dict[Any, PostureLimits] = {}
+    records: list[dict[str, Any]] = []
+    resumed = 0
+    stage = run.stage("rendering poses")
+    for pose in poses:
+        if (record := out.record(pose.number)) is not None:
+            resumed += 1
+        else:
+            if pose.posture not in limits:
+                limits[pose.posture] = posture_limits(rig, scene, pose.posture, catalogue, options, run.threads)
+            record = work.make_pose(pose, limits[pose.posture], run.threads)
+        records.append(record)
+        stage((pose.number + 1) / len(poses))
+    samples = [sample for record in records for sample in record["samples"]]
+    omitted = sum(record["omitted"] for record in records)
+    if omitted:
+        run.warn(
+            f"{counted(omitted, 'defect')} left out: no place was found where the image shows the whole defect; give "
+            "the part a defect_catalogue with smaller ones"
+        )
+    files = write_formats(out, samples, views, kinds, size)
+    out.write_text("datasheet.md", datasheet(rig, part, options, ranges, factors, samples, views, omitted))
+    defects = [one for sample in samples for one in sample["defects"]]
+    found = {
+        "views": list(views),
+        "samples": len(samples),
+        "images": len(samples) * len(lights),
+        "poses": len(poses),
+        "defects": len(defects),
+        "visible": sum(one["visibility"][STACK]["visible"] for one in defects),
+        "omitted": omitted,
+        "files": [*files, "datasheet.md"],
+    }
+    out.finish(found)
+    return _result(folder, found, resumed=resumed)
+
+
+def _result(folder: Path, found: Mapping[str, Any], *, resumed: int) -> DatasetResult:
+    numbers = {name: int(found[name]) for name in ("samples", "images", "poses", "defects", "visible")}
+    files = tuple(folder / name for name in (MANIFEST, "datasheet.md", "samples.csv"))
+    return DatasetResult(folder=folder, resumed=resumed, files=files, **numbers)
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """What the poses of a dataset have in common."""
+
+    rig: RigConfig
+    nominal: Scene
+    catalogue: tuple[CatalogueEntry, ...]
+    options: DatasetOptions
+    ranges: RangesConfig
+    factors: Factors
+    views: Sequence[str]
+    kinds: Sequence[str]
+    size: tuple[int, int]
+    out: DatasetFolder
+
+    def make_pose(self, draw: PoseDraw, limits: PostureLimits, threads: int | None) -> dict[str, Any]:
+        """Render and write a pose and its samples; returns its record."""
+        pose = render_pose(self.rig, self.nominal, draw, self.options, threads)
+
+        def make(number: int) -> tuple[dict[str, Any], list[str], SampleImages | None]:
+            lights = tuple(light.name for light in self.nominal.lights)
+            sample = draw_sample(number, self.options, self.ranges, self.factors, self.catalogue, lights)
+            images = sample_images(pose, sample, limits, self.options, where=f"sample {number}")
+            defects = self._defects(pose, images)
+            facts: dict[str, Any] = {
+                "sample": number,
+                "pose": draw.number,
+                "posture": draw.posture.as_dict(),
+                "split": draw.split,
+                "R_d_factor": round(sample.R_d, 6),
+                "R_s_factor": round(sample.R_s, 6),
+                "gain_factors": {name: round(gain, 6) for name, gain in zip(lights, sample.gains, strict=True)},
+                "particles": len(sample.dust),
+                "omitted": images.omitted,
+                "defects": defects,
+                "files": {view: image_name(view, number, defects, draw.split) for view in self.views},
+            }
+            return facts, self._write_sample(facts, images), images if self.options.stacks else None
+
+        found = in_threads(make, list(draw.samples), threads)
+        files = [f"poses/pose-{draw.number:06}.exr", *(name for _, names, _ in found for name in names)]
+        write_exr(self.out.path(files[0]), _channels(pose), metadata=draw.as_dict())
+        samples = [facts for facts, _, _ in found]
+        if self.options.stacks:
+            files.append(f"stacks/pose-{draw.number:06}.h5")
+            self._write_stack(files[-1], pose, samples, [images for _, _, images in found if images is not None])
+        omitted = sum(facts["omitted"] for facts in samples)
+        record = {**draw.as_dict(), "samples": samples, "omitted": omitted, "files": files}
+        self.out.write_record(draw.number, record)
+        return record
+
+    def _defects(self, pose: PoseImages, images: SampleImages) -> list[dict[str, Any]]:
+        width, height = self.size
+        facts = defect_facts([one.placed for one in images.defects], pose.scene.placement)
+        return [
+            {
+                **own,
+                "box_px": list(box_of(one.pixels, width)),
+                "visibility": {
+                    name: {"z": round(each.z, 3), "visible": each.visible} for name, each in one.visibility.items()
+                },
+                "mask": run_lengths(one.pixels, height, width),
+            }
+            for own, one in zip(facts, images.defects, strict=True)
+        ]
+
+    def _write_sample(self, facts: Mapping[str, Any], images: SampleImages) -> list[str]:
+        files: list[str] = []
+        pictures = [*(self._as_8_bits(one) for one in images.levels), *([] if images.fused is None else [images.fused])]
+        for view, picture in zip(self.views, pictures, strict=True):
+            image = facts["files"][view]
+            metadata = {"sample": facts["sample"], "view": view}
+            write_png(self.out.path(image), picture, metadata=metadata)
+            files.append(image)
+            if (mask := mask_name(image)) is not None:
+                write_png(self.out.path(mask), union(facts["defects"], view, self.size), metadata=metadata)
+                files.append(mask)
+            if (labels := yolo_name(image)) is not None:
+                self.out.write_text(labels, yolo_text(facts["defects"], view, self.kinds, *self.size))
+                files.append(labels)
+        return files
+
+    def _as_8_bits(self, levels: Levels) -> UInt8:
+        # readers of datasets expect 8 bits
+        return (levels >> max(0, int(self.nominal.sensor.bit_depth) - 8)).astype(np.uint8)
+
+    def _write_stack(
+        self, name: str, pose: PoseImages, samples: Sequence[dict[str, Any]], images: Sequence[SampleImages]
+    ) -> None:
+        width, height = self.size
+        labels = np.zeros((len(images), height, width), np.uint8)
+        for own, one in zip(labels, images, strict=True):
+            for number, defect in enumerate(one.defects, 1):
+                own.reshape(-1)[defect.pixels] = number
+        geometry = pose.actual.geometry
+        arrays = {
+            "levels": np.stack([np.stack(one.levels) for one in images]),
+            "defect": labels,
+            "nominal": pose.view.predicted,
+            "deviation": pose.deviation,
+            "normals": np.ascontiguousarray(np.moveaxis(geometry.normals, -1, 0)),
+        }
+        if self.options.fusion:
+            arrays["fused"] = np.stack([one.fused for one in images if one.fused is not None])
+        lights = [light.name for light in self.nominal.lights]
+        write_stack(self.out.path(name), arrays, lights=lights, facts=samples)
+
+
+def _channels(pose: PoseImages) -> dict[str, Any]:
+    # what a pose's pixels look at, and the good part's images
+    geometry = pose.actual.geometry
+    images = pose.view.prediction.images.lights
+    return {
+        **{f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")},
+        **{f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")},
+        **{f"{image.light}.Y": image.level for image in images},
+    }

@@ -1,0 +1,228 @@
+"""What is random in a dataset: poses, and the samples that share each of them, drawn from one seed."""
+
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightopt.config import PartConfig, RangesConfig, RigConfig
+from lightopt.core.arrays import Float64
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.defects import DEFAULT_FALSE_ALARMS, CatalogueEntry, false_alarms_problem
+from lightopt.estimate.registration import Placement, place_part
+from lightopt.inspection import FUSIONS, Fusion
+from lightopt.scene import Scene, with_reflectances
+
+SPLITS = ("train", "val", "test")
+MOST_SAMPLES = 1_000_000
+LEAST_R_D = 1e-6  # a trace of diffuse light, far below what a camera detects: it is where a light reaches
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetOptions:
+    """What a dataset has.
+
+    images: Number of samples, each of one image per light
+    seed: Of all random numbers
+    exposure: Relative exposure of lights to which the rig's programme gives none
+    fusion: Rule of the fused image; None for no such image
+    stacks: Whether an HDF5 file per pose is written
+    false_alarms: Per posture, at which a defect counts as visible
+    """
+
+    images: int
+    seed: int = 0
+    exposure: float = 1.0
+    fusion: Fusion | None = "paper"
+    stacks: bool = False
+    false_alarms: float = DEFAULT_FALSE_ALARMS
+
+    def problems(self) -> list[str]:
+        """Messages about wrong options."""
+        found: list[str] = []
+        if not 1 <= self.images <= MOST_SAMPLES:
+            found.append(f"option 'images': expected 1 to {MOST_SAMPLES:,} samples, found {self.images}")
+        if self.seed < 0:
+            found.append(f"option 'seed': expected 0 or more, found {self.seed}")
+        if not (self.exposure > 0.0 and math.isfinite(self.exposure)):
+            found.append(f"option 'exposure': expected a number above 0, found {self.exposure:g}")
+        if self.fusion is not None and self.fusion not in FUSIONS:
+            found.append(f"option 'fusion': expected {', '.join(FUSIONS)} or none, found \"{self.fusion}\"")
+        if problem := false_alarms_problem(self.false_alarms):
+            found.append(problem)
+        return found
+
+
+@dataclass(frozen=True)
+class Factors:
+    """Limits of factors on what the files say: diffuse and specular light, width of the lobe, gain by light."""
+
+    R_d: Range
+    R_s: Range
+    sigma: Range
+    gains: dict[str, Range]
+
+
+def factors_of(ranges: RangesConfig, rig: RigConfig, part: PartConfig) -> Factors:
+    """The limits of factors: by the intervals of a fit and of a calibrated rig where there are some, else the ranges'.
+
+    Raises InputError: the fit is none
+    """
+    fit = {} if ranges.fit is None else _read_fit(ranges.source.resolve(ranges.fit))
+    values, fitted_gains = fit.get("values") or {}, fit.get("gains") or {}
+    own = part.reflectance
+    calibrated = {} if rig.calibration is None else rig.calibration.intervals
+
+    def limits(found: object, value: float, default: Range) -> Range:
+        ends: Any = found.get("interval_95") if isinstance(found, dict) else found
+        if not isinstance(ends, (list, tuple)) or value <= 0.0:
+            return default
+        low, high = ends
+        return default if low is None or high is None else (max(0.0, low / value), high / value)
+
+    gains = {
+        light.name: limits(
+            fitted_gains.get(light.name) or calibrated.get(f"{light.name} gain"), light.gain, ranges.gain
+        )
+        for light in rig.lights
+    }
+    width = limits(values.get("alpha"), own.alpha or 0.0, limits(values.get("sigma_rad"), own.sigma, ranges.sigma))
+    return Factors(
+        R_d=limits(values.get("R_d"), own.R_d, ranges.R_d),
+        R_s=limits(values.get("R_s"), own.R_s, ranges.R_s),
+        sigma=width,
+        gains=gains,
+    )
+
+
+def _read_fit(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as the fit.json of a fit: {error}") from error
+    if not (isinstance(found, dict) and str(found.get("format", "")).startswith("lightopt-fit/")):
+        raise InputError(f'{path}: expected the fit.json that a fit wrote, of format "lightopt-fit/1"')
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseDraw:
+    """A pose of the part, its surface, and the numbers of the samples that share them."""
+
+    number: int
+    posture: Posture
+    split: str
+    placement: Placement
+    sigma_factor: float
+    waviness_seed: int
+    samples: range
+
+    def scene(self, nominal: Scene) -> Scene:
+        """The good part in this pose, smooth."""
+        own = [
+            replace(one, sigma=one.sigma * self.sigma_factor, R_d=max(one.R_d, LEAST_R_D))
+            for one in nominal.reflectances
+        ]
+        return place_part(with_reflectances(nominal, own), self.placement)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        place = self.placement
+        return {
+            "pose": self.number,
+            "posture": self.posture.as_dict(),
+            "split": self.split,
+            "shift_mm": [round(x, 5) for x in (place.x, place.y, place.z)],
+            "rotation_deg": round(math.degrees(place.turn), 5),
+            "tilt_deg": [round(math.degrees(x), 5) for x in (place.tilt_x, place.tilt_y)],
+            "sigma_factor": round(self.sigma_factor, 6),
+        }
+
+
+def draw_poses(
+    options: DatasetOptions, ranges: RangesConfig, factors: Factors, postures: tuple[Posture, ...]
+) -> list[PoseDraw]:
+    """The poses of a dataset: the postures take turns, and whole poses are divided into the splits."""
+    each = ranges.samples_per_pose
+    count = -(-options.images // each)
+    ends = np.rint(np.cumsum([getattr(ranges.split, name) for name in SPLITS]) * count)
+    place = np.random.default_rng([options.seed, 0]).permutation(count)
+    reach, poses = ranges.pose, list[PoseDraw]()
+    for number in range(count):
+        rng = np.random.default_rng([options.seed, 1, number])
+        x, y, turn, z, tilt_x, tilt_y = rng.uniform(-1.0, 1.0, 6).tolist()
+        tilt = math.radians(reach.tilt_deg)
+        poses.append(
+            PoseDraw(
+                number=number,
+                posture=postures[number % len(postures)],
+                split=SPLITS[int(np.searchsorted(ends, place[number], side="right"))],
+                placement=Placement(
+                    x=x * reach.shift_mm,
+                    y=y * reach.shift_mm,
+                    turn=turn * math.radians(reach.rotation_deg),
+                    z=z * reach.lift_mm,
+                    tilt_x=tilt_x * tilt,
+                    tilt_y=tilt_y * tilt,
+                ),
+                sigma_factor=float(rng.uniform(*factors.sigma)),
+                waviness_seed=int(rng.integers(1 << 31)),
+                samples=range(number * each, min((number + 1) * each, options.images)),
+            )
+        )
+    return poses
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SampleDraw:
+    """One piece in a pose: what is on it, and how bright it is.
+
+    kinds: Of its defects, which are placed with `rng`
+    dust: Diameter [mm] and R_d of each particle, shape (n, 2); `places`: shares along the pixels of the part and the
+        offsets within a pixel, shape (n, 3)
+    """
+
+    number: int
+    kinds: tuple[CatalogueEntry, ...]
+    R_d: float
+    R_s: float
+    gains: tuple[float, ...]
+    dust: Float64
+    places: Float64
+    rng: np.random.Generator
+
+
+def draw_sample(
+    number: int,
+    options: DatasetOptions,
+    ranges: RangesConfig,
+    factors: Factors,
+    catalogue: tuple[CatalogueEntry, ...],
+    lights: tuple[str, ...],
+) -> SampleDraw:
+    """The sample of a number: the same whatever other samples there are."""
+    rng = np.random.default_rng([options.seed, 2, number])
+    defective = rng.random() < ranges.defective
+    count = int(rng.integers(ranges.defects[0], ranges.defects[1] + 1)) if defective else 0
+    kinds = tuple(catalogue[int(rng.integers(len(catalogue)))].at(*rng.random(2).tolist()) for _ in range(count))
+    brightness = rng.uniform(*factors.R_d), rng.uniform(*factors.R_s)
+    gains = tuple(float(rng.uniform(*factors.gains[name])) for name in lights)
+    particles = int(rng.integers(ranges.dust.particles[0], ranges.dust.particles[1] + 1))
+    low, high = np.log(ranges.dust.size_mm)
+    dust = np.stack([np.exp(rng.uniform(low, high, particles)), rng.uniform(*ranges.dust.R_d, particles)], axis=1)
+    return SampleDraw(
+        number=number,
+        kinds=kinds,
+        R_d=float(brightness[0]),
+        R_s=float(brightness[1]),
+        gains=gains,
+        dust=dust,
+        places=rng.random((particles, 3)),
+        rng=rng,
+    )

@@ -1,0 +1,123 @@
+"""The folder of a dataset: which of its poses are there, and what a previous dataset left."""
+
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import differences
+from lightopt.images import make_folder, remove_file, write_text_atomic
+
+MANIFEST, FORMAT = "dataset.json", "lightopt-dataset/1"
+
+
+class DatasetFolder:
+    """A dataset that is written pose by pose, and that a later run with the same inputs continues.
+
+    made_from: From :func:`lightopt.core.provenance.provenance`.
+    names: Of the files and folders at its top.
+    force: Whether a dataset of other inputs is replaced.
+    Raises InputError: The folder holds a dataset of other inputs, and `force` is False; or it holds files of others.
+    """
+
+    def __init__(self, folder: Path, made_from: Mapping[str, Any], *, names: list[str], force: bool) -> None:
+        self.folder = folder
+        self._made_from: Mapping[str, Any] = json.loads(json.dumps(made_from))
+        old = _read(folder / MANIFEST)
+        if old is not None and str(old.get("format", "")).startswith("lightopt-dataset/"):
+            before = old.get("provenance")
+            changed = differences(before if isinstance(before, Mapping) else {}, self._made_from)
+            if changed and not force:
+                raise InputError(
+                    f"{folder} already has a dataset of other inputs or with other options ({changed}); use option "
+                    "'force' to replace it, or choose another folder"
+                )
+            self._old, self._replaced = (None, old) if changed else (old, None)
+        else:
+            there = [name for name in (MANIFEST, *names) if (folder / name).exists()]
+            if there:
+                raise InputError(
+                    f"{folder} has {', '.join(there)}, which no dataset lists; remove it, or choose another folder"
+                )
+            self._old = self._replaced = None
+
+    @property
+    def complete(self) -> Mapping[str, Any] | None:
+        """The manifest, if all files are there that it and the poses list; else None."""
+        old = self._old
+        if old is None or not old.get("complete"):
+            return None
+        poses = [self.record(number) for number in range(int(old["poses"]))]
+        there = all(poses) and all((self.folder / name).is_file() for name in old["files"])
+        return old if there else None
+
+    def begin(self) -> None:
+        """Write the manifest of a dataset without files, unless one is continued; remove the one that is replaced."""
+        make_folder(self.folder)
+        if self._replaced is not None:
+            self._remove(self._replaced)
+        if self._old is None:
+            self._write({"complete": False, "files": []})
+
+    def record(self, number: int) -> dict[str, Any] | None:
+        """What is known of a pose; None where any of its files is missing."""
+        found = _read(self.folder / record_name(number))
+        if found is None or not all((self.folder / name).is_file() for name in found["files"]):
+            return None
+        return found
+
+    def write_record(self, number: int, record: Mapping[str, Any]) -> None:
+        """Complete a pose, all of whose files are written."""
+        self.write_text(record_name(number), json.dumps(record, ensure_ascii=False, separators=(",", ":")) + "\n")
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write a text file, whole or not at all."""
+        write_text_atomic(self.path(name), text)
+
+    def path(self, name: str) -> Path:
+        """Path of a file by its name; its folder is made."""
+        path = self.folder / name
+        make_folder(path.parent)
+        return path
+
+    def finish(self, content: Mapping[str, Any]) -> None:
+        """Write the manifest, which completes the dataset."""
+        self._write({"complete": True, **content})
+
+    def _write(self, content: Mapping[str, Any]) -> None:
+        document = {"format": FORMAT, **content, "provenance": self._made_from}
+        self.write_text(MANIFEST, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+    def _remove(self, old: Mapping[str, Any]) -> None:
+        # the records last: they know the files
+        names = [name for name in old.get("files", []) if isinstance(name, str)]
+        records = sorted((self.folder / "poses").glob("pose-*.json"))
+        for record in records:
+            names += (_read(record) or {}).get("files", [])
+        root, folders = self.folder.resolve(), set[Path]()
+        for name in names:
+            path = (self.folder / name).resolve()
+            if path.is_relative_to(root):
+                remove_file(path)
+                folders.update(one for one in path.parents if one != root and one.is_relative_to(root))
+        for record in records:
+            remove_file(record)
+        remove_file(self.folder / MANIFEST)
+        for folder in sorted(folders, key=lambda one: -len(one.parts)):
+            with suppress(OSError):  # something else is in it
+                folder.rmdir()
+
+
+def record_name(number: int) -> str:
+    """Name of the file that describes a pose."""
+    return f"poses/pose-{number:06}.json"
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None

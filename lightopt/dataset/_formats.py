@@ -1,0 +1,224 @@
+"""A dataset in the words of others: folders of MVTec AD, COCO, YOLO, a table of the split, the datasheet."""
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from lightopt.config import PartConfig, RangesConfig, RigConfig
+from lightopt.dataset._draws import SPLITS, DatasetOptions, Factors
+from lightopt.dataset._folder import DatasetFolder
+from lightopt.dataset._masks import outlines, pixels_of
+from lightopt.dataset._visibility import MIN_IMAGES
+from lightopt.images import csv_text
+
+Record = Mapping[str, Any]
+
+INVISIBLE = "invisible"  # folder of images whose defects none can find
+
+
+def image_name(view: str, number: int, defects: Sequence[Record], split: str) -> str:
+    """Name of an image: in a view's folders as MVTec AD has them, or apart where it shows no defect of those it has."""
+    if not defects:
+        return f"{view}/images/{'train' if split == 'train' else 'test'}/good/{number:06}.png"
+    kinds = sorted({one["kind"] for one in defects if is_visible(one, view)})
+    if not kinds:
+        return f"{view}/{INVISIBLE}/{number:06}.png"
+    return f"{view}/images/test/{kinds[0] if len(kinds) == 1 else 'combined'}/{number:06}.png"
+
+
+def mask_name(image: str) -> str | None:
+    """Name of the mask of an image; None for an image without visible defects."""
+    where, _, name = image.rpartition("/")
+    if "/test/" not in image or where.endswith("/good"):
+        return None
+    return f"{where.replace('/images/test/', '/images/ground_truth/')}/{name.replace('.png', '_mask.png')}"
+
+
+def yolo_name(image: str) -> str | None:
+    """Name of the labels of an image; None for an image that YOLO is not given."""
+    if f"/{INVISIBLE}/" in image:
+        return None
+    return image.replace("/images/", "/labels/").replace(".png", ".txt")
+
+
+def is_visible(defect: Record, view: str) -> bool:
+    """Whether a defect can be found in the images of a view."""
+    return defect["visibility"][view]["visible"]
+
+
+def yolo_text(defects: Sequence[Record], view: str, kinds: Sequence[str], width: int, height: int) -> str:
+    """The labels of an image: class, centre and size of each visible defect as shares of the image's sides."""
+    lines: list[str] = []
+    for one in defects:
+        if is_visible(one, view):
+            left, top, columns, rows = one["box_px"]
+            shares = (left + 0.5 * columns) / width, (top + 0.5 * rows) / height, columns / width, rows / height
+            lines.append(f"{kinds.index(one['kind'])} {' '.join(f'{share:.6f}' for share in shares)}\n")
+    return "".join(lines)
+
+
+def write_formats(
+    folder: DatasetFolder, samples: Sequence[Record], views: Sequence[str], kinds: Sequence[str], size: tuple[int, int]
+) -> list[str]:
+    """Write COCO's and YOLO's lists of each view, and the table of samples; returns the names of the files."""
+    texts: dict[str, str] = {}
+    for view in views:
+        for split in SPLITS:
+            own = [one for one in samples if one["split"] == split]
+            coco = _coco(own, view, kinds, size)
+            texts[f"{view}/coco-{split}.json"] = json.dumps(coco, ensure_ascii=False, separators=(",", ":")) + "\n"
+            images = (one["files"][view] for one in own if yolo_name(one["files"][view]) is not None)
+            texts[f"{view}/{split}.txt"] = "".join(f"./{name.removeprefix(f'{view}/')}\n" for name in images)
+        names = "".join(f"  {number}: {kind}\n" for number, kind in enumerate(kinds))
+        texts[f"{view}/data.yaml"] = "".join(f"{split}: {split}.txt\n" for split in SPLITS) + f"names:\n{names}"
+    header = ("sample", "pose", "elevation_deg", "rotation_deg", "split", "defects", "kinds", *views)
+    rows: list[Sequence[object]] = [header]
+    for one in samples:
+        found = [defect["kind"] for defect in one["defects"]]
+        posture = one["posture"]
+        place = (one["pose"], posture["elevation_deg"], posture["rotation_deg"])
+        files = (one["files"][view] for view in views)
+        rows.append((one["sample"], *place, one["split"], len(found), " ".join(sorted(set(found))), *files))
+    texts["samples.csv"] = csv_text(rows)
+    for name, text in texts.items():
+        folder.write_text(name, text)
+    return list(texts)
+
+
+def _coco(samples: Sequence[Record], view: str, kinds: Sequence[str], size: tuple[int, int]) -> dict[str, Any]:
+    width, height = size
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for one in samples:
+        number = one["sample"] + 1
+        name = one["files"][view].removeprefix(f"{view}/")
+        images.append({"id": number, "file_name": name, "width": width, "height": height, "pose": one["pose"]})
+        for defect in one["defects"]:
+            pixels, visible = pixels_of(defect["mask"]), is_visible(defect, view)
+            shape = outlines(pixels, width) if visible else None
+            annotations.append(
+                {
+                    "id": len(annotations) + 1,
+                    "image_id": number,
+                    "category_id": kinds.index(defect["kind"]) + 1,
+                    "bbox": defect["box_px"],
+                    "area": len(pixels),
+                    "segmentation": defect["mask"] if shape is None else shape,
+                    # what evaluations and loss functions leave out
+                    "iscrowd": int(not visible),
+                    "name": defect["name"],
+                    "size_mm": defect["size_mm"],
+                    "visibility": defect["visibility"],
+                }
+            )
+    categories = [{"id": i, "name": kind, "supercategory": "defect"} for i, kind in enumerate(kinds, 1)]
+    return {"images": images, "annotations": annotations, "categories": categories}
+
+
+def datasheet(
+    rig: RigConfig,
+    part: PartConfig,
+    options: DatasetOptions,
+    ranges: RangesConfig,
+    factors: Factors,
+    samples: Sequence[Record],
+    views: Sequence[str],
+    omitted: int,
+) -> str:
+    """The datasheet of a dataset, as Markdown: what is in it, what was randomised, what is shared, what labels mean."""
+
+    def limits(pair: Sequence[float]) -> str:
+        return f"{pair[0]:.4g} to {pair[1]:.4g}"
+
+    reach, dust = ranges.pose, ranges.dust
+    tilt = f", tilt ± {reach.tilt_deg:g}°, height ± {reach.lift_mm:g} mm" if reach.tilt_deg or reach.lift_mm else ""
+    gains = "; ".join(f"{name} {limits(pair)}" for name, pair in factors.gains.items())
+    surface, sensor = part.surface, rig.camera.sensor
+    waviness = "none" if surface is None else f"{surface.waviness_deg:g}°, {surface.waviness_mm:g} mm"
+    electrons = f", {sensor.electrons_per_level:g} electrons per level" if sensor.electrons_per_level else ""
+    dusty = f"{dust.particles[0]} to {dust.particles[1]} particles of {limits(dust.size_mm)} mm"
+    randomised = [
+        ("placement of the part", "pose", f"± {reach.shift_mm:g} mm along X and Y, ± {reach.rotation_deg:g}°{tilt}"),
+        ("waviness of the surface", "pose", waviness),
+        ("width of the lobe", "pose", f"× {limits(factors.sigma)}"),
+        ("diffuse light (R_d)", "sample", f"× {limits(factors.R_d)}"),
+        ("specular light (R_s)", "sample", f"× {limits(factors.R_s)}"),
+        ("gains", "sample", f"× {gains}"),
+        ("share of samples with defects", "sample", f"{ranges.defective:g}"),
+        ("defects", "sample", f"{ranges.defects[0]} to {ranges.defects[1]}; place, direction, size and slope of each"),
+        ("dust", "sample", f"{dusty}, R_d {limits(dust.R_d)}"),
+        ("noise", "image", f"read noise of {sensor.read_noise_levels:g} levels{electrons}"),
+    ]
+    by_split = Counter((one["split"], bool(one["defects"])) for one in samples)
+    defects = [defect for one in samples for defect in one["defects"]]
+    kinds = sorted({defect["kind"] for defect in defects})
+    shown = {
+        (kind, view): sum(d["kind"] == kind and is_visible(d, view) for d in defects)
+        for kind in kinds
+        for view in ("stack", *views)
+    }
+    scale = f", {sensor.bit_depth} bits scaled to 8" if sensor.bit_depth > 8 else ""
+    poses = len({one["pose"] for one in samples})
+    shared = (
+        f"Up to {ranges.samples_per_pose} samples share a pose: its rendered levels, waviness and width of the lobe. "
+        "The samples of a pose are in one split. Their defects are rendered by ray casting in the pixels that show "
+        "them; dust, factors and noise are applied to linear levels. Light that a defect reflects onto the part is "
+        "left out. The fixed pattern of the sensor is that of one camera."
+    )
+    labels = (
+        "A mask has the pixels that any part of the defect lies in. A defect is visible in an image, or in all of a "
+        "sample (stack), where the matched-filter statistic is expected to reach the threshold of "
+        f"{options.false_alarms:g} false alarms per posture; in a stack, {MIN_IMAGES} images must show it where so "
+        "many are lit. Invisible defects are marked: `iscrowd: 1` in COCO, no mask in ground_truth, no box for YOLO. "
+        f"Images without a visible defect of those on the piece are in `{INVISIBLE}/`, which readers of MVTec AD and "
+        "YOLO do not see."
+    )
+    lines = [
+        f"# Dataset of {part.name} on {rig.name}",
+        "",
+        f"Rendered by lightopt, seed {options.seed}: {len(samples)} samples in {poses} poses. A sample is one piece in "
+        f"one posture: one image per light{scale}"
+        + (", and one image fused from these without highlights." if options.fusion else "."),
+        "",
+        "| split | good samples | samples with defects |",
+        "|---|---|---|",
+        *(f"| {split} | {by_split[split, False]} | {by_split[split, True]} |" for split in SPLITS),
+        "",
+        "## Randomised",
+        "",
+        "| what | drawn for each | limits |",
+        "|---|---|---|",
+        *(f"| {what} | {each} | {text} |" for what, each, text in randomised),
+        "",
+        "Values are even between their limits, sizes by their logarithm. Places of defects are even by area where the "
+        "image shows the whole defect, off silhouettes, creases and grazing views."
+        + (f" For {omitted} defects there was no such place; they are left out." if omitted else ""),
+        "",
+        "## Shared",
+        "",
+        shared,
+        "",
+        "## Labels",
+        "",
+        labels,
+        "",
+        f"| kind | defects | visible in: stack | {' | '.join(views)} |",
+        f"|---|---|---|{'---|' * len(views)}",
+    ]
+    for kind in kinds:
+        total = sum(one["kind"] == kind for one in defects)
+        lines.append(f"| {kind} | {total} | {' | '.join(str(shown[kind, view]) for view in ('stack', *views))} |")
+    return "\n".join(lines) + "\n"
+
+
+def union(defects: Sequence[Record], view: str, size: tuple[int, int]) -> Any:
+    """Mask of the visible defects of an image: 255 and 0, shape (H, W)."""
+    width, height = size
+    mask = np.zeros((height, width), np.uint8)
+    for one in defects:
+        if is_visible(one, view):
+            mask.reshape(-1)[pixels_of(one["mask"])] = 255
+    return mask
