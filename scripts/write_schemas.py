@@ -1,4 +1,4 @@
-"""Write configs/schema/rig.json and part.json from the models of lightopt.config."""
+"""Write configs/schema/rig.json, part.json and batch.json from the models of lightopt.config."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FOLDER = Path(__file__).parent.parent / "configs" / "schema"
 
 def main() -> None:
     FOLDER.mkdir(exist_ok=True)
-    for kind in ("rig", "part"):
+    for kind in ("rig", "part", "batch"):
         text = json.dumps(json_schema(kind), indent=2, ensure_ascii=False) + "\n"
         path = FOLDER / f"{kind}.json"
         path.write_text(text, encoding="utf-8", newline="\n")

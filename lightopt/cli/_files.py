@@ -49,8 +49,10 @@ def init(
     echo(f"next: lightopt check {folder / 'rig.yaml'} {folder / 'part.yaml'}")
 
 
-def schema(kind: Literal["rig", "part"] = Argument(..., metavar="KIND", help="Kind of file: rig or part.")) -> None:
-    """Print the JSON schema of a rig or part file, for editors and other programs.
+def schema(
+    kind: Literal["rig", "part", "batch"] = Argument(..., metavar="KIND", help="Kind of file: rig, part or batch."),
+) -> None:
+    """Print the JSON schema of a rig, part or batch file, for editors and other programs.
 
     Example: lightopt schema rig > rig.json
 
@@ -61,7 +63,7 @@ def schema(kind: Literal["rig", "part"] = Argument(..., metavar="KIND", help="Ki
     echo(_schema_text(kind))
 
 
-def _schema_text(kind: Literal["rig", "part"]) -> str:
+def _schema_text(kind: Literal["rig", "part", "batch"]) -> str:
     from lightopt.config import json_schema
 
     return json.dumps(json_schema(kind), indent=2, ensure_ascii=False)

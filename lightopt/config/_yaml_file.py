@@ -20,6 +20,7 @@ _KINDS = {
     "lightopt-images": "an image set",
     "lightopt-targets": "the targets of a calibration",
     "lightopt-sensor": "the data sheet of a sensor",
+    "lightopt-batch": "the jobs of a batch",
 }
 
 Config = TypeVar("Config", bound=FileConfig)
