@@ -12,7 +12,16 @@ from typing import Any
 
 from lightopt.batch._commands import CommandForm, option_problems, option_words
 from lightopt.batch._task import FromTask, Task, content_sha256
-from lightopt.config import BatchConfig, JobConfig, PartConfig, RigConfig, input_files, load_part, load_rig
+from lightopt.config import (
+    BatchConfig,
+    HardwareConfig,
+    JobConfig,
+    PartConfig,
+    RigConfig,
+    input_files,
+    load_part,
+    load_rig,
+)
 from lightopt.core.errors import InputError, refuse
 from lightopt.core.provenance import computed_by
 from lightopt.images import MANIFEST_NAME, read_image_set
@@ -130,12 +139,18 @@ def _read(name: str, path: Path, load: Callable[[Path], RigConfig | PartConfig])
         config = load(path)
         files += input_files(config).values()
         if isinstance(config, RigConfig):
-            drives_devices = config.hardware is not None
+            drives_devices = config.hardware is not None and _is_real(config.hardware)
             if config.virtual_bench is not None and config.virtual_bench.rig is not None:
                 files.append(config.source.resolve(config.virtual_bench.rig))
     except InputError:
         pass  # one wrong file stops no other: its own tasks fail, and say why
     return _Input(name, path, {str(file.resolve()): content_sha256(file) for file in files}, drives_devices)
+
+
+def _is_real(hardware: HardwareConfig) -> bool:
+    stage = [] if hardware.stage is None else [hardware.stage.port]
+    ports = [*stage, *(controller.port for controller in hardware.controllers.values())]
+    return hardware.camera.driver != "virtual" or any(port not in (None, "virtual") for port in ports)
 
 
 def _groups(rigs: Sequence[_Input], form: CommandForm) -> list[tuple[_Input, ...]]:

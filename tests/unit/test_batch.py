@@ -1,0 +1,397 @@
+"""``lightopt batch``: which tasks a batch has, what is kept, and what a failure, a kill or Ctrl-C leaves.
+
+Commands are doubles here; tests/system/test_batch_workers.py runs real ones by workers.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from lightopt.batch import Workers, _schedule, _task, answer_text, jobs_table, run_batch
+from lightopt.batch._expand import expand
+from lightopt.cli._batch import command_form
+from lightopt.config import load_batch
+from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
+
+JOBS = """\
+format: lightopt-batch/1
+rigs: [rig.yaml]
+parts: [parts]
+jobs:
+  - name: images
+    command: render
+    options: {exposures: [1, 1/16], sheet: true}
+  - {name: fit, command: fit-specular, images_from: images}
+  - {name: best, command: optimize, part_from: fit, options: {step: 5}}
+"""
+
+
+class Commands:
+    """Stand in for the command line: write a file, and the fitted part of a fit."""
+
+    def __init__(self):
+        self.ran, self.answers = [], {}
+
+    def __call__(self, words):
+        command, folder = words[0], Path(words[words.index("-o") + 1])
+        self.ran.append((command, Path(words[2]).stem))
+        status, error = self.answers.pop(self.ran[-1], (0, ""))
+        if isinstance(error, Exception):
+            raise error
+        (folder / "inner").mkdir()
+        (folder / "inner" / "result.txt").write_text(f"{command} of {Path(words[2]).name}", encoding="utf-8")
+        if command == "fit-specular":
+            (folder / "part.fitted.yaml").write_text("format: lightopt-part/1", encoding="utf-8")
+        return status, f"answer of {command} in {folder}\nmore\n", error
+
+
+@pytest.fixture
+def files(bench):
+    parts = bench.folder / "parts"
+    parts.mkdir()
+    shutil.move(bench.mesh, parts)
+    for name in "ab":
+        shutil.copy(bench.part, parts / f"{name}.yaml")
+    bench.part.unlink()
+    (bench.folder / "jobs.yaml").write_text(JOBS, encoding="utf-8")
+    return bench
+
+
+@pytest.fixture
+def commands():
+    return Commands()
+
+
+@pytest.fixture
+def batch(files, commands):
+    def run(out=files.out, **options):
+        commands.ran.clear()
+        return run_batch(load_batch(files.folder / "jobs.yaml"), out, command_form, commands, **options)
+
+    return run
+
+
+def tree(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
+def problems(files):
+    with pytest.raises(InputError) as caught:
+        expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+    return caught.value.messages
+
+
+def test_each_job_is_run_for_each_part_after_those_that_it_needs(batch, files, commands):
+    result = batch()
+    assert sorted(commands.ran[:2]) == [("render", "a"), ("render", "b")]
+    assert commands.ran[2:4] == [("fit-specular", "a"), ("fit-specular", "b")]
+    assert commands.ran[4:] == [("optimize", "part.fitted"), ("optimize", "part.fitted")]
+    assert answer_text(result.outcomes, len(result.tasks)) == "6 tasks: 6 done"
+    assert tree(files.out / "images") == [
+        f"rig/{part}/{name}" for part in "ab" for name in ("inner/result.txt", "task.json", "terminal.txt")
+    ]
+    terminal = (files.out / "images" / "rig" / "a" / "terminal.txt").read_text(encoding="utf-8")
+    assert terminal == f"answer of render in {files.out / 'images' / 'rig' / 'a'}\nmore\n", "and no temporary name"
+    page = (files.out / "report.html").read_text(encoding="utf-8")
+    assert 'href="fit/rig/b/terminal.txt"' in page
+    assert "<strong>6</strong> tasks: 6 done" in page
+
+
+def test_command_lines(files):
+    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=3)
+    part, out = str(files.folder / "parts" / "a.yaml"), files.out
+    first = [task for task in tasks if task.part == "a"]
+    assert first[0].command == ("render", str(files.rig), part, "--exposures=1,1/16", "--sheet")
+    assert first[1].command == ("fit-specular", str(files.rig), part, _task.FromTask(str(out / "images" / "rig" / "a")))
+    fitted = _task.FromTask(str(out / "fit" / "rig" / "a"), "part.*.yaml")
+    assert first[2].command == ("optimize", str(files.rig), fitted, "--step=5")
+    assert {task.tail for task in tasks} == {("--threads=3",)}
+
+
+def test_a_second_run_does_nothing_and_a_change_repeats_what_depends_on_it(batch, files, commands):
+    batch()
+    assert batch().count("kept") == 6
+    assert commands.ran == []
+    files.edit("jobs.yaml", "step: 5", "step: 10")
+    batch()
+    assert commands.ran == [("optimize", "part.fitted")] * 2, "an option of the last job"
+    with (files.folder / "parts" / "b.yaml").open("a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    batch()
+    assert commands.ran == [("render", "b"), ("fit-specular", "b"), ("optimize", "part.fitted")]
+    (files.out / "fit" / "rig" / "a" / "inner" / "result.txt").unlink()
+    batch()
+    assert commands.ran == [("fit-specular", "a")], "what others made from the lost result is the same"
+    with (files.folder / "parts" / "knob.stl").open("ab") as file:
+        file.write(b"\0")
+    assert batch().count("done") == 6, "the mesh"
+
+
+def test_another_version_makes_everything_anew(batch, monkeypatch):
+    batch()
+    made_by = {**_task.computed_by(), "lightopt": "another"}
+    for module in ("_expand", "_task"):
+        monkeypatch.setattr(f"lightopt.batch.{module}.computed_by", lambda: made_by)
+    assert batch().count("done") == 6
+
+
+def test_a_failure_stops_what_needs_it_and_nothing_else(batch, files, commands):
+    commands.answers[("render", "a")] = (2, "warning: one\nerror: no room\n")
+    result = batch()
+    assert answer_text(result.outcomes, len(result.tasks)) == "6 tasks: 3 done, 1 failed, 2 skipped"
+    assert result.outcomes["images/rig/a"].messages == ("warning: one", "error: no room")
+    assert result.outcomes["best/rig/a"].messages == ("needs fit/rig/a",)
+    assert not (files.out / "images" / "rig" / "a").exists()
+    assert not list(files.out.rglob(".*")), "nothing half-written is left"
+    assert [row[3] for row in jobs_table(result.tasks, result.outcomes).rows] == ["1", "-", "-"]
+    assert "no room" in (files.out / "summary.csv").read_text(encoding="utf-8")
+    assert batch().count("done") == 3, "what failed is tried again"
+
+
+def test_a_check_that_failed_is_not_repeated(batch, files, commands):
+    commands.answers[("fit-specular", "b")] = (1, "error: the fit did not converge\n")
+    assert batch().count("failed", "skipped") == 2
+    assert (files.out / "fit" / "rig" / "b" / "part.fitted.yaml").is_file(), "its files are there"
+    result = batch()
+    assert commands.ran == []
+    assert result.outcomes["fit/rig/b"].messages == ("error: the fit did not converge",)
+
+
+def test_a_full_disk_loses_nothing(batch, files, commands):
+    commands.answers[("fit-specular", "a")] = (0, OSError(errno.ENOSPC, "No space left on device"))
+    result = batch()
+    assert result.count("done") == 4
+    assert "No space left" in result.outcomes["fit/rig/a"].messages[0]
+    assert not list(files.out.rglob(".*"))
+    assert batch().count("kept") == 4
+
+
+def test_ctrl_c_ends_with_what_was_done_and_the_same_call_continues(batch, files, commands):
+    commands.answers[("fit-specular", "b")] = (130, "interrupted\n")
+    result = batch()
+    assert result.interrupted
+    assert answer_text(result.outcomes, len(result.tasks)) == "6 tasks: 3 done, 3 not run"
+    assert not list(files.out.rglob(".*"))
+    assert "not run" in (files.out / "summary.csv").read_text(encoding="utf-8")
+    result = batch()
+    assert (result.count("kept"), result.count("done"), result.interrupted) == (3, 3, False)
+
+
+def test_what_a_killed_worker_was_writing_is_removed_when_the_results_are_there(batch, files):
+    for name in (".a@0123", ".a@b@0123"):
+        (files.out / "images" / "rig" / name).mkdir(parents=True)
+    batch()
+    left = [path.name for path in (files.out / "images" / "rig").iterdir()]
+    assert sorted(left) == [".a@b@0123", "a", "b"], "but not what is of another part"
+
+
+def test_two_workers_with_the_same_task(batch, files, commands, monkeypatch):
+    """The second finds the results of the first, which was taken for lost, or its own folder removed."""
+    done = batch()
+    task = done.tasks[0]
+    (files.out / "images" / "rig" / "a").rename(files.folder / "first")
+
+    def slowly(words):
+        answer = commands(words)
+        (files.folder / "first").rename(task.folder)  # meanwhile the first one ends, and tidies up
+        _task.remove_leftovers(task)
+        return answer
+
+    outcome = _task.run_task(task, slowly)
+    assert outcome.state == "kept"
+    assert outcome.answer == done.outcomes[task.place].answer
+
+
+def test_a_folder_of_something_else_is_not_touched(batch, files):
+    mine = files.out / "best" / "rig" / "b" / "mine.txt"
+    mine.parent.mkdir(parents=True)
+    mine.touch()
+    with pytest.raises(InputError, match="is not a result of a batch"):
+        batch()
+    assert mine.exists()
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"key": 1}', "{"])
+def test_a_damaged_record_is_no_result(batch, files, text):
+    batch()
+    (files.out / "images" / "rig" / "a" / "task.json").write_text(text, encoding="utf-8")
+    assert batch().count("done") == 1
+
+
+def test_a_wrong_part_fails_by_itself(batch, files, commands):
+    (files.folder / "parts" / "a.yaml").write_text("format: nonsense", encoding="utf-8")
+    assert batch().count("done") == 6, "its command says what is wrong"
+
+
+def test_files_that_changed_or_are_not_there_for_a_worker(batch, files):
+    done = batch()
+    task = done.tasks[0]
+    (files.folder / "parts" / "knob.stl").unlink()
+    files.rig.write_text("format: lightopt-rig/1", encoding="utf-8")
+    (mine, mesh) = _task.worker_problems(task.computed_by, task.files)
+    assert mine.startswith(f"{files.rig}: changed since the batch was started")
+    assert "knob.stl: not on " in mesh
+    shutil.rmtree(task.folder)
+    assert _task.run_task(task, Commands()).messages == (mine, mesh)
+
+
+def test_images_of_ones_own(files, batch, commands):
+    files.edit("jobs.yaml", "images_from: images", 'images: "captured/{rig}/{part}"')
+    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+    fits = [task for task in tasks if task.job == "fit"]
+    assert [task.command[3] for task in fits] == [str(files.folder / "captured" / "rig" / part) for part in "ab"]
+
+
+def test_lighting_systems_are_compared_for_each_part_once(files, commands, batch):
+    shutil.copy(files.rig, files.folder / "second.yaml")
+    files.edit("jobs.yaml", "rigs: [rig.yaml]", "rigs: [rig.yaml, second.yaml]")
+    files.edit(
+        "jobs.yaml",
+        "{name: best, command: optimize, part_from: fit, options: {step: 5}}",
+        "{name: c, command: compare-lighting}",
+    )
+    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+    (first, second) = [task for task in tasks if task.job == "c"]
+    rigs = [str(files.rig), str(files.folder / "second.yaml")]
+    assert first.command == ("compare-lighting", str(files.folder / "parts" / "a.yaml"), *rigs)
+    assert (first.place, second.place) == ("c/a", "c/b")
+
+
+def test_files_of_the_same_name_are_told_apart_by_their_folders(files):
+    for name in ("one", "two"):
+        (files.folder / name).mkdir()
+        shutil.copy(files.folder / "parts" / "a.yaml", files.folder / name / "part.yaml")
+    files.edit("jobs.yaml", "parts: [parts]", 'parts: ["*/part.yaml"]')
+    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+    assert {task.part for task in tasks} == {"one-part", "two-part"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "message"),
+    [
+        ("command: render", "command: rendr", 6, 'jobs[0].command: expected a command on a rig and a part, found "re'),
+        ("command: render", "command: defects", 6, "expected a command on a rig and a part"),
+        ("sheet: true", "sheets: true", 7, 'no such option of render in a batch; did you mean "sheet"?'),
+        ("sheet: true", "no-shadows: true", 7, "write shadows: false"),
+        ("sheet: true", "force: true", 7, "no such option of render in a batch; its options are light"),
+        ("sheet: true", "sheet: 1", 7, "expected true or false, found 1"),
+        ("sheet: true", "sheet: false", 7, "leave the option out"),
+        ("sheet: true", "noise: true", 7, "expected a value, found true"),
+        ("step: 5", "calibration: none.json", 9, "no such file"),
+        (", images_from: images", "", 8, "fit-specular reads images; give images_from: JOB, or images: FOLDER"),
+        ("part_from: fit", "images_from: images", 9, "optimize reads no images"),
+        ("rigs: [rig.yaml]", "rigs: [rg.yaml]", 2, "rigs[0]: no such file"),
+        ("parts: [parts]", 'parts: ["*.yml"]', 3, "parts[0]: no file matches"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_jobs(files, old, new, line, message):
+    files.edit("jobs.yaml", old, new)
+    (said,) = problems(files)
+    assert said.startswith(f"{files.folder / 'jobs.yaml'}:{line}: ")
+    assert message in said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "message"),
+    [
+        ("name: fit,", "name: Images,", 8, 'the name "Images" is already that of jobs[0]'),
+        ("images_from: images", "images_from: image", 8, 'no job "image"; the jobs are images, fit, best'),
+        ("command: render", "command: render\n    needs: [best]", 5, "images needs best needs fit needs im"),
+        ("images_from: images", "images_from: images, images: x", 8, "expected only one of them"),
+        ("step: 5", "step: {a: 1}", 9, "expected a number, text, true, false, or a list"),
+        ("name: best", "name: best.1", 9, "expected a name without a dot"),
+        ("name: best", "nam: best", 9, 'did you mean "name"?'),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_the_file(files, old, new, line, message):
+    files.edit("jobs.yaml", old, new)
+    with pytest.raises(InputError) as caught:
+        load_batch(files.folder / "jobs.yaml")
+    assert any(f":{line}: " in said and message in said for said in caught.value.messages), caught.value.messages
+
+
+HARDWARE = """\
+hardware:
+  controllers: {main: {driver: ccs, port: PORT, channels: 4}}
+  lights: {light1: {controller: main, channel: 1, level: 200}, light3: {controller: main, channel: 3, level: 150}}
+  camera: {driver: virtual}
+"""
+
+
+@pytest.mark.parametrize(("port", "real"), [("virtual", False), ("COM3", True)])
+def test_a_batch_drives_no_devices(files, port, real):
+    with files.rig.open("a", encoding="utf-8") as file:
+        file.write(HARDWARE.replace("PORT", port))
+    old = "command: render\n    options: {exposures: [1, 1/16], sheet: true}"
+    files.edit("jobs.yaml", old, "command: capture")
+    batch = load_batch(files.folder / "jobs.yaml")
+    if not real:
+        assert expand(batch, command_form, files.out, threads=1)[0].command[0] == "capture"
+    else:
+        assert "a batch drives none" in problems(files)[0]
+
+
+def test_the_command(cli, files, monkeypatch):
+    jobs = files.folder / "jobs.yaml"
+    monkeypatch.setattr("lightopt.cli._batch.run_captured", commands := Commands())
+    commands.answers[("render", "a")] = (2, "error: no room\n")
+    ran = cli("batch", jobs, "-o", files.out, "--workers", 1)
+    assert ran.status == 1
+    assert ran.err == "error: images/rig/a: no room\n"
+    assert len(ran.out.splitlines()) <= 15
+    assert ran.out.startswith("6 tasks: 3 done, 1 failed, 2 skipped; ")
+    assert cli("batch", jobs, "-o", files.out, "--workers", 1, "--quiet").out == ""
+    commands.answers[("optimize", "part.fitted")] = (130, "")
+    ran = cli("batch", jobs, "-o", files.folder / "other", "--workers", 1)
+    assert ran.status == 130
+    assert "the same command continues" in ran.err
+    ran = cli("batch", jobs, "-o", files.out, "--scheduler", "tcp://127.0.0.1:1", "--workers", 2)
+    assert (ran.status, "no effect with --scheduler" in ran.err) == (2, True)
+    ran = cli("batch", jobs, "-o", files.out, "--slurm", "--kubernetes")
+    assert (ran.status, "expected one of them" in ran.err) == (2, True)
+
+
+def test_a_scheduler_that_does_not_answer(batch, monkeypatch):
+    monkeypatch.setattr(_schedule, "_ANSWER_S", 0.2)
+    with pytest.raises(InputError, match=r"tcp://127.0.0.1:1: no Dask scheduler answers"):
+        batch(workers=Workers(scheduler="tcp://127.0.0.1:1"))
+    with pytest.raises(InputError, match="no Dask scheduler answers"):
+        batch(workers=Workers(scheduler="nonsense://x"))
+
+
+@pytest.mark.parametrize(
+    ("workers", "missing", "install"),
+    [
+        (Workers(number=2), "distributed", "lightopt[batch]"),
+        (Workers(system="slurm"), "dask_jobqueue", "lightopt[slurm]"),
+        (Workers(system="kubernetes"), "dask_kubernetes.operator", "lightopt[kubernetes]"),
+    ],
+)
+def test_packages_that_are_missing(batch, monkeypatch, workers, missing, install):
+    monkeypatch.setitem(__import__("sys").modules, missing, None)
+    with pytest.raises(InputError) as caught:
+        batch(workers=workers)
+    assert install in caught.value.messages[0]
+
+
+def test_progress_counts_tasks(batch):
+    shares = []
+    batch(run=RunContext(progress=lambda stage, share: shares.append((stage, round(share, 2)))))
+    assert shares[0] == ("6 of 6 tasks", 0.17)
+    assert shares[-1] == ("6 of 6 tasks", 1.0)
+
+
+def test_a_record_names_what_it_is_of(batch, files):
+    batch()
+    record = json.loads((files.out / "images" / "rig" / "a" / "task.json").read_text(encoding="utf-8"))
+    assert record["format"] == "lightopt-task/1"
+    assert record["files"] == {
+        "inner/result.txt": 16,
+        "terminal.txt": (files.out / "images/rig/a/terminal.txt").stat().st_size,
+    }
