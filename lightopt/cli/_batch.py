@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._terminal import echo, echo_error, echo_paths, echo_warning, show_page_table, show_progress
+from lightopt.cli._terminal import echo, echo_error, echo_paths, echo_warning, show_progress, show_table
 from lightopt.core.errors import CheckFailed, InputError, counted
 from lightopt.core.run_context import RunContext
 
@@ -78,10 +78,10 @@ def batch(
         result = run_batch(load_batch(jobs), out, command_form, run_captured, workers=where, threads=threads, run=run)
     if not quiet:
         echo(f"{answer_text(result.outcomes, len(result.tasks))}; {result.seconds:.1f} s")
-        table = jobs_table(result.tasks, result.outcomes)
-        show_page_table(table, most=MOST_JOBS)
-        if len(table.rows) > MOST_JOBS:
-            echo(f"and {counted(len(table.rows) - MOST_JOBS, 'job')} more in {result.paths[0]}")
+        header, rows = jobs_table(result.tasks, result.outcomes)
+        show_table(header, rows[:MOST_JOBS])
+        if len(rows) > MOST_JOBS:
+            echo(f"and {counted(len(rows) - MOST_JOBS, 'job')} more in {result.paths[0]}")
         echo_paths(result.paths)
     if result.interrupted:
         echo_error("interrupted; the same command continues", label="")

@@ -149,7 +149,7 @@ def test_a_failure_stops_what_needs_it_and_nothing_else(batch, files, commands):
     assert result.outcomes["best/rig/a"].messages == ("needs fit/rig/a",)
     assert not (files.out / "images" / "rig" / "a").exists()
     assert not list(files.out.rglob(".*")), "nothing half-written is left"
-    assert [row[3] for row in jobs_table(result.tasks, result.outcomes).rows] == ["1", "-", "-"]
+    assert [row[3] for row in jobs_table(result.tasks, result.outcomes)[1]] == ["1", "-", "-"]
     assert "no room" in (files.out / "summary.csv").read_text(encoding="utf-8")
     assert batch().count("done") == 3, "what failed is tried again"
 
