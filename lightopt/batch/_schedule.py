@@ -139,6 +139,7 @@ def _local_cluster(number: int) -> Generator["LocalCluster"]:
             threads_per_worker=1,
             host="127.0.0.1",
             dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # of its answers to "are you well"
             memory_limit=0,
             silence_logs=logging.CRITICAL,
             local_directory=folder,

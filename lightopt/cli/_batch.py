@@ -84,7 +84,7 @@ def batch(
             echo(f"and {counted(len(rows) - MOST_JOBS, 'job')} more in {result.paths[0]}")
         echo_paths(result.paths)
     if result.interrupted:
-        echo_error("interrupted; the same command continues", label="")
+        echo_error("the same command continues the batch", label="")
         raise KeyboardInterrupt
     if failures := _failures(result):
         raise CheckFailed(*failures)

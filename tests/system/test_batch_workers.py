@@ -35,8 +35,9 @@ jobs:
   - {name: check, command: check}
   - {name: images, command: render, needs: [check], options: {posture: "0,0", exposures: [1, 1/16], noise: 1}}
   - {name: fit, command: fit-diffuse, images_from: images, options: {pixels: 2000}}
-  - {name: again, command: render, part_from: fit, options: {supersample: 2}}
+  - {name: again, command: render, part_from: fit, options: {posture: "0,0"}}
 """
+TASKS = 8
 OF_THE_RUN = {"task.json", "terminal.txt", "summary.csv", "report.html"}
 
 
@@ -46,7 +47,7 @@ def jobs(shared_bench) -> Path:
     parts.mkdir()
     shutil.copy(shared_bench.mesh, parts)
     text = shared_bench.part.read_text(encoding="utf-8")
-    for number in range(3):
+    for number in range(2):
         own = text.replace("R_d: 45.0", f"R_d: {40.0 + number}")
         (parts / f"part{number}.yaml").write_text(own, encoding="utf-8")
     path = shared_bench.folder / "jobs.yaml"
@@ -66,7 +67,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 @pytest.fixture(scope="module")
 def reference(jobs) -> dict[str, bytes]:
     """What one process computes."""
-    assert run(jobs, "alone").count("done") == 12
+    assert run(jobs, "alone").count("done") == TASKS
     return contents(jobs.parent / "alone")
 
 
@@ -136,12 +137,12 @@ def kill_some(cluster: Cluster, times: int, seed: int) -> RunContext:
 def test_killed_workers_lose_nothing(jobs, reference, cluster):
     workers = Workers(scheduler=cluster.address)
     result = run(jobs, "killed", workers=workers, run=kill_some(cluster, 2, seed=1))
-    assert result.count("done", "kept") == 12
+    assert result.count("done", "kept") == TASKS
     assert contents(jobs.parent / "killed") == reference
     left = [path for path in (jobs.parent / "killed").rglob(".*") if path.is_dir()]
     assert not left
     begun = time.perf_counter()
-    assert run(jobs, "killed", workers=workers).count("kept") == 12
+    assert run(jobs, "killed", workers=workers).count("kept") == TASKS
     assert time.perf_counter() - begun < 2.0
 
 
@@ -153,6 +154,17 @@ def test_workers_of_another_version_are_refused(jobs, cluster, monkeypatch):
     assert 'lightopt: previously "9.9", now "0' in caught.value.messages[0]
     assert "install the same versions" in caught.value.messages[-1]
     assert not contents(jobs.parent / "refused")
+
+
+def nobody_left(group: int) -> bool:
+    """Whether all processes of a group end, if need be within some seconds."""
+    for _ in range(200):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.05)
+    return False
 
 
 @pytest.mark.slow
@@ -169,9 +181,8 @@ def test_ctrl_c_ends_the_processes_of_this_machine_and_the_same_command_continue
     said, error = process.communicate(timeout=60)
     assert process.returncode == 130, error
     assert "not run" in said
-    assert error == "interrupted; the same command continues\n"
-    with pytest.raises(ProcessLookupError):
-        os.killpg(process.pid, 0)  # nobody is left of its session
+    assert error.splitlines()[0] == "the same command continues the batch"
+    assert nobody_left(process.pid)
     assert not list(out.rglob(".*"))
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
@@ -187,5 +198,5 @@ def test_workers_killed_twenty_times(jobs, reference, tmp_path_factory):
             result = run(jobs, name, workers=Workers(scheduler=own.address), run=kill_some(own, 10, seed=seed))
         finally:
             own.close()
-        assert result.count("done", "kept") == 12
+        assert result.count("done", "kept") == TASKS
         assert contents(jobs.parent / name) == reference

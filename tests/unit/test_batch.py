@@ -350,7 +350,7 @@ def test_the_command(cli, files, monkeypatch):
     commands.answers[("optimize", "part.fitted")] = (130, "")
     ran = cli("batch", jobs, "-o", files.folder / "other", "--workers", 1)
     assert ran.status == 130
-    assert "the same command continues" in ran.err
+    assert "the same command continues the batch" in ran.err
     ran = cli("batch", jobs, "-o", files.out, "--scheduler", "tcp://127.0.0.1:1", "--workers", 2)
     assert (ran.status, "no effect with --scheduler" in ran.err) == (2, True)
     ran = cli("batch", jobs, "-o", files.out, "--slurm", "--kubernetes")
