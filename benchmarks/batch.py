@@ -8,14 +8,16 @@ of the cover knob, each with one thread:
 - as a batch by an embedded Dask cluster of one worker and of two;
 - once more, when all is there.
 
-All results are compared byte for byte. Printed are medians over rounds in which the ways take turns, seconds from the
-call to its end, the start of the processes included.
+All results are compared byte for byte. Printed are medians over rounds in which the ways take turns: seconds from the
+call to its end, the start of the processes included, and processor seconds of all processes, which a busy machine
+changes less.
 """
 
 from __future__ import annotations
 
 import argparse
 import pickle
+import resource
 import shutil
 import statistics
 import tempfile
@@ -61,24 +63,25 @@ def measure(folder: Path, parts: int, rounds: int) -> None:
         "batch, two workers": lambda out: by_workers(jobs, out, 2),
     }
     run(jobs, folder / "warm", Workers())
-    seconds: dict[str, list[float]] = {way: [] for way in [*ways, "batch, all is there"]}
+    taken: dict[str, list[tuple[float, float]]] = {way: [] for way in [*ways, "batch, all is there"]}
     reference = contents(folder / "warm")
     for _ in range(rounds):
         for way, work in ways.items():
             out = folder / "out"
-            seconds[way].append(timed(lambda work=work, out=out: work(out)))
+            taken[way].append(timed(lambda work=work, out=out: work(out)))
             assert contents(out) == reference, f"{way}: other results"
             if way == "batch, two workers":
-                seconds["batch, all is there"].append(timed(lambda out=out: run(jobs, out, Workers(number=2))))
+                taken["batch, all is there"].append(timed(lambda out=out: run(jobs, out, Workers(number=2))))
             shutil.rmtree(out)
-    alone = statistics.median(seconds["commands without a batch"])
     print(f"{parts} parts, {3 * parts} tasks, {rounds} rounds")
-    for way, found in seconds.items():
-        median = statistics.median(found)
-        print(f"{way:28} {median:7.2f} s  ×{median / alone:.3f}  ({min(found):.2f} to {max(found):.2f})")
+    ways_alone = [statistics.median(column) for column in zip(*taken["commands without a batch"], strict=True)]
+    for way, found in taken.items():
+        own = [statistics.median(column) for column in zip(*found, strict=True)]
+        wall, cpu = (f"{one:7.2f} s (×{one / other:.3f})" for one, other in zip(own, ways_alone, strict=True))
+        print(f"{way:28} {wall}, processors {cpu}")
     tasks = expand(load_batch(jobs), command_form, folder / "out", threads=1)
     sizes = [len(pickle.dumps(task)) for task in tasks]
-    print(f"bytes of a task on the wire: {statistics.median(sizes):.0f}; of an input on disk: see the files")
+    print(f"bytes of a task on the wire: {statistics.median(sizes):.0f}")
 
 
 def write_jobs(folder: Path, parts: int) -> Path:
@@ -133,11 +136,16 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
-def timed(work: Callable[[], object]) -> float:
-    """Seconds of a call."""
-    begun = time.perf_counter()
+def timed(work: Callable[[], object]) -> tuple[float, float]:
+    """Seconds of a call, and processor seconds of this process and of those that it started and that ended."""
+    begun, before = time.perf_counter(), _processor_seconds()
     work()
-    return time.perf_counter() - begun
+    return time.perf_counter() - begun, _processor_seconds() - before
+
+
+def _processor_seconds() -> float:
+    uses = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(use.ru_utime + use.ru_stime for use in uses)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Tasks given to processes: this one, an embedded Dask cluster of this machine, or a Dask cluster elsewhere."""
 
+import asyncio
 import hashlib
 import json
 import logging
@@ -53,7 +54,8 @@ def outcomes_of(
             yield outcomes[task.place]
         return
     with _client(workers, tasks, run) as client:
-        _check_workers(client, run)
+        if not _check_workers(client) and workers.scheduler is not None:
+            run.warn(f"no worker is connected to {workers.scheduler} yet; the tasks wait for one")
         yield from _computed(client, tasks, known, run_command)
 
 
@@ -109,19 +111,36 @@ def _client(workers: Workers, tasks: Sequence[Task], run: RunContext) -> Generat
         elif address is None:
             address = stack.enter_context(_local_cluster(workers.number))
             stack.push(lambda kind, *_: kind is not None and _stop(address, tasks))
+        else:
+            _require_scheduler(address)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            try:
-                client = distributed.Client(address, timeout=_ANSWER_S, set_as_default=False)
-            except (OSError, ValueError, TypeError) as error:
-                raise InputError(
-                    f"{address}: no Dask scheduler answers ({error_text(error)}); start one with: dask scheduler, "
-                    "and workers with: dask worker ADDRESS --nthreads 1"
-                ) from None
+            client = distributed.Client(address, timeout=_ANSWER_S, set_as_default=False)
         run.warn(*(" ".join(str(one.message).split()) for one in caught if issubclass(one.category, UserWarning)))
         stack.callback(client.close, timeout=_ANSWER_S)
         # closed before all is done, what has not begun does not begin; what a worker elsewhere has begun, it completes
         yield client
+
+
+def _require_scheduler(address: str) -> None:
+    """Refuse an address where no Dask server answers in time, before a client waits for it in a thread of its own."""
+    from distributed.comm import connect
+    from distributed.security import Security
+
+    async def shake_hands() -> None:
+        async def connected() -> None:
+            (await connect(address, **Security().get_connection_args("client"))).abort()
+
+        await asyncio.wait_for(connected(), _ANSWER_S)
+
+    try:
+        asyncio.run(shake_hands())
+    except Exception as error:  # noqa: BLE001 - of another server that answers, Dask takes any octets for lengths
+        why = f" ({error})" if isinstance(error, ValueError) else ""
+        raise InputError(
+            f"{address}: no Dask scheduler answers within {_ANSWER_S:g} s{why}; start one with: dask scheduler, and "
+            "workers with: dask worker ADDRESS --nthreads 1"
+        ) from None
 
 
 @contextmanager
@@ -180,22 +199,22 @@ def _started(system: Literal["slurm", "kubernetes"], number: int) -> Generator[A
         cluster = getattr(found, name)()
     except Exception as error:  # each package has errors of its own
         raise InputError(
-            f"{package} could not start a cluster: {error_text(error)}; its settings are in ~/.config/dask/*.yaml"
+            f"{package} could not start a cluster ({' '.join(error_text(error).split())}); its settings are in "
+            "~/.config/dask/*.yaml"
         ) from error
     with cluster:
         cluster.scale(number)
         yield cluster
 
 
-def _check_workers(client: "Client", run: RunContext) -> None:
-    """Refuse workers of another version; those that come later are refused by each task."""
+def _check_workers(client: "Client") -> int:
+    """Refuse workers of another version; returns how many there are. Those that come later are refused by each task."""
     expected = json.dumps(computed_by(), sort_keys=True)
     answers: Any = client.run(worker_problems, expected, on_error="return")
-    if not answers:
-        run.warn("no worker is connected to the scheduler yet; the jobs wait for one")
     problems = list[str]()
     for address, answer in answers.items():
         texts = [error_text(answer)] if isinstance(answer, BaseException) else answer
         problems += [f"worker {address}: {text}" for text in texts]
     if problems:
         raise InputError(*problems[:5], "install the same versions for all workers, and start them again")
+    return len(answers)

@@ -9,7 +9,7 @@ import platform
 import shutil
 import threading
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -67,7 +67,7 @@ class Outcome:
     place: str
     state: State
     seconds: float = 0.0
-    answer: str = ""  # first line that the command printed
+    answer: str = ""  # what the command printed first
     messages: tuple[str, ...] = ()  # errors and warnings
     worker: str = ""
 
@@ -176,7 +176,7 @@ def _run(task: Task, run_command: RunCommand) -> Outcome:
         if status == _INTERRUPTED:
             raise KeyboardInterrupt
         out, err = (text.replace(str(temporary), str(task.folder)) for text in (out, err))
-        answer, messages = out.partition("\n")[0], tuple(err.splitlines())
+        answer, messages = _answer(out.splitlines()), tuple(err.splitlines())
         done = status == 0
         if status in (0, _CHECK_FAILED):
             write_text_atomic(temporary / TERMINAL_NAME, out + err)
@@ -195,6 +195,12 @@ def _run(task: Task, run_command: RunCommand) -> Outcome:
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return Outcome(place=task.place, state="done" if done else "failed", answer=answer, messages=messages)
+
+
+def _answer(lines: Sequence[str]) -> str:
+    # the first line that was printed, or of a table the first row
+    row = 1 if len(lines) > 1 and "  " in lines[0] else 0
+    return " ".join(lines[row].split()) if lines else ""
 
 
 def _resolved(argument: FromTask) -> str:

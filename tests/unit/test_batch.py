@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import json
 import shutil
+import socket
 from pathlib import Path
 
 import pytest
@@ -363,6 +364,8 @@ def test_a_scheduler_that_does_not_answer(batch, monkeypatch):
         batch(workers=Workers(scheduler="tcp://127.0.0.1:1"))
     with pytest.raises(InputError, match="no Dask scheduler answers"):
         batch(workers=Workers(scheduler="nonsense://x"))
+    with socket.create_server(("127.0.0.1", 0)) as other, pytest.raises(InputError, match="no Dask scheduler answers"):
+        batch(workers=Workers(scheduler=f"tcp://127.0.0.1:{other.getsockname()[1]}"))
 
 
 @pytest.mark.parametrize(
@@ -385,6 +388,13 @@ def test_progress_counts_tasks(batch):
     batch(run=RunContext(progress=lambda stage, share: shares.append((stage, round(share, 2)))))
     assert shares[0] == ("6 of 6 tasks", 0.17)
     assert shares[-1] == ("6 of 6 tasks", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("lines", "answer"), [([], ""), (["4 images"], "4 images"), (["a  b", "1  2", "3  4"], "1 2"), (["a  b"], "a b")]
+)
+def test_the_answer_is_the_first_line_or_row(lines, answer):
+    assert _task._answer(lines) == answer
 
 
 def test_a_record_names_what_it_is_of(batch, files):
