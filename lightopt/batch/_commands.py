@@ -50,7 +50,7 @@ def option_words(batch: BatchConfig, index: int, form: CommandForm) -> OptionWor
         values = value if isinstance(value, tuple) else (value,)
         texts = [str(one) for one in values]
         if option.file:
-            found = [batch.source.resolve(text).resolve() for text in texts]
+            found = [batch.source.resolve(text).absolute() for text in texts]
             files += found
             texts = [str(file) for file in found]
         # --option=value: a value may begin with a dash

@@ -3,6 +3,7 @@
 import glob
 import hashlib
 import json
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -77,7 +78,7 @@ def expand(batch: BatchConfig, form_of: FormOf, out: Path, *, threads: int) -> t
                 job=job.name,
                 rig=", ".join(rig.name for rig in own_rigs),
                 part=part.name,
-                folder=(out / place).resolve(),
+                folder=out.absolute() / place,
                 place=place.as_posix(),
                 key=hashlib.sha256(text.encode()).hexdigest(),
                 command=(job.command, *arguments, *options.words),
@@ -122,7 +123,7 @@ def _named_inputs(
         if not found:
             what = f"no such file: {given}" if glob.escape(text) == text else f"no file matches {given}"
             problems.append(f"{batch.source.at(key, index)}: {what}; expected YAML files or a folder of them")
-        paths |= dict.fromkeys(path.resolve() for path in found)
+        paths |= dict.fromkeys(Path(os.path.abspath(path)) for path in found)  # noqa: PTH100 - links stay as they are
     names = {path: path.stem for path in paths}
     same = Counter(name.lower() for name in names.values())
     names |= {path: f"{path.parent.name}-{name}" for path, name in names.items() if same[name.lower()] > 1}
@@ -144,7 +145,7 @@ def _read(name: str, path: Path, load: Callable[[Path], RigConfig | PartConfig])
                 files.append(config.source.resolve(config.virtual_bench.rig))
     except InputError:
         pass  # one wrong file stops no other: its own tasks fail, and say why
-    return _Input(name, path, {str(file.resolve()): content_sha256(file) for file in files}, drives_devices)
+    return _Input(name, path, {str(file.absolute()): content_sha256(file) for file in files}, drives_devices)
 
 
 def _is_real(hardware: HardwareConfig) -> bool:
@@ -160,7 +161,7 @@ def _groups(rigs: Sequence[_Input], form: CommandForm) -> list[tuple[_Input, ...
 def _images(batch: BatchConfig, job: JobConfig, rig: str, part: str) -> Path | None:
     if job.images is None:
         return None
-    return batch.source.resolve(job.images.replace("{rig}", rig).replace("{part}", part)).resolve()
+    return batch.source.resolve(job.images.replace("{rig}", rig).replace("{part}", part)).absolute()
 
 
 def _all_hashes(inputs: Iterable[_Input]) -> dict[str, str]:

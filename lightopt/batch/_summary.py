@@ -34,7 +34,7 @@ def write_summary(
 def _says_the_same(path: Path, rows: Sequence[Sequence[str]]) -> bool:
     # that tasks were kept is no news: when and where they were done is
     def facts(row: Sequence[str]) -> Sequence[str]:
-        return [*row[:3], "done" if row[3] == "kept" else row[3]]
+        return [*row[:3], *(["done"] if row[3] in ("done", "kept") else [row[3], row[6]])]
 
     try:
         with path.open(encoding="utf-8", newline="") as file:

@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import dask.config
 import pytest
 
 from lightopt.batch import Workers, _schedule, run_batch
@@ -187,6 +188,31 @@ def test_ctrl_c_ends_the_processes_of_this_machine_and_the_same_command_continue
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert contents(out) == reference
+
+
+SBATCH = """\
+#!/bin/sh
+sh "$1" >"$0.log" 2>&1 &
+echo "Submitted batch job $!"
+"""
+SCANCEL = """\
+#!/bin/sh
+kill "$1"
+"""
+
+
+@pytest.mark.slow
+def test_workers_that_slurm_starts(jobs, tmp_path, monkeypatch):
+    """A Slurm of this machine: its commands are doubles, and the job scripts are those that Slurm would get."""
+    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    alone = jobs.with_name("check.yaml")
+    lines = [line for line in JOBS.splitlines() if "name:" not in line or "check," in line]
+    alone.write_text("\n".join(lines), encoding="utf-8")
+    with dask.config.set({"jobqueue.slurm.cores": 1, "jobqueue.slurm.memory": "2GB"}):
+        assert run(alone, "slurm", workers=Workers(system="slurm")).count("done") == 2
 
 
 @pytest.mark.nightly
