@@ -1,16 +1,16 @@
-"""What a batch costs beside its commands, and what more processes gain: ``python -m benchmarks.batch``.
+"""What a batch costs beside its commands, and what a second process gains: ``python -m benchmarks.batch``.
 
-The commands check, render (1600 × 1200 px, one posture, two exposures) and optimize (5° steps, one posture) on variants
-of the cover knob, each with one thread:
+Three measurements:
 
-- one after the other in one process, without a batch;
-- as a batch in one process;
-- as a batch by an embedded Dask cluster of one worker and of two;
-- once more, when all is there.
+- tasks that do nothing but write a file, in this process and by one and two workers: what a task costs by itself, and
+  what starting the workers costs;
+- check and render (1600 × 1200 px, one posture, two exposures) of variants of the cover knob, one thread each: the
+  commands one after the other without a batch, then batches in this process, by one worker and by two. Results are
+  compared byte for byte;
+- the same batch once more, when all is there, as a command of its own.
 
-All results are compared byte for byte. Printed are medians over rounds in which the ways take turns: seconds from the
-call to its end, the start of the processes included, and processor seconds of all processes, which a busy machine
-changes less.
+Times are seconds from the call to its end, the start of the processes included, and processor seconds of all processes,
+which a busy machine changes less. The ways take turns; medians of the rounds are printed.
 """
 
 from __future__ import annotations
@@ -20,103 +20,134 @@ import pickle
 import resource
 import shutil
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks._case import CONFIGS, RIG
-from lightopt.batch import BatchResult, Workers, _schedule, run_batch
+from lightopt.batch import Workers, _schedule, run_batch
 from lightopt.batch._expand import expand
 from lightopt.cli._batch import command_form, run_captured
 from lightopt.config import load_batch
 
-JOBS = """\
+HEAD = """\
 format: lightopt-batch/1
 rigs: [{rig}]
 parts: [parts]
 jobs:
-  - {{name: check, command: check}}
-  - {{name: images, command: render, needs: [check], options: {{posture: "0,0", exposures: [1, 1/16]}}}}
-  - {{name: best, command: optimize, needs: [check], options: {{posture: "0,0", step: 5, images: false}}}}
 """
+CHECK = "  - {name: check, command: check}\n"
+RENDER = '  - {name: images, command: render, needs: [check], options: {posture: "0,0", exposures: [1, 1/16]}}\n'
 OF_THE_RUN = {"task.json", "terminal.txt", "summary.csv", "report.html"}
+RunCommand = Callable[[list[str]], tuple[int, str, str]]
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.batch", description=__doc__.partition("\n")[0])
-    parser.add_argument("--parts", type=int, default=12, help="number of parts")
+    parser.add_argument("--parts", type=int, default=12, help="number of parts that are checked and rendered")
+    parser.add_argument("--tasks", type=int, default=400, help="number of tasks that do nothing")
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="lightopt-bench-") as name:
-        measure(Path(name), options.parts, options.rounds)
+        measure_nothing(Path(name) / "nothing", options.tasks, options.rounds)
+        measure_commands(Path(name) / "commands", options.parts, options.rounds)
 
 
-def measure(folder: Path, parts: int, rounds: int) -> None:
-    """Run all ways in turn, and print what they took."""
-    jobs = write_jobs(folder, parts)
-    ways: dict[str, Callable[[Path], object]] = {
-        "commands without a batch": lambda out: commands_alone(jobs, out),
-        "batch, this process": lambda out: run(jobs, out, Workers()),
-        "batch, one worker": lambda out: by_workers(jobs, out, 1),
-        "batch, two workers": lambda out: by_workers(jobs, out, 2),
+def nothing(_words: list[str]) -> tuple[int, str, str]:
+    """A command that does nothing."""
+    return 0, "done\n", ""
+
+
+def measure_nothing(folder: Path, count: int, rounds: int) -> None:
+    """What tasks cost by themselves."""
+    jobs = write_jobs(folder, count, HEAD + CHECK)
+    single = write_jobs(folder / "single", 1, HEAD + CHECK)
+    found: dict[str, list[tuple[float, float]]] = {}
+    for _ in range(rounds):
+        for number in (0, 1, 2):
+            way = f"{number} workers" if number else "this process"
+            for what, path in (("one task", single), ("all tasks", jobs)):
+                used = timed(lambda path=path, number=number: run(path, folder / "out", number, nothing))
+                found.setdefault(f"{way}, {what}", []).append(used)
+                shutil.rmtree(folder / "out")
+    print(f"tasks that do nothing: {count}")
+    show(found, None)
+    sizes = [len(pickle.dumps(task)) for task in expand(load_batch(jobs), command_form, folder / "out", threads=1)]
+    print(f"bytes of a task on the wire: {statistics.median(sizes):.0f}\n")
+
+
+def measure_commands(folder: Path, parts: int, rounds: int) -> None:
+    """Commands with and without a batch."""
+    jobs, out = write_jobs(folder, parts, HEAD + CHECK + RENDER), folder / "out"
+    ways: dict[str, Callable[[], object]] = {
+        "commands without a batch": lambda: commands_alone(jobs, out),
+        "batch, this process": lambda: run(jobs, out, 0, run_captured),
+        "batch, one worker": lambda: run(jobs, out, 1, run_captured),
+        "batch, two workers": lambda: run(jobs, out, 2, run_captured),
     }
-    run(jobs, folder / "warm", Workers())
-    taken: dict[str, list[tuple[float, float]]] = {way: [] for way in [*ways, "batch, all is there"]}
-    reference = contents(folder / "warm")
+    commands_alone(jobs, out)  # compiles, and fills the caches of files
+    reference = contents(out)
+    shutil.rmtree(out)
+    found: dict[str, list[tuple[float, float]]] = {}
     for _ in range(rounds):
         for way, work in ways.items():
-            out = folder / "out"
-            taken[way].append(timed(lambda work=work, out=out: work(out)))
+            found.setdefault(way, []).append(timed(work))
             assert contents(out) == reference, f"{way}: other results"
             if way == "batch, two workers":
-                taken["batch, all is there"].append(timed(lambda out=out: run(jobs, out, Workers(number=2))))
+                command = [sys.executable, "-m", "lightopt", "batch", str(jobs), "-o", str(out), "--quiet"]
+                again = timed(lambda command=command: subprocess.run(command, check=True))
+                found.setdefault("the command again, all is there", []).append(again)
             shutil.rmtree(out)
-    print(f"{parts} parts, {3 * parts} tasks, {rounds} rounds")
-    ways_alone = [statistics.median(column) for column in zip(*taken["commands without a batch"], strict=True)]
-    for way, found in taken.items():
-        own = [statistics.median(column) for column in zip(*found, strict=True)]
-        wall, cpu = (f"{one:7.2f} s (×{one / other:.3f})" for one, other in zip(own, ways_alone, strict=True))
-        print(f"{way:28} {wall}, processors {cpu}")
-    tasks = expand(load_batch(jobs), command_form, folder / "out", threads=1)
-    sizes = [len(pickle.dumps(task)) for task in tasks]
-    print(f"bytes of a task on the wire: {statistics.median(sizes):.0f}")
+    print(f"check and render of {parts} parts; equal results")
+    show(found, "commands without a batch")
 
 
-def write_jobs(folder: Path, parts: int) -> Path:
+def show(found: dict[str, list[tuple[float, float]]], other: str | None) -> None:
+    """Print medians, and their ratios to another's."""
+    medians = {way: [statistics.median(column) for column in zip(*some, strict=True)] for way, some in found.items()}
+    for way, (wall, processors) in medians.items():
+        ratio = "" if other is None else f"  ×{wall / medians[other][0]:.3f}, ×{processors / medians[other][1]:.3f}"
+        print(f"{way:32} {wall:7.2f} s, {processors:7.2f} s of processors{ratio}", flush=True)
+
+
+def write_jobs(folder: Path, parts: int, text: str) -> Path:
     """Variants of the cover knob and the batch file."""
-    (folder / "parts").mkdir()
-    text = (CONFIGS / "parts" / "cover-knob.yaml").read_text(encoding="utf-8")
+    (folder / "parts").mkdir(parents=True)
+    part = (CONFIGS / "parts" / "cover-knob.yaml").read_text(encoding="utf-8")
     shutil.copy(CONFIGS / "parts" / "cover-knob.step", folder / "parts")
     for number in range(parts):
-        own = text.replace("R_d: 45.0", f"R_d: {45.0 + 0.1 * number}")
-        assert number == 0 or own != text
+        own = part.replace("R_d: 45.0", f"R_d: {45.0 + 0.01 * number}")
+        assert number == 0 or own != part
         (folder / "parts" / f"part{number}.yaml").write_text(own, encoding="utf-8")
     path = folder / "jobs.yaml"
-    path.write_text(JOBS.format(rig=RIG), encoding="utf-8")
+    path.write_text(text.replace("{rig}", str(RIG)), encoding="utf-8")
     return path
 
 
-def run(jobs: Path, out: Path, workers: Workers) -> BatchResult:
-    """Run the batch."""
-    result = run_batch(load_batch(jobs), out, command_form, run_captured, workers=workers)
-    assert result.count("done", "kept") == len(result.tasks), [one.messages for one in result.outcomes.values()]
-    return result
+def run(jobs: Path, out: Path, number: int, run_command: RunCommand) -> None:
+    """Run the batch in this process (0), or by so many workers."""
+    if number == 1:  # one worker on its own is nothing that a user gets without asking for a scheduler
+        with _schedule._local_cluster(1) as cluster:
+            result = run_batch(
+                load_batch(jobs), out, command_form, run_command, workers=Workers(scheduler=cluster.scheduler_address)
+            )
+            show_memory(cluster)
+    else:
+        result = run_batch(load_batch(jobs), out, command_form, run_command, workers=Workers(number=max(1, number)))
+    assert result.count("done") == len(result.tasks), [one.messages for one in result.outcomes.values()]
 
 
-def by_workers(jobs: Path, out: Path, number: int) -> None:
-    """Run the batch by an embedded cluster, of one worker as well, and print what its workers needed."""
-    if number > 1:
-        run(jobs, out, Workers(number=number))
-        return
-    with _schedule._local_cluster(number) as cluster:
-        run(jobs, out, Workers(scheduler=cluster.scheduler_address))
-        for nanny in cluster.workers.values():
-            status = Path(f"/proc/{nanny.pid}/status")
-            if status.is_file():
-                peak = next(line.split()[1] for line in status.read_text().splitlines() if line.startswith("VmHWM"))
-                print(f"peak memory of a worker: {int(peak) / 1e6:.2f} GB", flush=True)
+def show_memory(cluster: object) -> None:
+    """Print what the workers of a cluster needed at most."""
+    for nanny in cluster.workers.values():  # type: ignore[attr-defined]
+        status = Path(f"/proc/{nanny.pid}/status")
+        if status.is_file():
+            peak = next(line.split()[1] for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+            print(f"peak memory of a worker: {int(peak) / 1e6:.2f} GB", flush=True)
 
 
 def commands_alone(jobs: Path, out: Path) -> None:

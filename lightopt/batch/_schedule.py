@@ -124,14 +124,13 @@ def _client(workers: Workers, tasks: Sequence[Task], run: RunContext) -> Generat
 
 def _require_scheduler(address: str) -> None:
     """Refuse an address where no Dask server answers in time, before a client waits for it in a thread of its own."""
-    from distributed.comm import connect
+    from distributed.comm.core import connect
     from distributed.security import Security
 
-    async def shake_hands() -> None:
-        async def connected() -> None:
-            (await connect(address, **Security().get_connection_args("client"))).abort()
+    arguments: Any = Security().get_connection_args("client")
 
-        await asyncio.wait_for(connected(), _ANSWER_S)
+    async def shake_hands() -> None:
+        (await asyncio.wait_for(connect(address, **arguments), _ANSWER_S)).abort()
 
     try:
         asyncio.run(shake_hands())
