@@ -8,7 +8,7 @@ import signal
 import tempfile
 import warnings
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
@@ -101,9 +101,9 @@ def _client(workers: Workers, tasks: Sequence[Task], run: RunContext) -> Generat
         raise InputError(
             f"several processes need Dask ({error}): pip install 'lightopt[batch]'; or use option 'workers' 1"
         ) from None
-    # what it logs of workers that come and go is no news for the person who waits
-    log = logging.getLogger("distributed")
-    log.setLevel(logging.ERROR if logging.getLogger("lightopt").isEnabledFor(logging.INFO) else logging.CRITICAL)
+    # what it logs of workers and connections that come and go is in the outcomes, as far as it matters
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         address: Any = workers.scheduler
         if workers.system is not None:
@@ -178,8 +178,8 @@ def _stop(cluster: "LocalCluster", tasks: Sequence[Task]) -> None:
     async def kill() -> None:
         for nanny in cluster.workers.values():
             nanny.auto_restart = False
-            with suppress(Exception):
-                await nanny.kill(timeout=_KILL_S)
+        killing = (nanny.kill(timeout=_KILL_S) for nanny in cluster.workers.values())
+        await asyncio.gather(*killing, return_exceptions=True)
 
     cluster.sync(kill)
     for task in tasks:
