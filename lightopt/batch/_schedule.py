@@ -195,7 +195,9 @@ def _started(system: Literal["slurm", "kubernetes"], number: int) -> Generator[A
     except ModuleNotFoundError as error:
         raise InputError(f"option '{system}' needs {package} ({error}): pip install 'lightopt[{system}]'") from None
     try:
-        cluster = getattr(found, name)()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that the port of its own page is taken
+            cluster = getattr(found, name)()
     except Exception as error:  # each package has errors of its own
         raise InputError(
             f"{package} could not start a cluster ({' '.join(error_text(error).split())}); its settings are in "

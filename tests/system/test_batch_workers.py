@@ -78,7 +78,9 @@ class Cluster:
     def __init__(self, folder: Path) -> None:
         self.file = folder / "scheduler.json"
         self._folder = folder
-        self._processes = [self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")]
+        self._processes = [
+            self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0")
+        ]
         self.workers: list[subprocess.Popen[bytes]] = []
         for _ in range(2):
             self.add_worker()
