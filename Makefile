@@ -57,8 +57,21 @@ plan: $(BIN)/.installed  ## the sample planned: which postures, lights and expos
 	    printf '%s\n' "$$commands" | sed -e '/lightopt capture/s/$$/ --dry-run/' -e '/lightopt render/s/$$/ --sheet/' | sh -ex
 	@echo "what was planned: $(OUT)/plan/report.html"
 
+define BATCH
+format: lightopt-batch/1
+rigs: ["$(abspath $(RIG))"]
+parts: ["$(abspath $(PARTS))"]
+jobs:
+  - {name: check, command: check}
+  - {name: images, command: render, needs: [check]}
+  - {name: best, command: optimize, needs: [images], options: {step: $(STEP)}}
+endef
+export BATCH
+
 batch: $(BIN)/.installed  ## check, render and optimise every part: make batch RIG=rig.yaml PARTS=folder STEP=5
-	$(BIN)/python scripts/batch.py $(RIG) $(PARTS) --step $(STEP) --out $(OUT)/batch
+	@mkdir -p $(OUT)
+	@printf '%s\n' "$$BATCH" >$(OUT)/batch.yaml
+	$(BIN)/lightopt batch $(OUT)/batch.yaml -o $(OUT)/batch
 
 # as many workers as tests/conftest.py says; modules, whose tests share what takes long, in the order that it gives them
 PYTEST = $(BIN)/python -m pytest --numprocesses=auto --dist=loadscope --no-loadscope-reorder

@@ -55,8 +55,8 @@ def init(
 
 
 def schema(
-    kind: Literal["rig", "part", "ranges"] = Argument(
-        ..., metavar="KIND", help="Kind of file: rig, part, or ranges of a dataset."
+    kind: Literal["rig", "part", "ranges", "batch"] = Argument(
+        ..., metavar="KIND", help="Kind of file: rig, part, ranges (of a dataset) or batch."
     ),
 ) -> None:
     """Print the JSON schema of a kind of file, for editors and other programs.

@@ -43,9 +43,10 @@ _COMMANDS = {
     "inspect": ("_inspect", "Find defects in images and locate them on the part."),
     "verify": ("_verify", "Name what has changed on the rig since its file, or a known good set, was made."),
     "inverse-pattern": ("_inverse_pattern", "Compute the display's picture that a good part mirrors as regular."),
+    "batch": ("_batch", "Run commands for many rigs and parts, on this machine or a cluster."),
     "overlap": ("_image_sets", "Report where saturated regions of images overlap."),
     "compare": ("_image_sets", "Compare new images or image sets with golden ones."),
-    "schema": ("_files", "Print the JSON schema of a rig or part file."),
+    "schema": ("_files", "Print the JSON schema of a rig, part or batch file."),
     "bench": ("_bench", "Test the devices of a rig one by one."),
 }
 
@@ -125,7 +126,7 @@ def take_ctrl_c() -> None:
 
 
 @cache
-def _command() -> Callable[..., object]:
+def parser() -> Callable[..., object]:
     """The parser of all commands, which takes a while to be made."""
     return typer.main.get_command(app)
 
@@ -139,7 +140,7 @@ def run(arguments: list[str]) -> int:
                 if isinstance(stream, io.TextIOWrapper):
                     encoding = stream.encoding if stream.isatty() else "utf-8"
                     stream.reconfigure(encoding=encoding, errors="replace")
-            status = _command()(rest, prog_name="lightopt", standalone_mode=False)
+            status = parser()(rest, prog_name="lightopt", standalone_mode=False)
         except (KeyboardInterrupt, typer.Abort):
             status = INTERRUPTED
         except typer.Exit as leave:

@@ -110,7 +110,7 @@ def show_progress(*, quiet: bool) -> Generator[StageShare | None]:
 
     columns = "{task.description}", BarColumn(), "{task.percentage:>3.0f} %", TimeElapsedColumn()
     left = "left at most", TimeRemainingColumn()
-    with Progress(*columns, *left, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, *left, console=Console(file=sys.stderr), transient=True) as bar:
         task = bar.add_task("", total=1.0)
         last = 0.0
 

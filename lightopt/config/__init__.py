@@ -1,9 +1,10 @@
-"""Rig and part files: strict YAML, every error at once with its line, frozen results.
+"""Rig, part and batch files: strict YAML, every error at once with its line, frozen results.
 
 Numbers stay in the units of the files (mm, degrees; the keys name them); :mod:`lightopt.scene` turns them
 into physics.
 """
 
+from lightopt.config._batch import BatchConfig as BatchConfig, JobConfig as JobConfig
 from lightopt.config._camera import CameraConfig as CameraConfig, CameraDeviceConfig as CameraDeviceConfig
 from lightopt.config._defects import DefectConfig as DefectConfig, PixelPlaceConfig as PixelPlaceConfig
 from lightopt.config._edit import copied_text as copied_text, with_list as with_list, with_values as with_values
@@ -23,8 +24,10 @@ from lightopt.config._light import RANGE_KEYS as RANGE_KEYS
 from lightopt.config._load import (
     FileKind as FileKind,
     LightsOnly as LightsOnly,
+    input_files as input_files,
     input_hashes as input_hashes,
     json_schema as json_schema,
+    load_batch as load_batch,
     load_lights as load_lights,
     load_part as load_part,
     load_ranges as load_ranges,

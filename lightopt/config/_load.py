@@ -1,4 +1,4 @@
-"""Read rig and part files: everything wrong with a file at once, each with its line.
+"""Read rig, part and batch files: everything wrong with a file at once, each with its line.
 
 And the lights of a rig whose file is wrong elsewhere: its ``hardware`` section, as far as it can be read.
 """
@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from lightopt.config._batch import BatchConfig
 from lightopt.config._camera import CameraDeviceConfig
 from lightopt.config._edit import pictures
 from lightopt.config._fields import mapping
@@ -26,7 +27,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 
 Entry = TypeVar("Entry", bound=BaseModel)
-FileKind = Literal["rig", "part", "ranges"]
+FileKind = Literal["rig", "part", "ranges", "batch"]
 
 
 def load_rig(path: Path | str) -> RigConfig:
@@ -55,23 +56,34 @@ def load_ranges(path: Path | str) -> RangesConfig:
     return load_file(Path(path), RangesConfig, "lightopt-ranges/1")
 
 
+def load_batch(path: Path | str) -> BatchConfig:
+    """Read the jobs of a batch (``lightopt-batch/1``) as :func:`load_rig` does."""
+    return load_file(Path(path), BatchConfig, "lightopt-batch/1")
+
+
+def input_files(config: RigConfig | PartConfig) -> dict[str, Path]:
+    """Files that a rig or part file names and every command reads: data sheet, pictures, mesh."""
+    files: dict[str, Path] = {}
+    if isinstance(config, RigConfig) and config.camera.sensor.data_sheet is not None:
+        files["data sheet"] = config.source.resolve(config.camera.sensor.data_sheet)
+    files |= {f"picture {name}": config.source.resolve(name) for _, name in pictures(config)}
+    if isinstance(config, PartConfig):
+        files["mesh"] = config.source.resolve(config.mesh.file)
+    return files
+
+
 def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str, str]]:
     """Names and SHA-256 of the files as they were read, and those of mesh and pictures, which may raise an OSError."""
     files = {"rig": rig} if part is None else {"rig": rig, "part": part}
     hashes = {kind: {"file": one.source.path.name, "sha256": one.source.sha256} for kind, one in files.items()}
-    if rig.camera.sensor.data_sheet is not None:
-        hashes["data sheet"] = {"sha256": file_sha256(rig.source.resolve(rig.camera.sensor.data_sheet))}
     for one in files.values():
-        for name in dict.fromkeys(name for _, name in pictures(one)):
-            hashes[f"picture {name}"] = {"sha256": file_sha256(one.source.resolve(name))}
-    if part is not None:
-        hashes["mesh"] = {"sha256": file_sha256(part.source.resolve(part.mesh.file))}
+        hashes |= {what: {"sha256": file_sha256(file)} for what, file in input_files(one).items()}
     return hashes
 
 
 def json_schema(kind: FileKind) -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a kind of file; rules that tie keys together are not in it."""
-    models = {"rig": RigConfig, "part": PartConfig, "ranges": RangesConfig}
+    models = {"rig": RigConfig, "part": PartConfig, "ranges": RangesConfig, "batch": BatchConfig}
     schema = models[kind].model_json_schema()
     for model in (schema, *schema["$defs"].values()):
         for field in model["properties"].values():

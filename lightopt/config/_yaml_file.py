@@ -21,6 +21,7 @@ _KINDS = {
     "lightopt-targets": "the targets of a calibration",
     "lightopt-sensor": "the data sheet of a sensor",
     "lightopt-ranges": "the ranges of a dataset",
+    "lightopt-batch": "the jobs of a batch",
 }
 
 Config = TypeVar("Config", bound=FileConfig)

@@ -1,181 +1,407 @@
-"""``make batch``: every part of a folder, one table, a failing part does not stop the others."""
+"""``lightopt batch``: which tasks a batch has, what is kept, and what a failure, a kill or Ctrl-C leaves.
+
+Commands are doubles here; tests/system/test_batch_workers.py runs real ones by workers.
+"""
 
 from __future__ import annotations
 
-import importlib.util
+import errno
 import json
 import shutil
-import signal
-import subprocess
-import sys
-from contextlib import redirect_stderr, redirect_stdout
-from io import StringIO
+import socket
 from pathlib import Path
 
 import pytest
 
-from lightopt.cli._main import run
+from lightopt.batch import Workers, _schedule, _task, answer_text, jobs_table, run_batch
+from lightopt.batch._expand import expand
+from lightopt.cli._batch import command_form
+from lightopt.config import load_batch
+from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
 
-ROOT = Path(__file__).resolve().parents[2]
-MORE = "--patches 500 --no-images --posture 0,0"
-
-
-@pytest.fixture(scope="module")
-def batch():
-    spec = importlib.util.spec_from_file_location("batch", ROOT / "scripts" / "batch.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def mostly_in_process(monkeypatch, batch):
-    """The first command is a process of its own; the others save the start of an interpreter."""
-    own, ran = batch.call, []
-
-    def call(command):
-        ran.append(command)
-        if len(ran) == 1:
-            return own(command)
-        with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
-            status = run(command)
-        return subprocess.CompletedProcess(command, status, out.getvalue(), err.getvalue())
-
-    monkeypatch.setattr(batch, "call", call)
+JOBS = """\
+format: lightopt-batch/1
+rigs: [rig.yaml]
+parts: [parts]
+jobs:
+  - name: images
+    command: render
+    options: {exposures: [1, 1/16], sheet: true}
+  - {name: fit, command: fit-specular, images_from: images}
+  - {name: best, command: optimize, part_from: fit, options: {step: 5}}
+"""
 
 
-@pytest.mark.slow
-def test_every_part_is_tried_and_a_second_run_keeps_what_is_there(batch, bench, capsys, monkeypatch):
-    mostly_in_process(monkeypatch, batch)
-    bench.edit(
-        "rig.yaml",
-        "elevation_deg: 60, azimuth_deg: 45}",
-        "elevation_deg: 60, azimuth_deg: 45, elevation_range_deg: [40, 60]}",
-    )
+class Commands:
+    """Stand in for the command line: write a file, and the fitted part of a fit."""
+
+    def __init__(self):
+        self.ran, self.answers = [], {}
+
+    def __call__(self, words):
+        command, folder = words[0], Path(words[words.index("-o") + 1])
+        self.ran.append((command, Path(words[2]).stem))
+        status, error = self.answers.pop(self.ran[-1], (0, ""))
+        if isinstance(error, Exception):
+            raise error
+        (folder / "inner").mkdir()
+        (folder / "inner" / "result.txt").write_text(f"{command} of {Path(words[2]).name}", encoding="utf-8")
+        if command == "fit-specular":
+            (folder / "part.fitted.yaml").write_text("format: lightopt-part/1", encoding="utf-8")
+        return status, f"answer of {command} in {folder}\nmore\n", error
+
+
+@pytest.fixture
+def files(bench):
     parts = bench.folder / "parts"
     parts.mkdir()
-    shutil.copy(bench.mesh, parts)
-    good = bench.part.read_text(encoding="utf-8")
-    (parts / "a.yaml").write_text(good.replace("R_d: 45.0", "R_d: -1"), encoding="utf-8")
-    (parts / "b.yaml").write_text(good, encoding="utf-8")
-    command = [str(bench.rig), str(parts), "--step", "10", "--out", str(bench.out), "--options", MORE]
-    assert batch.main(command) == 1
-    said = capsys.readouterr()
-    rows = {line.split()[0]: line.split() for line in said.out.splitlines() if line.startswith(("a ", "b "))}
-    assert rows["a"][1:4] == ["failed", "-", "-"]
-    assert rows["b"][1:4] == ["ok", "ok", "ok"]
-    assert "R_d" in said.err
-    assert "1 of 2 parts failed: a" in said.err
-    result = bench.out / "b" / "best" / "result.json"
-    before = result.read_bytes()
-    matrix = bench.out / "b" / "best" / "posture_0_0" / "matrix.npz"
-    stamp = matrix.stat().st_mtime_ns
-    (parts / "a.yaml").unlink()
-    assert batch.main(command) == 0
-    capsys.readouterr()
-    assert result.read_bytes() == before
-    assert matrix.stat().st_mtime_ns == stamp
-    (parts / "b.yaml").write_text(good.replace("R_d: 45.0", "R_d: 50"), encoding="utf-8")
-    assert batch.main(command) == 0
-    assert "was made from other inputs, and is made anew" in capsys.readouterr().out
-    assert matrix.stat().st_mtime_ns != stamp
-    assert json.loads(result.read_bytes())["results"] != json.loads(before)["results"]
+    shutil.move(bench.mesh, parts)
+    for name in "ab":
+        shutil.copy(bench.part, parts / f"{name}.yaml")
+    bench.part.unlink()
+    (bench.folder / "jobs.yaml").write_text(JOBS, encoding="utf-8")
+    return bench
 
 
-def fake(monkeypatch, batch, answers):
-    """Commands are not run: their names are kept, and each gets the next of the answers (status, message)."""
-    ran = []
-
-    def call(command):
-        ran.append(command)
-        status, message = next(answers)
-        return subprocess.CompletedProcess(command, status, "", message)
-
-    monkeypatch.setattr(batch, "call", call)
-    monkeypatch.setattr(batch, "summary", lambda _: [("0,0", "90.0 %", "60,45"), ("0,82", "91.0 %", "60,50")])
-    return ran
+@pytest.fixture
+def commands():
+    return Commands()
 
 
-def test_ctrl_c_ends_with_the_summary_of_what_was_done(batch, tmp_path, monkeypatch, capsys):
-    for name in "abc":
-        (tmp_path / f"{name}.yaml").touch()
-    answers = iter([(0, ""), (0, ""), (0, ""), (0, ""), (130, "interrupted\n")])
-    ran = fake(monkeypatch, batch, answers)
-    assert batch.main(["rig.yaml", str(tmp_path), "--out", str(tmp_path / "out")]) == 130
-    assert len(ran) == 5, "nothing is begun afterwards"
-    said = capsys.readouterr()
-    assert "1 of 3 parts were done before" in said.err
-    rows = {line.split()[0]: line.split()[1:4] for line in said.out.splitlines() if line[:2] in ("a ", "b ")}
-    assert rows == {"a": ["ok", "ok", "ok"], "b": ["ok", "stopped", "-"]}
-    assert (tmp_path / "out" / "summary.txt").read_text(encoding="utf-8").count("\n") == 4
-    # every posture has a line of its own
-    first, second = said.out.splitlines()[-3:-1]
-    assert first.split()[5:] == ["0,0", "90.0", "%", "60,45"]
-    assert second.split() == ["0,82", "91.0", "%", "60,50"]
+@pytest.fixture
+def batch(files, commands):
+    def run(out=files.out, **options):
+        commands.ran.clear()
+        return run_batch(load_batch(files.folder / "jobs.yaml"), out, command_form, commands, **options)
+
+    return run
 
 
-def test_the_summary_has_every_posture(batch, tmp_path):
-    def answer(share, *elevations):
-        lights = [{"elevation_deg": e, "azimuth_deg": 45.0} for e in elevations]
-        return [{"share_of_inspectable_area": share, "lights": lights}, {"share_of_inspectable_area": 0.1}]
+def tree(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
 
-    def place(tilt, turn):
-        return {"elevation_deg": tilt, "rotation_deg": turn}
 
-    groups = [
-        {"postures": [place(0.0, 82.0)], "objectives": answer(0.921, 60.0, 35.0)},
-        {"postures": [place(-20.0, 180.0)], "objectives": answer(None, 30.0)},
-        {"postures": [place(0.0, 0.0), place(0.0, 90.0)], "objectives": answer(0.5, 40.0)},
+def problems(files):
+    with pytest.raises(InputError) as caught:
+        expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+    return caught.value.messages
+
+
+def test_each_job_is_run_for_each_part_after_those_that_it_needs(batch, files, commands):
+    result = batch()
+    assert sorted(commands.ran[:2]) == [("render", "a"), ("render", "b")]
+    assert commands.ran[2:4] == [("fit-specular", "a"), ("fit-specular", "b")]
+    assert commands.ran[4:] == [("optimize", "part.fitted"), ("optimize", "part.fitted")]
+    assert answer_text(result.outcomes, len(result.tasks)) == "6 tasks: 6 done"
+    assert tree(files.out / "images") == [
+        f"rig/{part}/{name}" for part in "ab" for name in ("inner/result.txt", "task.json", "terminal.txt")
     ]
-    path = tmp_path / "result.json"
-    path.write_text(json.dumps({"results": groups}), encoding="utf-8")
-    assert batch.summary(path) == [
-        ("0,82", "92.1 %", "60,45 35,45"),
-        ("-20,180", "-", "30,45"),
-        ("all 2", "50.0 %", "40,45"),
-    ]
+    terminal = (files.out / "images" / "rig" / "a" / "terminal.txt").read_text(encoding="utf-8")
+    assert terminal == f"answer of render in {files.out / 'images' / 'rig' / 'a'}\nmore\n", "and no temporary name"
+    page = (files.out / "report.html").read_text(encoding="utf-8")
+    assert 'href="fit/rig/b/terminal.txt"' in page
+    assert "<strong>6</strong> tasks: 6 done" in page
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows sends Ctrl-C to all processes of a console")
-def test_a_command_that_gets_ctrl_c_ends_by_itself(batch, monkeypatch, tmp_path):
-    """Not killed while it tidies up, which takes it a second here."""
-    child = tmp_path / "lightopt.py"
-    child.write_text(
-        "import os, signal, time\nos.kill(os.getppid(), signal.SIGINT)\ntime.sleep(1.0)\nprint('tidy')\n",
-        encoding="utf-8",
+def test_command_lines(files):
+    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=3)
+    part, out = str(files.folder / "parts" / "a.yaml"), files.out
+    first = [task for task in tasks if task.part == "a"]
+    assert first[0].command == ("render", str(files.rig), part, "--exposures=1,1/16", "--sheet")
+    assert first[1].command == ("fit-specular", str(files.rig), part, _task.FromTask(str(out / "images" / "rig" / "a")))
+    fitted = _task.FromTask(str(out / "fit" / "rig" / "a"), "part.*.yaml")
+    assert first[2].command == ("optimize", str(files.rig), fitted, "--step=5")
+    assert {task.tail for task in tasks} == {("--threads=3",)}
+
+
+def test_a_second_run_does_nothing_and_a_change_repeats_what_depends_on_it(batch, files, commands):
+    batch()
+    assert batch().count("kept") == 6
+    assert commands.ran == []
+    files.edit("jobs.yaml", "step: 5", "step: 10")
+    batch()
+    assert commands.ran == [("optimize", "part.fitted")] * 2, "an option of the last job"
+    with (files.folder / "parts" / "b.yaml").open("a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    batch()
+    assert commands.ran == [("render", "b"), ("fit-specular", "b"), ("optimize", "part.fitted")]
+    (files.out / "fit" / "rig" / "a" / "inner" / "result.txt").unlink()
+    batch()
+    assert commands.ran == [("fit-specular", "a")], "what others made from the lost result is the same"
+    with (files.folder / "parts" / "knob.stl").open("ab") as file:
+        file.write(b"\0")
+    assert batch().count("done") == 6, "the mesh"
+
+
+def test_another_version_makes_everything_anew(batch, monkeypatch):
+    batch()
+    made_by = {**_task.computed_by(), "lightopt": "another"}
+    for module in ("_expand", "_task"):
+        monkeypatch.setattr(f"lightopt.batch.{module}.computed_by", lambda: made_by)
+    assert batch().count("done") == 6
+
+
+def test_a_failure_stops_what_needs_it_and_nothing_else(batch, files, commands):
+    commands.answers[("render", "a")] = (2, "warning: one\nerror: no room\n")
+    result = batch()
+    assert answer_text(result.outcomes, len(result.tasks)) == "6 tasks: 3 done, 1 failed, 2 skipped"
+    assert result.outcomes["images/rig/a"].messages == ("warning: one", "error: no room")
+    assert result.outcomes["best/rig/a"].messages == ("needs fit/rig/a",)
+    assert not (files.out / "images" / "rig" / "a").exists()
+    assert not list(files.out.rglob(".*")), "nothing half-written is left"
+    assert [row[3] for row in jobs_table(result.tasks, result.outcomes)[1]] == ["1", "-", "-"]
+    assert "no room" in (files.out / "summary.csv").read_text(encoding="utf-8")
+    assert batch().count("done") == 3, "what failed is tried again"
+
+
+def test_a_check_that_failed_is_not_repeated(batch, files, commands):
+    commands.answers[("fit-specular", "b")] = (1, "error: the fit did not converge\n")
+    assert batch().count("failed", "skipped") == 2
+    assert (files.out / "fit" / "rig" / "b" / "part.fitted.yaml").is_file(), "its files are there"
+    result = batch()
+    assert commands.ran == []
+    assert result.outcomes["fit/rig/b"].messages == ("error: the fit did not converge",)
+
+
+def test_a_full_disk_loses_nothing(batch, files, commands):
+    commands.answers[("fit-specular", "a")] = (0, OSError(errno.ENOSPC, "No space left on device"))
+    result = batch()
+    assert result.count("done") == 4
+    assert "No space left" in result.outcomes["fit/rig/a"].messages[0]
+    assert not list(files.out.rglob(".*"))
+    assert batch().count("kept") == 4
+
+
+def test_ctrl_c_ends_with_what_was_done_and_the_same_call_continues(batch, files, commands):
+    commands.answers[("fit-specular", "b")] = (130, "interrupted\n")
+    result = batch()
+    assert result.interrupted
+    assert answer_text(result.outcomes, len(result.tasks)) == "6 tasks: 3 done, 3 not run"
+    assert not list(files.out.rglob(".*"))
+    assert "not run" in (files.out / "summary.csv").read_text(encoding="utf-8")
+    result = batch()
+    assert (result.count("kept"), result.count("done"), result.interrupted) == (3, 3, False)
+
+
+def test_what_a_killed_worker_was_writing_is_removed_when_the_results_are_there(batch, files):
+    for name in (".a@0123", ".a@b@0123"):
+        (files.out / "images" / "rig" / name).mkdir(parents=True)
+    batch()
+    left = [path.name for path in (files.out / "images" / "rig").iterdir()]
+    assert sorted(left) == [".a@b@0123", "a", "b"], "but not what is of another part"
+
+
+def test_two_workers_with_the_same_task(batch, files, commands, monkeypatch):
+    """The second finds the results of the first, which was taken for lost, or its own folder removed."""
+    done = batch()
+    task = done.tasks[0]
+    (files.out / "images" / "rig" / "a").rename(files.folder / "first")
+
+    def slowly(words):
+        answer = commands(words)
+        (files.folder / "first").rename(task.folder)  # meanwhile the first one ends, and tidies up
+        _task.remove_leftovers(task)
+        return answer
+
+    outcome = _task.run_task(task, slowly)
+    assert outcome.state == "kept"
+    assert outcome.answer == done.outcomes[task.place].answer
+
+
+def test_a_folder_of_something_else_is_not_touched(batch, files):
+    mine = files.out / "best" / "rig" / "b" / "mine.txt"
+    mine.parent.mkdir(parents=True)
+    mine.touch()
+    with pytest.raises(InputError, match="is not a result of a batch"):
+        batch()
+    assert mine.exists()
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"key": 1}', "{"])
+def test_a_damaged_record_is_no_result(batch, files, text):
+    batch()
+    (files.out / "images" / "rig" / "a" / "task.json").write_text(text, encoding="utf-8")
+    assert batch().count("done") == 1
+
+
+def test_a_wrong_part_fails_by_itself(batch, files, commands):
+    (files.folder / "parts" / "a.yaml").write_text("format: nonsense", encoding="utf-8")
+    assert batch().count("done") == 6, "its command says what is wrong"
+
+
+def test_files_that_changed_or_are_not_there_for_a_worker(batch, files):
+    done = batch()
+    task = done.tasks[0]
+    (files.folder / "parts" / "knob.stl").unlink()
+    files.rig.write_text("format: lightopt-rig/1", encoding="utf-8")
+    (mine, mesh) = _task.worker_problems(task.computed_by, task.files)
+    assert mine.startswith(f"{files.rig}: changed since the batch was started")
+    assert "knob.stl: not on " in mesh
+    shutil.rmtree(task.folder)
+    assert _task.run_task(task, Commands()).messages == (mine, mesh)
+
+
+def test_images_of_ones_own(files, batch, commands):
+    files.edit("jobs.yaml", "images_from: images", 'images: "captured/{rig}/{part}"')
+    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+    fits = [task for task in tasks if task.job == "fit"]
+    assert [task.command[3] for task in fits] == [str(files.folder / "captured" / "rig" / part) for part in "ab"]
+
+
+def test_lighting_systems_are_compared_for_each_part_once(files, commands, batch):
+    shutil.copy(files.rig, files.folder / "second.yaml")
+    files.edit("jobs.yaml", "rigs: [rig.yaml]", "rigs: [rig.yaml, second.yaml]")
+    files.edit(
+        "jobs.yaml",
+        "{name: best, command: optimize, part_from: fit, options: {step: 5}}",
+        "{name: c, command: compare-lighting}",
     )
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("PYTHONPATH", raising=False)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        done = batch.call([])
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert (done.returncode, done.stdout) == (130, "tidy\n")
+    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+    (first, second) = [task for task in tasks if task.job == "c"]
+    rigs = [str(files.rig), str(files.folder / "second.yaml")]
+    assert first.command == ("compare-lighting", str(files.folder / "parts" / "a.yaml"), *rigs)
+    assert (first.place, second.place) == ("c/a", "c/b")
+
+
+def test_files_of_the_same_name_are_told_apart_by_their_folders(files):
+    for name in ("one", "two"):
+        (files.folder / name).mkdir()
+        shutil.copy(files.folder / "parts" / "a.yaml", files.folder / name / "part.yaml")
+    files.edit("jobs.yaml", "parts: [parts]", 'parts: ["*/part.yaml"]')
+    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+    assert {task.part for task in tasks} == {"one-part", "two-part"}
 
 
 @pytest.mark.parametrize(
-    ("there", "forced"),
+    ("old", "new", "line", "message"),
     [
-        ({"format": "lightopt-images/1", "kind": "simulated", "part": {"file": "a.yaml"}}, True),
-        ({"format": "lightopt-images/1", "kind": "captured", "part": {"file": "a.yaml"}}, False),
-        ({"format": "lightopt-images/1", "kind": "simulated", "part": {"file": "b.yaml"}}, False),
-        ({"format": "another/1", "part": {"file": "a.yaml"}}, False),
-        ([], False),
-        (None, False),
+        ("command: render", "command: rendr", 6, 'jobs[0].command: expected a command on a rig and a part, found "re'),
+        ("command: render", "command: defects", 6, "expected a command on a rig and a part"),
+        ("sheet: true", "sheets: true", 7, 'no such option of render in a batch; did you mean "sheet"?'),
+        ("sheet: true", "no-shadows: true", 7, "write shadows: false"),
+        ("sheet: true", "force: true", 7, "no such option of render in a batch; its options are light"),
+        ("sheet: true", "sheet: 1", 7, "expected true or false, found 1"),
+        ("sheet: true", "sheet: false", 7, "leave the option out"),
+        ("sheet: true", "noise: true", 7, "expected a value, found true"),
+        ("step: 5", "calibration: none.json", 9, "no such file"),
+        (", images_from: images", "", 8, "fit-specular reads images; give images_from: JOB, or images: FOLDER"),
+        ("part_from: fit", "images_from: images", 9, "optimize reads no images"),
+        ("rigs: [rig.yaml]", "rigs: [rg.yaml]", 2, "rigs[0]: no such file"),
+        ("parts: [parts]", 'parts: ["*.yml"]', 3, "parts[0]: no file matches"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_jobs(files, old, new, line, message):
+    files.edit("jobs.yaml", old, new)
+    (said,) = problems(files)
+    assert said.startswith(f"{files.folder / 'jobs.yaml'}:{line}: ")
+    assert message in said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "message"),
+    [
+        ("name: fit,", "name: Images,", 8, 'the name "Images" is already that of jobs[0]'),
+        ("images_from: images", "images_from: image", 8, 'no job "image"; the jobs are images, fit, best'),
+        ("command: render", "command: render\n    needs: [best]", 5, "images needs best needs fit needs im"),
+        ("images_from: images", "images_from: images, images: x", 8, "expected only one of them"),
+        ("step: 5", "step: {a: 1}", 9, "expected a number, text, true, false, or a list"),
+        ("name: best", "name: best.1", 9, "expected a name without a dot"),
+        ("name: best", "nam: best", 9, 'did you mean "name"?'),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_the_file(files, old, new, line, message):
+    files.edit("jobs.yaml", old, new)
+    with pytest.raises(InputError) as caught:
+        load_batch(files.folder / "jobs.yaml")
+    assert any(f":{line}: " in said and message in said for said in caught.value.messages), caught.value.messages
+
+
+HARDWARE = """\
+hardware:
+  controllers: {main: {driver: ccs, port: PORT, channels: 4}}
+  lights: {light1: {controller: main, channel: 1, level: 200}, light3: {controller: main, channel: 3, level: 150}}
+  camera: {driver: virtual}
+"""
+
+
+@pytest.mark.parametrize(("port", "real"), [("virtual", False), ("COM3", True)])
+def test_a_batch_drives_no_devices(files, port, real):
+    with files.rig.open("a", encoding="utf-8") as file:
+        file.write(HARDWARE.replace("PORT", port))
+    old = "command: render\n    options: {exposures: [1, 1/16], sheet: true}"
+    files.edit("jobs.yaml", old, "command: capture")
+    batch = load_batch(files.folder / "jobs.yaml")
+    if not real:
+        assert expand(batch, command_form, files.out, threads=1)[0].command[0] == "capture"
+    else:
+        assert "a batch drives none" in problems(files)[0]
+
+
+def test_the_command(cli, files, monkeypatch):
+    jobs = files.folder / "jobs.yaml"
+    monkeypatch.setattr("lightopt.cli._batch.run_captured", commands := Commands())
+    commands.answers[("render", "a")] = (2, "error: no room\n")
+    ran = cli("batch", jobs, "-o", files.out, "--workers", 1)
+    assert ran.status == 1
+    assert ran.err == "error: images/rig/a: no room\n"
+    assert len(ran.out.splitlines()) <= 15
+    assert ran.out.startswith("6 tasks: 3 done, 1 failed, 2 skipped; ")
+    assert cli("batch", jobs, "-o", files.out, "--workers", 1, "--quiet").out == ""
+    commands.answers[("optimize", "part.fitted")] = (130, "")
+    ran = cli("batch", jobs, "-o", files.folder / "other", "--workers", 1)
+    assert ran.status == 130
+    assert "the same command continues the batch" in ran.err
+    ran = cli("batch", jobs, "-o", files.out, "--scheduler", "tcp://127.0.0.1:1", "--workers", 2)
+    assert (ran.status, "no effect with --scheduler" in ran.err) == (2, True)
+    ran = cli("batch", jobs, "-o", files.out, "--slurm", "--kubernetes")
+    assert (ran.status, "expected one of them" in ran.err) == (2, True)
+
+
+def test_a_scheduler_that_does_not_answer(batch, monkeypatch):
+    monkeypatch.setattr(_schedule, "_ANSWER_S", 0.2)
+    with pytest.raises(InputError, match=r"tcp://127.0.0.1:1: no Dask scheduler answers"):
+        batch(workers=Workers(scheduler="tcp://127.0.0.1:1"))
+    with pytest.raises(InputError, match="no Dask scheduler answers"):
+        batch(workers=Workers(scheduler="nonsense://x"))
+    with socket.create_server(("127.0.0.1", 0)) as other, pytest.raises(InputError, match="no Dask scheduler answers"):
+        batch(workers=Workers(scheduler=f"tcp://127.0.0.1:{other.getsockname()[1]}"))
+
+
+@pytest.mark.parametrize(
+    ("workers", "missing", "install"),
+    [
+        (Workers(number=2), "distributed", "lightopt[batch]"),
+        (Workers(system="slurm"), "dask_jobqueue", "lightopt[slurm]"),
+        (Workers(system="kubernetes"), "dask_kubernetes.operator", "lightopt[kubernetes]"),
     ],
 )
-def test_only_its_own_result_of_the_same_part_is_replaced(batch, tmp_path, monkeypatch, there, forced):
-    (tmp_path / "a.yaml").touch()
-    manifest = tmp_path / "out" / "a" / "images" / "manifest.json"
-    manifest.parent.mkdir(parents=True)
-    if there is not None:
-        manifest.write_text(json.dumps(there), encoding="utf-8")
-    refused = (2, "error: holds the image set of another run; use --force to replace it\n")
-    ran = fake(monkeypatch, batch, iter([(0, ""), refused, (0, ""), (0, "")]))
-    assert batch.main(["rig.yaml", str(tmp_path), "--out", str(tmp_path / "out")]) == (0 if forced else 1)
-    assert [("--force" in command) for command in ran] == [False, False, *([True, False] if forced else [])]
+def test_packages_that_are_missing(batch, monkeypatch, workers, missing, install):
+    monkeypatch.setitem(__import__("sys").modules, missing, None)
+    with pytest.raises(InputError) as caught:
+        batch(workers=workers)
+    assert install in caught.value.messages[0]
 
 
-def test_a_folder_without_parts_is_reported(batch, tmp_path, capsys):
-    assert batch.main(["rig.yaml", str(tmp_path)]) == 2
-    assert "no part file (*.yaml) is there" in capsys.readouterr().err
+def test_progress_counts_tasks(batch):
+    shares = []
+    batch(run=RunContext(progress=lambda stage, share: shares.append((stage, round(share, 2)))))
+    assert shares[0] == ("6 of 6 tasks", 0.17)
+    assert shares[-1] == ("6 of 6 tasks", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("lines", "answer"), [([], ""), (["4 images"], "4 images"), (["a  b", "1  2", "3  4"], "1 2"), (["a  b"], "a b")]
+)
+def test_the_answer_is_the_first_line_or_row(lines, answer):
+    assert _task._answer(lines) == answer
+
+
+def test_a_record_names_what_it_is_of(batch, files):
+    batch()
+    record = json.loads((files.out / "images" / "rig" / "a" / "task.json").read_text(encoding="utf-8"))
+    assert record["format"] == "lightopt-task/1"
+    assert record["files"] == {
+        "inner/result.txt": 16,
+        "terminal.txt": (files.out / "images/rig/a/terminal.txt").stat().st_size,
+    }

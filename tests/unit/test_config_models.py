@@ -29,13 +29,13 @@ SAMPLES = [("rig", p) for p in sorted((CONFIGS / "rigs").glob("*.yaml"))]
 SAMPLES += [("part", p) for p in sorted((CONFIGS / "parts").glob("*.yaml"))]
 
 
-@pytest.mark.parametrize("kind", ["rig", "part"])
+@pytest.mark.parametrize("kind", ["rig", "part", "batch"])
 def test_committed_schema_is_fresh(kind: Any) -> None:
     committed = json.loads((CONFIGS / "schema" / f"{kind}.json").read_text(encoding="utf-8"))
     assert committed == json_schema(kind), "run scripts/write_schemas.py"
 
 
-@pytest.mark.parametrize("kind", ["rig", "part"])
+@pytest.mark.parametrize("kind", ["rig", "part", "batch"])
 def test_every_field_is_described(kind: Any) -> None:
     schema = json_schema(kind)
     jsonschema.Draft202012Validator.check_schema(schema)

@@ -1,0 +1,183 @@
+"""What a batch costs beside its commands, and what a second process gains: ``python -m benchmarks.batch``.
+
+Three measurements:
+
+- tasks that do nothing but write a file, in this process and by one and two workers: what a task costs by itself, and
+  what starting the workers costs;
+- check and render (1600 × 1200 px, one posture, two exposures) of variants of the cover knob, one thread each: the
+  commands one after the other without a batch, then batches in this process, by one worker and by two. Results are
+  compared byte for byte;
+- the same batch once more, when all is there, as a command of its own.
+
+Times are seconds from the call to its end, the start of the processes included, and processor seconds of all processes,
+which a busy machine changes less. The ways take turns; medians of the rounds are printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import pickle
+import resource
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks._case import CONFIGS, RIG
+from lightopt.batch import Workers, _schedule, run_batch
+from lightopt.batch._expand import expand
+from lightopt.cli._batch import command_form, run_captured
+from lightopt.config import load_batch
+
+HEAD = """\
+format: lightopt-batch/1
+rigs: [{rig}]
+parts: [parts]
+jobs:
+"""
+CHECK = "  - {name: check, command: check}\n"
+RENDER = '  - {name: images, command: render, needs: [check], options: {posture: "0,0", exposures: [1, 1/16]}}\n'
+OF_THE_RUN = {"task.json", "terminal.txt", "summary.csv", "report.html"}
+RunCommand = Callable[[list[str]], tuple[int, str, str]]
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.batch", description=__doc__.partition("\n")[0])
+    parser.add_argument("--parts", type=int, default=12, help="number of parts that are checked and rendered")
+    parser.add_argument("--tasks", type=int, default=400, help="number of tasks that do nothing")
+    parser.add_argument("--rounds", type=int, default=3)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="lightopt-bench-") as name:
+        measure_nothing(Path(name) / "nothing", options.tasks, options.rounds)
+        measure_commands(Path(name) / "commands", options.parts, options.rounds)
+
+
+def nothing(_words: list[str]) -> tuple[int, str, str]:
+    """A command that does nothing."""
+    return 0, "done\n", ""
+
+
+def measure_nothing(folder: Path, count: int, rounds: int) -> None:
+    """What tasks cost by themselves."""
+    jobs = write_jobs(folder, count, HEAD + CHECK)
+    single = write_jobs(folder / "single", 1, HEAD + CHECK)
+    found: dict[str, list[tuple[float, float]]] = {}
+    for _ in range(rounds):
+        for number in (0, 1, 2):
+            way = f"{number} workers" if number else "this process"
+            for what, path in (("one task", single), ("all tasks", jobs)):
+                used = timed(lambda path=path, number=number: run(path, folder / "out", number, nothing))
+                found.setdefault(f"{way}, {what}", []).append(used)
+                shutil.rmtree(folder / "out")
+    print(f"tasks that do nothing: {count}")
+    show(found, None)
+    sizes = [len(pickle.dumps(task)) for task in expand(load_batch(jobs), command_form, folder / "out", threads=1)]
+    print(f"bytes of a task on the wire: {statistics.median(sizes):.0f}\n")
+
+
+def measure_commands(folder: Path, parts: int, rounds: int) -> None:
+    """Commands with and without a batch."""
+    jobs, out = write_jobs(folder, parts, HEAD + CHECK + RENDER), folder / "out"
+    ways: dict[str, Callable[[], object]] = {
+        "commands without a batch": lambda: commands_alone(jobs, out),
+        "batch, this process": lambda: run(jobs, out, 0, run_captured),
+        "batch, one worker": lambda: run(jobs, out, 1, run_captured),
+        "batch, two workers": lambda: run(jobs, out, 2, run_captured),
+    }
+    commands_alone(jobs, out)  # compiles, and fills the caches of files
+    reference = contents(out)
+    shutil.rmtree(out)
+    found: dict[str, list[tuple[float, float]]] = {}
+    for _ in range(rounds):
+        for way, work in ways.items():
+            found.setdefault(way, []).append(timed(work))
+            assert contents(out) == reference, f"{way}: other results"
+            if way == "batch, two workers":
+                command = [sys.executable, "-m", "lightopt", "batch", str(jobs), "-o", str(out), "--quiet"]
+                again = timed(lambda command=command: subprocess.run(command, check=True))
+                found.setdefault("the command again, all is there", []).append(again)
+            shutil.rmtree(out)
+    print(f"check and render of {parts} parts; equal results")
+    show(found, "commands without a batch")
+
+
+def show(found: dict[str, list[tuple[float, float]]], other: str | None) -> None:
+    """Print medians, and their ratios to another's."""
+    medians = {way: [statistics.median(column) for column in zip(*some, strict=True)] for way, some in found.items()}
+    for way, (wall, processors) in medians.items():
+        ratio = "" if other is None else f"  ×{wall / medians[other][0]:.3f}, ×{processors / medians[other][1]:.3f}"
+        print(f"{way:32} {wall:7.2f} s, {processors:7.2f} s of processors{ratio}", flush=True)
+
+
+def write_jobs(folder: Path, parts: int, text: str) -> Path:
+    """Variants of the cover knob and the batch file."""
+    (folder / "parts").mkdir(parents=True)
+    part = (CONFIGS / "parts" / "cover-knob.yaml").read_text(encoding="utf-8")
+    shutil.copy(CONFIGS / "parts" / "cover-knob.step", folder / "parts")
+    for number in range(parts):
+        own = part.replace("R_d: 45.0", f"R_d: {45.0 + 0.01 * number}")
+        assert number == 0 or own != part
+        (folder / "parts" / f"part{number}.yaml").write_text(own, encoding="utf-8")
+    path = folder / "jobs.yaml"
+    path.write_text(text.replace("{rig}", str(RIG)), encoding="utf-8")
+    return path
+
+
+def run(jobs: Path, out: Path, number: int, run_command: RunCommand) -> None:
+    """Run the batch in this process (0), or by so many workers."""
+    if number == 1:  # one worker on its own is nothing that a user gets without asking for a scheduler
+        with _schedule._local_cluster(1) as cluster:
+            result = run_batch(
+                load_batch(jobs), out, command_form, run_command, workers=Workers(scheduler=cluster.scheduler_address)
+            )
+            show_memory(cluster)
+    else:
+        result = run_batch(load_batch(jobs), out, command_form, run_command, workers=Workers(number=max(1, number)))
+    assert result.count("done") == len(result.tasks), [one.messages for one in result.outcomes.values()]
+
+
+def show_memory(cluster: object) -> None:
+    """Print what the workers of a cluster needed at most."""
+    for nanny in cluster.workers.values():  # type: ignore[attr-defined]
+        status = Path(f"/proc/{nanny.pid}/status")
+        if status.is_file():
+            peak = next(line.split()[1] for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+            print(f"peak memory of a worker: {int(peak) / 1e6:.2f} GB", flush=True)
+
+
+def commands_alone(jobs: Path, out: Path) -> None:
+    """Run the same commands one after the other, into the same folders."""
+    for task in expand(load_batch(jobs), command_form, out, threads=1):
+        words = [*map(str, task.command), *task.tail]
+        if task.writes_folder:
+            task.folder.parent.mkdir(parents=True, exist_ok=True)
+            words += ["-o", str(task.folder)]
+        status, _, error = run_captured(words)
+        assert status == 0, error
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file of the results, but those that say when and where they were made."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name not in OF_THE_RUN)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def timed(work: Callable[[], object]) -> tuple[float, float]:
+    """Seconds of a call, and processor seconds of this process and of those that it started and that ended."""
+    begun, before = time.perf_counter(), _processor_seconds()
+    work()
+    return time.perf_counter() - begun, _processor_seconds() - before
+
+
+def _processor_seconds() -> float:
+    uses = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(use.ru_utime + use.ru_stime for use in uses)
+
+
+if __name__ == "__main__":
+    main()

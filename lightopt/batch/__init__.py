@@ -1,0 +1,11 @@
+"""Many commands on many rigs and parts, by processes of this machine or of a cluster.
+
+A batch file names jobs, rigs and parts. Each job × rig × part is a :class:`Task`, which runs a command of the command
+line. Its results are in a folder of their own, together with the hash of all that they depend on, and are never
+computed twice. Home of Dask.
+"""
+
+from lightopt.batch._commands import CommandForm as CommandForm, OptionForm as OptionForm
+from lightopt.batch._run import BatchResult as BatchResult, run_batch as run_batch
+from lightopt.batch._schedule import Workers as Workers
+from lightopt.batch._summary import answer_text as answer_text, jobs_table as jobs_table

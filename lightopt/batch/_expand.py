@@ -1,0 +1,209 @@
+"""The tasks of a batch: each job for each rig and part, with the hash of all that its results depend on."""
+
+import glob
+import hashlib
+import json
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from lightopt.batch._commands import CommandForm, option_problems, option_words
+from lightopt.batch._task import FromTask, Task, content_sha256
+from lightopt.config import (
+    BatchConfig,
+    HardwareConfig,
+    JobConfig,
+    PartConfig,
+    RigConfig,
+    input_files,
+    load_part,
+    load_rig,
+)
+from lightopt.core.errors import InputError, refuse
+from lightopt.core.provenance import computed_by
+from lightopt.images import MANIFEST_NAME, read_image_set
+
+FormOf = Callable[[str], CommandForm | None]
+
+
+@dataclass(frozen=True)
+class _Input:
+    # a rig or part file, and all that is read with it
+    name: str
+    path: Path
+    hashes: Mapping[str, str]  # SHA-256 of each file, by its path
+    drives_devices: bool = False
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        # the same wherever the files are; results name the first one
+        return {"file": self.path.name, "sha256": list(self.hashes.values())}
+
+
+def expand(batch: BatchConfig, form_of: FormOf, out: Path, *, threads: int) -> tuple[Task, ...]:
+    """The tasks, each after those that it needs; results go to ``out/JOB/RIG/PART``.
+
+    form_of: The form of a command; None where there is none for a rig and a part
+    threads: Of each command
+    Raises InputError: All that is wrong with the files that the batch names and with the options of its jobs
+    """
+    forms, problems = _forms(batch, form_of)
+    rigs, no_rigs = _named_inputs(batch, "rigs", load_rig)
+    parts, no_parts = _named_inputs(batch, "parts", load_part)
+    problems += [*no_rigs, *no_parts]
+    problems += [
+        f"{batch.source.at('jobs', index)}: capture would drive the devices of rig {rig.name}, and a batch drives none"
+        for index, job in enumerate(batch.jobs)
+        for rig in rigs
+        if job.command == "capture" and rig.drives_devices
+    ]
+    refuse(problems)
+    made_by, tasks = computed_by(), dict[tuple[str, str, str], Task]()
+    for job in batch.in_order:
+        form, index = forms[job.name], batch.jobs.index(job)
+        options = option_words(batch, index, form)
+        option_files = {str(path): content_sha256(path) for path in options.files}
+        for own_rigs, part in product(_groups(rigs, form), parts):
+            needs = {name: [tasks[name, rig.name, part.name] for rig in own_rigs] for name in job.all_needs}
+            place = Path(job.name, *([] if "rigs" in form.arguments else [own_rigs[0].name]), part.name)
+            images = _images(batch, job, own_rigs[0].name, part.name)
+            arguments, facts = _arguments(job, form, own_rigs, part, images, needs)
+            facts |= {"command": job.command, "options": job.options, "files": list(option_files.values())}
+            text = json.dumps({**facts, "computed_by": made_by}, sort_keys=True)
+            task = Task(
+                job=job.name,
+                rig=", ".join(rig.name for rig in own_rigs),
+                part=part.name,
+                folder=out.absolute() / place,
+                place=place.as_posix(),
+                key=hashlib.sha256(text.encode()).hexdigest(),
+                command=(job.command, *arguments, *options.words),
+                tail=((f"--threads={threads}",) if form.takes_threads else ()),
+                writes_folder=form.writes_folder,
+                files=tuple({**option_files, **_all_hashes([*own_rigs, part]), **_manifest(images)}.items()),
+                needs=tuple(dict.fromkeys(one.place for some in needs.values() for one in some)),
+                computed_by=json.dumps(made_by, sort_keys=True),
+            )
+            tasks |= {(job.name, rig.name, part.name): task for rig in own_rigs}
+    return tuple({task.place: task for task in tasks.values()}.values())
+
+
+def _forms(batch: BatchConfig, form_of: FormOf) -> tuple[dict[str, CommandForm], list[str]]:
+    forms, problems = dict[str, CommandForm](), list[str]()
+    for index, job in enumerate(batch.jobs):
+        form = form_of(job.command)
+        at = batch.source.at("jobs", index)
+        if form is None:
+            at = batch.source.at("jobs", index, "command")
+            problems.append(f'{at}: expected a command on a rig and a part, found "{job.command}"')
+            continue
+        forms[job.name] = form
+        reads, given = "images" in form.arguments, job.images is not None or job.images_from is not None
+        if reads and not given:
+            problems.append(f"{at}: {job.command} reads images; give images_from: JOB, or images: FOLDER")
+        elif given and not reads:
+            problems.append(f"{at}: {job.command} reads no images; leave images and images_from out")
+        problems += option_problems(batch, index, form)
+    return forms, problems
+
+
+def _named_inputs(
+    batch: BatchConfig, key: str, load: Callable[[Path], RigConfig | PartConfig]
+) -> tuple[tuple[_Input, ...], list[str]]:
+    """The rig or part files that the batch names, each once, and what is wrong with the names."""
+    paths, problems = dict[Path, None](), list[str]()
+    for index, text in enumerate(getattr(batch, key)):
+        given = batch.source.resolve(text)
+        found = [given] if given.is_file() else sorted(given.glob("*.yaml")) if given.is_dir() else []
+        found = found or sorted(Path(path) for path in glob.glob(str(given), recursive=True))  # noqa: PTH207 - absolute
+        if not found:
+            what = f"no such file: {given}" if glob.escape(text) == text else f"no file matches {given}"
+            problems.append(f"{batch.source.at(key, index)}: {what}; expected YAML files or a folder of them")
+        paths |= dict.fromkeys(Path(os.path.abspath(path)) for path in found)  # noqa: PTH100 - links stay as they are
+    names = {path: path.stem for path in paths}
+    same = Counter(name.lower() for name in names.values())
+    names |= {path: f"{path.parent.name}-{name}" for path, name in names.items() if same[name.lower()] > 1}
+    for name, number in Counter(name.lower() for name in names.values()).items():
+        if number > 1:
+            at = batch.source.at(key)
+            problems.append(f"{at}: {number} files would have their results in folders {name}; rename them")
+    return tuple(_read(name, path, load) for path, name in names.items()), problems
+
+
+def _read(name: str, path: Path, load: Callable[[Path], RigConfig | PartConfig]) -> _Input:
+    files, drives_devices = [path], False
+    try:
+        config = load(path)
+        files += input_files(config).values()
+        if isinstance(config, RigConfig):
+            drives_devices = config.hardware is not None and _is_real(config.hardware)
+            if config.virtual_bench is not None and config.virtual_bench.rig is not None:
+                files.append(config.source.resolve(config.virtual_bench.rig))
+    except InputError:
+        pass  # one wrong file stops no other: its own tasks fail, and say why
+    return _Input(name, path, {str(file.absolute()): content_sha256(file) for file in files}, drives_devices)
+
+
+def _is_real(hardware: HardwareConfig) -> bool:
+    stage = [] if hardware.stage is None else [hardware.stage.port]
+    ports = [*stage, *(controller.port for controller in hardware.controllers.values())]
+    return hardware.camera.driver != "virtual" or any(port not in (None, "virtual") for port in ports)
+
+
+def _groups(rigs: Sequence[_Input], form: CommandForm) -> list[tuple[_Input, ...]]:
+    return [tuple(rigs)] if "rigs" in form.arguments else [(rig,) for rig in rigs]
+
+
+def _images(batch: BatchConfig, job: JobConfig, rig: str, part: str) -> Path | None:
+    if job.images is None:
+        return None
+    return batch.source.resolve(job.images.replace("{rig}", rig).replace("{part}", part)).absolute()
+
+
+def _all_hashes(inputs: Iterable[_Input]) -> dict[str, str]:
+    return {path: sha256 for one in inputs for path, sha256 in one.hashes.items()}
+
+
+def _arguments(
+    job: JobConfig,
+    form: CommandForm,
+    rigs: Sequence[_Input],
+    part: _Input,
+    images: Path | None,
+    needs: Mapping[str, Sequence[Task]],
+) -> tuple[list[str | FromTask], dict[str, Any]]:
+    """Arguments of the command, and facts that its results depend on."""
+    arguments = list[str | FromTask]()
+    facts: dict[str, Any] = {"rig": [rig.facts for rig in rigs], "part": part.facts}
+    for name in form.arguments:
+        kind = name.removesuffix("s") if name == "rigs" else name
+        source = job.sources.get(kind)
+        if source is not None:
+            # the same key, the same results
+            facts[kind] = [task.key for task in needs[source]]
+            pattern = "" if kind == "images" else f"{kind}.*.yaml"
+            arguments += [FromTask(str(task.folder), pattern) for task in dict.fromkeys(needs[source])]
+        elif kind == "images":
+            facts[kind] = _fingerprint(images)
+            arguments.append(str(images))
+        else:
+            arguments += [str(one.path) for one in (rigs if kind == "rig" else [part])]
+    return arguments, facts
+
+
+def _manifest(images: Path | None) -> dict[str, str]:
+    if images is None:
+        return {}
+    file = images / MANIFEST_NAME if images.is_dir() else images
+    return {str(file): content_sha256(file)}
+
+
+def _fingerprint(images: Path | None) -> dict[str, Any]:
+    try:
+        return {} if images is None else read_image_set(images).fingerprint
+    except (InputError, OSError):
+        return {}

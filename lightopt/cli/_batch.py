@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+from contextlib import redirect_stderr, redirect_stdout
+from functools import partial
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lightopt.cli import _common as common
+from lightopt.cli._terminal import echo, echo_error, echo_paths, echo_warning, show_progress, show_table
+from lightopt.core.errors import CheckFailed, InputError, counted
+from lightopt.core.run_context import RunContext
+
+if TYPE_CHECKING:
+    from lightopt.batch import BatchResult, CommandForm
+
+workers_option = partial(typer.Option, rich_help_panel="Workers")
+
+MOST_JOBS, MOST_FAILURES = 8, 4  # rows and messages on the terminal; the files have all
+_FILES = {"FILE", "DIR", "SET", "IMAGES"}  # as the help calls values that name files
+_ARGUMENTS = {"rig", "part", "images", "rigs"}
+_OF_THE_BATCH = {"out", "force", "quiet", "verbose", "_verbose", "threads", "resume", "dry_run", "help"}
+_WRITTEN = {"json_file", "drawing", "serial_log", "history"}  # files beside the folder of results
+
+
+def batch(
+    jobs: Annotated[Path, typer.Argument(metavar="JOBS", help="Batch file (YAML): rigs, parts, jobs.")],
+    out: common.Out,
+    workers: int | None = workers_option(
+        None,
+        metavar="N",
+        min=1,
+        help="Number of processes on this machine, or of jobs of the batch system. 1: this process, without Dask.",
+        show_default="one per processor",
+    ),
+    threads: int = workers_option(1, metavar="N", min=1, help="Threads of each command; no result depends on it."),
+    scheduler: str | None = workers_option(
+        None, metavar="ADDRESS", help="Use the workers of this Dask scheduler, such as tcp://10.0.0.5:8786."
+    ),
+    slurm: bool = workers_option(False, "--slurm", help="Start workers as Slurm jobs (dask-jobqueue)."),
+    kubernetes: bool = workers_option(False, "--kubernetes", help="Start workers on Kubernetes (dask-kubernetes)."),
+    quiet: common.Quiet = False,
+    verbose: common.Verbose = False,
+) -> None:
+    """Run the jobs of JOBS, each for every rig and every part, on this machine or on a cluster.
+
+    A job is a command on a rig and a part, such as check, render, fit-specular, optimize or inspect. Jobs may use the
+    images, rig files and part files of other jobs. Results go to DIR/JOB/RIG/PART, complete or not at all. What is
+    there, made from the same files, options and version, is kept: the same command continues a batch that was
+    interrupted, and repeats what failed.
+
+    Writes summary.csv and report.html. Exit status 1 if a task failed; the other tasks are run all the same.
+
+    Workers of a cluster need the same version, and the same files at the same paths.
+
+    Example: lightopt batch jobs.yaml -o out
+    """
+    from lightopt.batch import Workers, answer_text, jobs_table, run_batch
+    from lightopt.config import load_batch
+    from lightopt.core.threads import available_processors
+
+    given = [name for name, value in (("--slurm", slurm), ("--kubernetes", kubernetes)) if value]
+    if scheduler is not None:
+        given.append("--scheduler")
+        if workers is not None:
+            raise InputError("--workers: has no effect with --scheduler, whose workers are taken as they are")
+    if len(given) > 1:
+        raise InputError(f"{' and '.join(given)}: expected one of them")
+    where = Workers(
+        number=workers or max(1, available_processors() // threads),
+        scheduler=scheduler,
+        system="slurm" if slurm else "kubernetes" if kubernetes else None,
+    )
+    with show_progress(quiet=quiet) as progress:
+        run = RunContext(progress=progress, inform=echo if verbose else None, warn=echo_warning)
+        result = run_batch(load_batch(jobs), out, command_form, run_captured, workers=where, threads=threads, run=run)
+    if not quiet:
+        echo(f"{answer_text(result.outcomes, len(result.tasks))}; {result.seconds:.1f} s")
+        header, rows = jobs_table(result.tasks, result.outcomes)
+        show_table(header, rows[:MOST_JOBS])
+        if len(rows) > MOST_JOBS:
+            echo(f"and {counted(len(rows) - MOST_JOBS, 'job')} more in {result.paths[0]}")
+        echo_paths(result.paths)
+    if result.interrupted:
+        echo_error("the same command continues the batch", label="")
+        raise KeyboardInterrupt
+    if failures := _failures(result):
+        raise CheckFailed(*failures)
+
+
+def _failures(result: BatchResult) -> list[str]:
+    failed = [one for one in result.outcomes.values() if one.state == "failed"]
+    texts = [f"{one.place}: {' '.join(one.messages[:1]).removeprefix('error: ')}" for one in failed]
+    if len(texts) > MOST_FAILURES:
+        more = len(texts) - MOST_FAILURES + 1
+        texts = [*texts[: MOST_FAILURES - 1], f"{more} more tasks failed; {result.paths[0]} has the reasons"]
+    return texts
+
+
+def command_form(name: str) -> CommandForm | None:
+    """How a command is called; None where it is none on a rig and a part whose results go to a folder."""
+    from lightopt.batch import CommandForm, OptionForm
+    from lightopt.cli._main import parser
+
+    command: Any = parser().commands.get(name)  # type: ignore[attr-defined]
+    parameters: list[Any] = [] if command is None else command.params
+    arguments = [one.name for one in parameters if one.param_type_name == "argument"]
+    out = next((one for one in parameters if one.name == "out"), None)
+    if "part" not in arguments or not set(arguments) <= _ARGUMENTS or (out is not None and out.metavar != "DIR"):
+        return None
+    options = {
+        one.opts[0].removeprefix("--"): OptionForm(
+            flag=one.is_flag, has_opposite=bool(one.secondary_opts), repeatable=one.multiple, file=one.metavar in _FILES
+        )
+        for one in parameters
+        if one.param_type_name == "option" and one.name not in _OF_THE_BATCH | _WRITTEN
+    }
+    return CommandForm(
+        name=name,
+        arguments=tuple(arguments),
+        options=options,
+        writes_folder=out is not None,
+        takes_threads=any(one.name == "threads" for one in parameters),
+    )
+
+
+def run_captured(arguments: list[str]) -> tuple[int, str, str]:
+    """Run a command line in this process: exit status, standard output, standard error."""
+    from lightopt.cli._main import run
+
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
+        status = run(arguments)
+    return status, out.getvalue(), err.getvalue()

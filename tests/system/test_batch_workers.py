@@ -1,0 +1,231 @@
+"""``lightopt batch`` by real workers: what they compute is what one process computes, whoever is killed.
+
+Rationale: a batch runs for hours on machines that fail; what is expected of each failure is that it costs the tasks
+that were running, and that the rest, and the next run, are the same byte for byte.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import dask.config
+import pytest
+
+from lightopt.batch import Workers, _schedule, run_batch
+from lightopt.cli._batch import command_form, run_captured
+from lightopt.config import load_batch
+from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and sessions of POSIX")
+
+JOBS = """\
+format: lightopt-batch/1
+rigs: [rig.yaml]
+parts: [parts]
+jobs:
+  - {name: check, command: check}
+  - {name: images, command: render, needs: [check], options: {posture: "0,0", exposures: [1, 1/16], noise: 1}}
+  - {name: fit, command: fit-diffuse, images_from: images, options: {pixels: 2000}}
+  - {name: again, command: render, part_from: fit, options: {posture: "0,0"}}
+"""
+TASKS = 8
+OF_THE_RUN = {"task.json", "terminal.txt", "summary.csv", "report.html"}
+
+
+@pytest.fixture(scope="module")
+def jobs(shared_bench) -> Path:
+    parts = shared_bench.folder / "parts"
+    parts.mkdir()
+    shutil.copy(shared_bench.mesh, parts)
+    text = shared_bench.part.read_text(encoding="utf-8")
+    for number in range(2):
+        own = text.replace("R_d: 45.0", f"R_d: {40.0 + number}")
+        (parts / f"part{number}.yaml").write_text(own, encoding="utf-8")
+    path = shared_bench.folder / "jobs.yaml"
+    path.write_text(JOBS, encoding="utf-8")
+    return path
+
+
+def run(jobs: Path, name: str, **options):
+    return run_batch(load_batch(jobs), jobs.parent / name, command_form, run_captured, **options)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name not in OF_THE_RUN)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module")
+def reference(jobs) -> dict[str, bytes]:
+    """What one process computes."""
+    assert run(jobs, "alone").count("done") == TASKS
+    return contents(jobs.parent / "alone")
+
+
+class Cluster:
+    """``dask scheduler`` and ``dask worker``, as a user starts them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.file = folder / "scheduler.json"
+        self._folder = folder
+        self._processes = [
+            self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0")
+        ]
+        self.workers: list[subprocess.Popen[bytes]] = []
+        for _ in range(2):
+            self.add_worker()
+        while not self.file.is_file():
+            assert self._processes[0].poll() is None
+            time.sleep(0.05)
+
+    @property
+    def address(self) -> str:
+        return json.loads(self.file.read_text(encoding="utf-8"))["address"]
+
+    def add_worker(self) -> None:
+        own = "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(self._folder)
+        self.workers.append(self._start("worker", *own))
+
+    def kill(self, number: int) -> None:
+        """Kill a worker without warning, and start another."""
+        worker = self.workers.pop(number)
+        worker.kill()
+        worker.wait()
+        self.add_worker()
+
+    def close(self) -> None:
+        for process in (*self.workers, *self._processes):
+            process.kill()
+            process.wait()
+
+    def _start(self, *words: str) -> subprocess.Popen[bytes]:
+        environment = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "50"}
+        command = [sys.executable, "-m", "dask", *words, "--scheduler-file", str(self.file)]
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory) -> Iterator[Cluster]:
+    own = Cluster(tmp_path_factory.mktemp("cluster"))
+    try:
+        yield own
+    finally:
+        own.close()
+
+
+def kill_some(cluster: Cluster, times: int, seed: int) -> RunContext:
+    """A context in which workers are killed as tasks are completed, while they compute."""
+    draw, left = random.Random(seed), [times]
+
+    def killing(_stage: str, share: float) -> None:
+        if left[0] and share < 1.0:
+            left[0] -= 1
+            time.sleep(draw.uniform(0.0, 0.3))
+            cluster.kill(draw.randrange(2))
+
+    return RunContext(progress=killing)
+
+
+@pytest.mark.slow
+def test_killed_workers_lose_nothing(jobs, reference, cluster):
+    workers = Workers(scheduler=cluster.address)
+    result = run(jobs, "killed", workers=workers, run=kill_some(cluster, 2, seed=1))
+    assert result.count("done", "kept") == TASKS
+    assert contents(jobs.parent / "killed") == reference
+    left = [path for path in (jobs.parent / "killed").rglob(".*") if path.is_dir()]
+    assert not left
+    begun = time.perf_counter()
+    assert run(jobs, "killed", workers=workers).count("kept") == TASKS
+    assert time.perf_counter() - begun < 2.0
+
+
+@pytest.mark.slow
+def test_workers_of_another_version_are_refused(jobs, cluster, monkeypatch):
+    monkeypatch.setattr(_schedule, "computed_by", lambda: {"lightopt": "9.9"})
+    with pytest.raises(InputError) as caught:
+        run(jobs, "refused", workers=Workers(scheduler=cluster.address))
+    assert 'lightopt: previously "9.9", now "0' in caught.value.messages[0]
+    assert "install the same versions" in caught.value.messages[-1]
+    assert not contents(jobs.parent / "refused")
+
+
+def nobody_left(group: int) -> bool:
+    """Whether all processes of a group end, if need be within some seconds."""
+    for _ in range(200):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_processes_of_this_machine_and_the_same_command_continues(jobs, reference):
+    out = jobs.parent / "interrupted"
+    command = [sys.executable, "-m", "lightopt", "batch", str(jobs), "-o", str(out), "--workers", "2"]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    while not list(out.rglob("task.json")):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    said, error = process.communicate(timeout=60)
+    assert process.returncode == 130, error
+    assert "not run" in said
+    assert error.splitlines()[0] == "the same command continues the batch"
+    assert nobody_left(process.pid)
+    assert not list(out.rglob(".*"))
+    # the rest by one process, whose start takes less
+    done = subprocess.run([*command[:-1], "1"], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert contents(out) == reference
+
+
+SBATCH = """\
+#!/bin/sh
+sh "$1" >"$0.log" 2>&1 &
+echo "Submitted batch job $!"
+"""
+SCANCEL = """\
+#!/bin/sh
+kill "$1"
+"""
+
+
+@pytest.mark.slow
+def test_workers_that_slurm_starts(jobs, tmp_path, monkeypatch):
+    """A Slurm of this machine: its commands are doubles, and the job scripts are those that Slurm would get."""
+    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    alone = jobs.with_name("check.yaml")
+    lines = [line for line in JOBS.splitlines() if "name:" not in line or "check," in line]
+    alone.write_text("\n".join(lines), encoding="utf-8")
+    with dask.config.set({"jobqueue.slurm.cores": 1, "jobqueue.slurm.memory": "2GB"}):
+        assert run(alone, "slurm", workers=Workers(system="slurm")).count("done") == 2
+
+
+@pytest.mark.nightly
+def test_workers_killed_twenty_times(jobs, reference, tmp_path_factory):
+    for seed in range(2):
+        own = Cluster(tmp_path_factory.mktemp("own"))
+        try:
+            name = f"killed{seed}"
+            result = run(jobs, name, workers=Workers(scheduler=own.address), run=kill_some(own, 10, seed=seed))
+        finally:
+            own.close()
+        assert result.count("done", "kept") == TASKS
+        assert contents(jobs.parent / name) == reference
