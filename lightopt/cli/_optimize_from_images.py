@@ -65,21 +65,28 @@ def optimize_from_images(
 
     Example: lightopt optimize --from-images good-1 good-2 good-3 scratched dented -k 4 -o chosen
     """
-    from lightopt import design
-    from lightopt.report import design as pages
+    from lightopt.design import (
+        FromImagesOptions,
+        agreement_text,
+        finish_from_images,
+        from_images_answer,
+        optimize_from_images as choose,
+        write_from_images,
+    )
+    from lightopt.report.design import chosen_table, defects_table, from_images_report, scores_table
 
-    options = design.FromImagesOptions(images=images, mix=mix, false_alarms=false_alarms, limit=max_combinations)
+    options = FromImagesOptions(images=images, mix=mix, false_alarms=false_alarms, limit=max_combinations)
     with run_context(quiet=quiet, threads=threads) as run:
-        result = design.optimize_from_images(sets, options=options, region=region, rig=rig, captured=compare, run=run)
-        output = design.write_from_images(result, out, force=force, run=run)
-        page = pages.from_images_report(result) if report else None
-        paths = design.finish_from_images(output, result, page)
+        result = choose(sets, options=options, region=region, rig=rig, captured=compare, run=run)
+        output = write_from_images(result, out, force=force, run=run)
+        page = from_images_report(result) if report else None
+        paths = finish_from_images(output, result, page)
     if quiet:
         return
-    echo(" ".join(design.from_images_answer(result)))
-    for table in (pages.chosen_table(result), pages.scores_table(result)):
+    echo(" ".join(from_images_answer(result)))
+    for table in (chosen_table(result), scores_table(result)):
         show_page_table(table)
-    show_page_table(pages.defects_table(result), most=None if verbose else MOST_DEFECTS)
+    show_page_table(defects_table(result), most=None if verbose else MOST_DEFECTS)
     if result.agreement is not None:
-        echo(design.agreement_text(*result.agreement))
+        echo(agreement_text(*result.agreement))
     echo_paths(paths)

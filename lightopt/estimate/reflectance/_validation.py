@@ -168,7 +168,7 @@ def _border_distance(first: Bool, second: Bool) -> float | None:
 
 
 def _border(mask: Bool) -> Float64:
-    places = np.argwhere(mask & ~binary_erosion(mask)).astype(np.float64)
+    places = np.argwhere(mask & ~np.asarray(binary_erosion(mask), np.bool_)).astype(np.float64)
     return places[:: max(1, len(places) // MOST_BORDER_PIXELS)]
 
 
