@@ -8,7 +8,7 @@ The lobe is Torrance and Sparrow's of the paper (equation 3), a sum of two of th
 Brushed surfaces have lobes that are wider across the brushing than along it; that of GGX is then
 
     E. Heitz: Understanding the masking-shadowing function in microfacet-based BRDFs, Journal of Computer Graphics
-    Techniques 3 (2), 2014, equations 84 to 88
+    Techniques 3 (2), 2014, equations 80, 85 and 86
 
 The diffuse component is Lambert's (equation 2), a power of N·L, or Oren and Nayar's in the form of Fujii, which has an
 albedo of at most 1 in all directions:
