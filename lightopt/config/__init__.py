@@ -7,7 +7,12 @@ into physics.
 from lightopt.config._batch import BatchConfig as BatchConfig, JobConfig as JobConfig
 from lightopt.config._camera import CameraConfig as CameraConfig, CameraDeviceConfig as CameraDeviceConfig
 from lightopt.config._defects import DefectConfig as DefectConfig, PixelPlaceConfig as PixelPlaceConfig
-from lightopt.config._edit import copied_text as copied_text, with_list as with_list, with_values as with_values
+from lightopt.config._edit import (
+    copied_text as copied_text,
+    pictures as pictures,
+    with_list as with_list,
+    with_values as with_values,
+)
 from lightopt.config._fields import (
     MOST_BOUNCES as MOST_BOUNCES,
     MOST_POINTS as MOST_POINTS,

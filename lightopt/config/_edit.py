@@ -207,11 +207,15 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
 
 
 def pictures(config: RigConfig | PartConfig) -> Iterator[tuple[Keys, str]]:
-    """Places in the file, and names, of the pictures of a rig's lights, or of the masks of a part's regions."""
+    """Places in the file, and names, of a rig's pictures, or of the masks and the tables of a part."""
     if isinstance(config, PartConfig):
+        if config.reflectance.table is not None:
+            yield ("reflectance", "table"), config.reflectance.table
         for number, region in enumerate(config.regions):
             if region.mask is not None:
                 yield ("regions", number, "mask", "file"), region.mask.file
+            if region.reflectance.table is not None:
+                yield ("regions", number, "reflectance", "table"), region.reflectance.table
         return
     for light in config.channels:
         if light.channel == 0 and light.pattern is not None:

@@ -62,11 +62,14 @@ def load_batch(path: Path | str) -> BatchConfig:
 
 
 def input_files(config: RigConfig | PartConfig) -> dict[str, Path]:
-    """Files that a rig or part file names and every command reads: data sheet, pictures, mesh."""
+    """Files that a rig or part file names and every command reads: data sheet, pictures, tables, mesh."""
     files: dict[str, Path] = {}
     if isinstance(config, RigConfig) and config.camera.sensor.data_sheet is not None:
         files["data sheet"] = config.source.resolve(config.camera.sensor.data_sheet)
-    files |= {f"picture {name}": config.source.resolve(name) for _, name in pictures(config)}
+    files |= {
+        f"{'table' if keys[-1] == 'table' else 'picture'} {name}": config.source.resolve(name)
+        for keys, name in pictures(config)
+    }
     if isinstance(config, PartConfig):
         files["mesh"] = config.source.resolve(config.mesh.file)
     return files

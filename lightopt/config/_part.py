@@ -137,6 +137,7 @@ _KEYS_OF_MODELS = {
     "torrance-sparrow": ("sigma_rad",),
     "ggx": ("alpha",),
     "two-lobe": ("sigma_rad", "R_s_wide", "sigma_wide_rad"),
+    "measured": ("table",),
 }
 
 
@@ -180,9 +181,10 @@ class BrushingConfig(Frozen):
 class ReflectanceConfig(Frozen):
     """Reflection of the surface: a diffuse component and a specular lobe."""
 
-    model: Literal["torrance-sparrow", "ggx", "two-lobe"] = "torrance-sparrow"
+    model: Literal["torrance-sparrow", "ggx", "two-lobe", "measured"] = "torrance-sparrow"
     """Form of the specular lobe. torrance-sparrow: Gaussian in the angle between normal and half vector; ggx: with the
-    long tails of plated and ground metal; two-lobe: a narrow and a wide Gaussian one, as of chrome."""
+    long tails of plated and ground metal; two-lobe: a narrow and a wide Gaussian one, as of chrome; measured: of a
+    table."""
     R_d: fields.Coefficient
     """Diffuse coefficient [levels of full_scale]."""
     diffuse_exponent: Annotated[float, Field(ge=0.5, le=5), expecting("a number from 0.5 to 5")] | None = None
@@ -201,6 +203,12 @@ class ReflectanceConfig(Frozen):
     """two-lobe: specular coefficient of the wide lobe, at most R_s [levels of full_scale]."""
     sigma_wide_rad: _Sigma | None = Field(default=None, validate_default=True)
     """two-lobe: width of the wide lobe, more than sigma_rad [rad]."""
+    table: fields.Text | None = Field(default=None, validate_default=True)
+    """measured: file of the lobe, relative to this file. A .csv with the angle δ between normal and half vector
+    [degrees] and the lobe's value, in any unit, in each line; or a material of the MERL database (.binary). R_s is the
+    level at δ = 0."""
+    width_factor: Annotated[float, Field(ge=0.05, le=20), expecting("a number from 0.05 to 20")] = 1.0
+    """measured: factor on the table's angles."""
     refractive_index: Annotated[tuple[_Index, _Index], LIST, expecting("[n, k], two numbers above 0")] | None = None
     """Complex refractive index [n, k] of a metal: its specular reflection follows Fresnel's equations, and grows at
     grazing angles. If absent, it does not depend on the angle of incidence."""
@@ -251,6 +259,8 @@ class ReflectanceConfig(Frozen):
         name, model = str(info.field_name), info.data.get("model")
         if value is None or model is None:
             return value
+        if model == "measured":
+            raise complaint("a measured lobe is the same all round: model measured has no such key")
         if (model == "ggx") != (name == "alpha_across"):
             raise complaint(f"model {model} has {'alpha_across' if model == 'ggx' else 'sigma_across_rad'} instead")
         along = "alpha" if model == "ggx" else "sigma_rad"
@@ -267,14 +277,32 @@ class ReflectanceConfig(Frozen):
         if "model" not in info.data or any(key not in info.data for key in keys):
             return value
         key = keys[info.data["model"] == "ggx"]
+        if value is not None and info.data["model"] == "measured":
+            raise complaint("a measured lobe is the same all round: model measured has no such key")
         if (value is None) != (info.data[key] is None):
             missing = "brushing" if value is None else key
             raise fields.absent(f'missing key "{missing}": brushed surfaces have {key} and brushing', missing)
         return value
 
-    @field_validator("sigma_rad", "alpha", "R_s_wide", "sigma_wide_rad")
+    @field_validator("table")
     @classmethod
-    def _of_the_model(cls, value: float | None, info: ValidationInfo) -> float | None:
+    def _exists(cls, table: str | None, info: ValidationInfo) -> str | None:
+        if table is not None and not table.lower().endswith((".csv", ".binary")):
+            raise complaint(f'expected a file ending in .csv or .binary, found "{table}"')
+        if table is not None and info.context is not None:
+            fields.require_file(info.context["folder"], table)
+        return table
+
+    @field_validator("width_factor")
+    @classmethod
+    def _of_a_table(cls, factor: float, info: ValidationInfo) -> float:
+        if factor != 1.0 and info.data.get("model") not in (None, "measured"):
+            raise complaint(f"model {info.data['model']} has no such key; it belongs to measured")
+        return factor
+
+    @field_validator("sigma_rad", "alpha", "R_s_wide", "sigma_wide_rad", "table")
+    @classmethod
+    def _of_the_model(cls, value: float | str | None, info: ValidationInfo) -> float | str | None:
         name, model = str(info.field_name), info.data.get("model")
         if model is None:
             return value
@@ -286,7 +314,7 @@ class ReflectanceConfig(Frozen):
             raise complaint(f"model {model} has no such key; it has {', '.join(wanted)}")
         narrow, wide = {"R_s_wide": ("R_s", False), "sigma_wide_rad": ("sigma_rad", True)}.get(name, ("", False))
         bound = info.data.get(narrow)
-        if value is not None and bound is not None and (value <= bound if wide else value > bound):
+        if isinstance(value, float) and bound is not None and (value <= bound if wide else value > bound):
             raise complaint(f"expected {'more than' if wide else 'at most'} {narrow}, {bound:g}, found {value:g}")
         return value
 

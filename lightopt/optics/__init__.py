@@ -5,6 +5,7 @@ A model is a scalar function compiled as a kernel, called per surface point and 
 """
 
 from lightopt.optics._albedo import least_white_level as least_white_level, white_level as white_level
+from lightopt.optics._gaussian_sum import gaussian_sum as gaussian_sum
 from lightopt.optics._lens import (
     airy_diameter as airy_diameter,
     airy_kernel as airy_kernel,
@@ -25,6 +26,7 @@ from lightopt.optics._reflection_model import (
     SpecularModel as SpecularModel,
     diffuse_term as diffuse_term,
     farthest_exponent as farthest_exponent,
+    gaussian_lobe as gaussian_lobe,
     is_lambert as is_lambert,
     lambert as lambert,
     light_factor as light_factor,
@@ -33,11 +35,9 @@ from lightopt.optics._reflection_model import (
     lobe_beside as lobe_beside,
     lobe_of_width as lobe_of_width,
     narrow_gaussian as narrow_gaussian,
-    narrow_lobe as narrow_lobe,
     specular_divisor as specular_divisor,
     specular_lobe as specular_lobe,
     square_across as square_across,
-    wide_lobe as wide_lobe,
 )
 from lightopt.optics._saturated_region import saturated_region as saturated_region
 from lightopt.optics._sensor import (

@@ -48,7 +48,8 @@ def _sum_along(lobe: Lobe, inverse: float, across: float) -> float:
         delta, step = np.arctan(alpha * np.sqrt(share / (1.0 - share))), 2.0 * alpha**2 * end**2 / (alpha**2 + end**2)
         return float(step * np.sum(weights * _factors(delta, lobe, across)))
     total = 0.0
-    for height, own in ((1.0, inverse), (lobe.wide_share, lobe.wide_inverse * (inverse / lobe.inverse))):
+    wider = zip(lobe.shares[: lobe.wider], lobe.inverses, strict=False)
+    for height, own in ((lobe.share, inverse), *((share, one * (inverse / lobe.inverse)) for share, one in wider)):
         end = min(_MOST_DELTA, _REACH * math.sqrt(0.5 / own))
         delta = 0.5 * end * (nodes + 1.0)
         values = np.exp(-own * delta**2) * np.cos(delta) * np.sin(delta) * _factors(delta, lobe, across)

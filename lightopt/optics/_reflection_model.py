@@ -28,7 +28,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, dot, minus, scaled
 from lightopt.optics._exponential import exponential
 
-ModelName = Literal["torrance-sparrow", "ggx", "two-lobe"]
+ModelName = Literal["torrance-sparrow", "ggx", "two-lobe", "measured"]
 
 MIN_COS_VIEW = 0.01
 """cosθ_o is clamped to this from below in equation (3), whose 1/cosθ_o diverges at the silhouette (θ_o > 89.4°)."""
@@ -68,8 +68,10 @@ class Lobe(NamedTuple):
     farthest: δ²/(2σ²) from which the lobe is zero
     plain: Whether it is one Gaussian lobe without Fresnel's factor, which equation (3) has
     ggx: Whether it is the lobe of GGX
-    wide_share: Height of a second, wider Gaussian lobe, as a share of the first; 0 without one
-    wide_inverse: 1/(2σ²) of that lobe [rad⁻²]
+    share: Height of the narrowest Gaussian lobe: 1 of a single one and of the narrow one of two
+    wider: Number of further, wider Gaussian lobes
+    shares: Their heights, in the unit of `share`
+    inverses: 1/(2σ²) of these lobes [rad⁻²], of which each is wider than the one before
     n, k: Complex refractive index n + ik of a metal; 0 where reflection does not depend on the angle
     normal_reflectance: Fresnel reflectance of the metal at normal incidence
     widening: (σ_across/σ)² of a brushed surface, whose lobe is as much wider across the brushing; 1 of others
@@ -81,8 +83,10 @@ class Lobe(NamedTuple):
     farthest: float
     plain: bool
     ggx: bool
-    wide_share: float
-    wide_inverse: float
+    share: float
+    wider: int
+    shares: tuple[float, float, float, float, float]
+    inverses: tuple[float, float, float, float, float]
     n: float
     k: float
     normal_reflectance: float
@@ -92,16 +96,21 @@ class Lobe(NamedTuple):
 
 _ALL_ROUND = Vector(0.0, 0.0, 0.0)
 
+MOST_WIDER = 5
+"""Wider Gaussian lobes that a lobe may have."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SpecularModel:
     """What a specular lobe is like, apart from how wide and how high it is.
 
-    name: torrance-sparrow, one Gaussian lobe in δ; ggx, with masking by Smith; two-lobe, two Gaussian ones
+    name: torrance-sparrow, one Gaussian lobe in δ; ggx, with masking by Smith; two-lobe, two Gaussian ones; measured, a
+        sum of Gaussian ones that follows a table
     wide_share: R_s of the wide lobe, as a share of R_s; two-lobe only
     wide_ratio: σ of the wide lobe over σ; two-lobe only
     refractive_index: n and k of the metal, for Fresnel's factor; None for no such factor
     across_ratio: σ across the brushing over σ, of brushed surfaces; 1 of others
+    measured: Height and σ [rad] of each Gaussian lobe of a table, from the narrowest on; their sum is 1 at δ = 0
     """
 
     name: ModelName = "torrance-sparrow"
@@ -109,11 +118,12 @@ class SpecularModel:
     wide_ratio: float = 1.0
     refractive_index: tuple[float, float] | None = None
     across_ratio: float = 1.0
+    measured: tuple[tuple[float, float], ...] = ()
 
     @property
     def width_key(self) -> str:
         """Key of a part file for the width of the lobe."""
-        return "alpha" if self.name == "ggx" else "sigma_rad"
+        return {"ggx": "alpha", "measured": "width_factor"}.get(self.name, "sigma_rad")
 
     @property
     def across_key(self) -> str:
@@ -122,8 +132,17 @@ class SpecularModel:
 
     @property
     def width_factor(self) -> float:
-        """What σ is multiplied by for that key: α = 2σ."""
+        """What σ is multiplied by for that key: α = 2σ; of a table, σ is that of its narrowest lobe."""
+        if self.name == "measured":
+            return 1.0 / self.measured[0][1]
         return 2.0 if self.name == "ggx" else 1.0
+
+    @property
+    def wider_lobes(self) -> tuple[tuple[float, float], ...]:
+        """Heights of the wider Gaussian lobes, and their σ over that of the narrowest."""
+        if self.name == "measured":
+            return tuple((height, sigma / self.measured[0][1]) for height, sigma in self.measured[1:])
+        return ((self.wide_share, self.wide_ratio),) if self.name == "two-lobe" and self.wide_share > 0.0 else ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,17 +171,19 @@ class Reflectance:
     def lobe(self) -> Lobe:
         """The specular lobe."""
         inverse, model = 0.5 / self.sigma**2, self.model
-        two = model.name == "two-lobe" and model.wide_share > 0.0
-        ratio = model.wide_ratio if two else 1.0
+        wider = model.wider_lobes
+        ratio, rest = max((one for _, one in wider), default=1.0), MOST_WIDER - len(wider)
         n, k = model.refractive_index or (0.0, 0.0)
         widening = model.across_ratio**2
         return Lobe(
             inverse=inverse,
             farthest=EVERYWHERE if model.name == "ggx" else MAX_LOBE_EXPONENT * max(1.0, ratio**2) * widening,
-            plain=model.name != "ggx" and not two and n == 0.0 and widening == 1.0,
+            plain=model.name != "ggx" and not wider and n == 0.0 and widening == 1.0,
             ggx=model.name == "ggx",
-            wide_share=model.wide_share if two else 0.0,
-            wide_inverse=inverse / ratio**2,
+            share=model.measured[0][0] if model.name == "measured" else 1.0,
+            wider=len(wider),
+            shares=(*(share for share, _ in wider), *[0.0] * rest),  # type: ignore[arg-type]
+            inverses=(*(inverse / one**2 for _, one in wider), *[inverse] * rest),  # type: ignore[arg-type]
             n=float(n),
             k=float(k),
             normal_reflectance=conductor_reflectance(1.0, n, k) if n > 0.0 else 1.0,
@@ -175,6 +196,8 @@ class Reflectance:
         """The lobe's width as part files give it, for messages."""
         if self.model.name == "ggx":
             return f"α = {self.model.width_factor * self.sigma:g} (σ = α/2)"
+        if self.model.name == "measured":
+            return f"width_factor = {self.model.width_factor * self.sigma:g} (σ = {self.sigma:.3g} rad)"
         return f"σ = {self.sigma:g} rad"
 
     def changed(self, *, R_d_factor: float = 1.0, sigma_factor: float = 1.0) -> Reflectance:
@@ -282,8 +305,10 @@ def lobe_across(lobe: Lobe, across: Vector) -> Lobe:
         lobe.farthest,
         lobe.plain,
         lobe.ggx,
-        lobe.wide_share,
-        lobe.wide_inverse,
+        lobe.share,
+        lobe.wider,
+        lobe.shares,
+        lobe.inverses,
         lobe.n,
         lobe.k,
         lobe.normal_reflectance,
@@ -320,9 +345,9 @@ def specular_lobe(chord_squared: float, across_squared: float, lobe: Lobe) -> fl
         return 1.0 / (root * root)
     if lobe.widening > 1.0:
         chord_squared = max(0.0, chord_squared - across_squared)
-    value = gaussian(chord_squared, lobe.inverse)
-    if lobe.wide_share > 0.0:
-        value += lobe.wide_share * gaussian(chord_squared, lobe.wide_inverse)
+    value = lobe.share * gaussian(chord_squared, lobe.inverse)
+    for k in range(lobe.wider):
+        value += lobe.shares[k] * gaussian(chord_squared, lobe.inverses[k])
     return value
 
 
@@ -400,23 +425,31 @@ def _farthest_along(most: float, lobe: Lobe) -> float:
         if narrowing <= 0.01:
             return EVERYWHERE
         return (0.5 * math.pi) ** 2 * 2.0 * (math.exp(0.5 * min(most, MAX_LOBE_EXPONENT)) - 1.0) / narrowing
-    if lobe.wide_share > 0.0:
-        # each of the two less than half of it
-        wide = most + 0.7 + math.log(lobe.wide_share)
-        return max(most + 0.7, wide * lobe.inverse / lobe.wide_inverse)
+    if lobe.wider > 0:
+        # each of them less than a half, a quarter, … of it
+        most += 0.7 * lobe.wider
+        farthest = most
+        for k in range(lobe.wider):
+            farthest = max(farthest, (most + math.log(lobe.shares[k])) * lobe.inverse / lobe.inverses[k])
+        return farthest
     return most
 
 
 @kernel
-def narrow_lobe(lobe: Lobe) -> Lobe:
-    """The first of two Gaussian lobes alone, or the only one."""
-    return Lobe(
-        lobe.inverse,
+def gaussian_lobe(lobe: Lobe, number: int) -> tuple[float, Lobe]:
+    """Height of one of several Gaussian lobes, and this one alone with height 1; 0 is the narrowest."""
+    share, inverse = lobe.share, lobe.inverse
+    if number > 0:
+        share, inverse = lobe.shares[number - 1], lobe.inverses[number - 1]
+    return share, Lobe(
+        inverse,
         MAX_LOBE_EXPONENT * lobe.widening,
         (lobe.n == 0.0) & (lobe.widening == 1.0),
         False,
-        0.0,
-        lobe.inverse,
+        1.0,
+        0,
+        lobe.shares,
+        lobe.inverses,
         lobe.n,
         lobe.k,
         lobe.normal_reflectance,
@@ -426,24 +459,22 @@ def narrow_lobe(lobe: Lobe) -> Lobe:
 
 
 @kernel
-def wide_lobe(lobe: Lobe) -> Lobe:
-    """The second of two Gaussian lobes alone, as high as the first."""
-    return narrow_lobe(lobe_of_width(lobe, lobe.wide_inverse))
-
-
-@kernel
 def lobe_of_width(lobe: Lobe, inverse: float) -> Lobe:
-    """A lobe of the same form of another width; of two lobes, both are as much wider.
+    """A lobe of the same form of another width; of several, all are as much wider.
 
     inverse: 1/(2σ²) [rad⁻²]
     """
+    factor = inverse / lobe.inverse
+    a, b, c, d, e = lobe.inverses
     return Lobe(
         inverse,
         lobe.farthest,
         lobe.plain,
         lobe.ggx,
-        lobe.wide_share,
-        lobe.wide_inverse * (inverse / lobe.inverse),
+        lobe.share,
+        lobe.wider,
+        lobe.shares,
+        (a * factor, b * factor, c * factor, d * factor, e * factor),
         lobe.n,
         lobe.k,
         lobe.normal_reflectance,

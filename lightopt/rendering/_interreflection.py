@@ -329,7 +329,7 @@ def lobe_rays(
     """Directions in which the lobe of points gathers light, shape (k, 3), and weights, shape (k,).
 
     The mean of weight times light is ∫ lobe/cosθ_o · light dω. Views are mirrored by half vectors as dense as a lobe of
-    SPREAD times the width, whose rays meet highlights in its tail, half of them by the wider of two lobes; dω of light
+    SPREAD times the width, whose rays meet highlights in its tail, as many by each of several lobes; dω of light
     is 4 (V·H) dω of H. In each direction from the normal, the lobe of a brushed surface is one of another width.
 
     frames, facets, views: Of a :class:`lightopt.rendering.SurfacePoints`
@@ -365,9 +365,12 @@ def _leaning(u: float, lobe: Lobe) -> float:
     if lobe.ggx:
         return math.atan(SPREAD * math.sqrt(2.0 / lobe.inverse * u / (1.0 - u)))
     inverse = lobe.inverse
-    if lobe.wide_share > 0.0:
-        inverse = lobe.inverse if u < 0.5 else lobe.wide_inverse
-        u = 2.0 * u - math.floor(2.0 * u)
+    if lobe.wider > 0:
+        u *= lobe.wider + 1
+        number = min(math.floor(u), lobe.wider)
+        u -= number
+        if number > 0:
+            inverse = lobe.inverses[number - 1]
     return SPREAD * math.sqrt(-math.log(1.0 - u) / inverse)
 
 
@@ -379,9 +382,10 @@ def _solid_angle(delta: float, lobe: Lobe) -> float:
         density = 2.0 * alpha_squared * (1.0 + tangent * tangent) / (alpha_squared + tangent * tangent) ** 2
         return math.cos(delta) / density
     density = 2.0 * lobe.inverse / SPREAD**2 * math.exp(-(delta * delta) * lobe.inverse / SPREAD**2)
-    if lobe.wide_share > 0.0:
-        wide = lobe.wide_inverse / SPREAD**2
-        density = 0.5 * (density + 2.0 * wide * math.exp(-(delta * delta) * wide))
+    for k in range(lobe.wider):
+        wide = lobe.inverses[k] / SPREAD**2
+        density += 2.0 * wide * math.exp(-(delta * delta) * wide)
+    density /= lobe.wider + 1
     narrowing = math.sin(delta) / delta if delta > 1e-6 else 1.0
     return narrowing / density
 

@@ -28,13 +28,12 @@ from lightopt.optics import (
     DiffuseForm,
     Lobe,
     Reflectance,
+    gaussian_lobe,
     is_lambert,
     light_factor,
     narrow_gaussian,
-    narrow_lobe,
     specular_divisor,
     square_across,
-    wide_lobe,
 )
 from lightopt.rendering._point_lights import point_terms
 
@@ -230,10 +229,10 @@ def rectangle_specular(
         if lobe.widening > 1.0:
             return _brushed_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
         return _tailed_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
-    total = _one_gaussian(p, n, v, n_dot_v, panel, area, narrow_lobe(lobe), panel_nodes)
-    if lobe.wide_share > 0.0:
-        wide = _one_gaussian(p, n, v, n_dot_v, panel, area, wide_lobe(lobe), panel_nodes)
-        total += lobe.wide_share * wide
+    total = 0.0
+    for number in range(lobe.wider + 1):
+        share, one = gaussian_lobe(lobe, number)
+        total += share * _one_gaussian(p, n, v, n_dot_v, panel, area, one, panel_nodes)
     return total
 
 
@@ -497,7 +496,7 @@ def _lobe_above_horizon(
 def smooth_nodes(p: Vector, n: Vector, v: Vector, centre: Vector, reach: float, lobe: Lobe, error: float) -> int:
     """Nodes a side that integrate a lobe where it is smooth all over a light; :data:`MAX_NODES` where it is not.
 
-    Of two lobes, that is the wide one where the narrow one is negligible.
+    Of several Gaussian lobes, the narrowest one that is not negligible counts; never the first.
 
     centre, reach: Of the light, and how far its points are from there at most [mm]
     error: Of tails, as a share of the light
@@ -515,7 +514,11 @@ def smooth_nodes(p: Vector, n: Vector, v: Vector, centre: Vector, reach: float, 
     nearest = max(0.0, away - spread)
     if nearest * nearest * lobe.inverse <= NEGLIGIBLE_EXPONENT:
         return MAX_NODES
-    return node_count(lobe.wide_inverse, lobe.wide_inverse * away, -min(spread, away), spread)
+    narrowest = 0
+    while narrowest < lobe.wider - 1 and nearest * nearest * lobe.inverses[narrowest] > NEGLIGIBLE_EXPONENT:
+        narrowest += 1
+    inverse = lobe.inverses[narrowest]
+    return node_count(inverse, inverse * away, -min(spread, away), spread)
 
 
 @kernel

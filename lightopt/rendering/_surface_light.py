@@ -38,15 +38,14 @@ from lightopt.optics import (
     Reflectance,
     diffuse_term,
     farthest_exponent,
+    gaussian_lobe,
     is_lambert,
     light_factor,
     lobe_at,
     narrow_gaussian,
-    narrow_lobe,
     specular_divisor,
     specular_lobe,
     square_across,
-    wide_lobe,
 )
 from lightopt.rendering._panel_quadrature import (
     MAX_NODES,
@@ -339,10 +338,9 @@ def specular_of_element(
     elif lobe.ggx:
         _add_tailed(p, n, v, e, area, pattern, lobe, most, found)
     else:
-        _add_gaussian(p, n, v, e, area, pattern, narrow_lobe(lobe), most, 1.0, found)
-        if lobe.wide_share > 0.0:
-            least = most + math.log(lobe.wide_share)
-            _add_gaussian(p, n, v, e, area, pattern, wide_lobe(lobe), least, lobe.wide_share, found)
+        for number in range(lobe.wider + 1):
+            share, one = gaussian_lobe(lobe, number)
+            _add_gaussian(p, n, v, e, area, pattern, one, most + math.log(share), share, found)
 
 
 @kernel

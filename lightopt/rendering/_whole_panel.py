@@ -77,7 +77,7 @@ def whole_panel(
                     towards = scaled(towards, 1.0 / math.sqrt(r2))
                     term = weight * lambert(dot(column_at(n, j), towards))
                     diffuse[j] += attenuated(term, panel, r2, dot(panel.outward, towards))
-        if lobe.ggx or lobe.wide_share > 0.0:
+        if lobe.ggx or lobe.wider > 0:
             own = index[first : first + count]
             _add_smooth(p, n, v, frames, own, above[:count], near, panel, lobe, nodes, work, specular)
         for j in range(count):

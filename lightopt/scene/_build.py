@@ -39,6 +39,7 @@ from lightopt.scene._defects import outside_stage_range, place_defects
 from lightopt.scene._image_area import obstructions
 from lightopt.scene._lights import build_lights
 from lightopt.scene._part_size import guess_unit, view_size
+from lightopt.scene._reflectance_table import table_lobes
 from lightopt.scene._regions import mesh_of_regions
 from lightopt.scene._scene import PartRegion, Placement, Scene, view_from_part
 from lightopt.scene._stage import Stage
@@ -126,12 +127,14 @@ def _reflectances(part: PartConfig, *, seen: bool) -> tuple[Reflectance, tuple[P
 
 def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, seen: bool) -> Reflectance:
     full_scale, white = part.reflectance.full_scale, part.reflectance.white_level
+    lobes = () if own.table is None else _lobes_of_table(part, own.table, *keys)
     model = SpecularModel(
         name=own.model,
         wide_share=own.R_s_wide / own.R_s if own.R_s_wide is not None and own.R_s > 0.0 else 0.0,
         wide_ratio=1.0 if own.sigma_wide_rad is None else own.sigma_wide_rad / own.sigma,
         refractive_index=own.refractive_index,
         across_ratio=1.0 if own.sigma_across is None else own.sigma_across / own.sigma,
+        measured=lobes,
     )
     diffuse = DiffuseForm(
         exponent=1.0 if own.diffuse_exponent is None else own.diffuse_exponent,
@@ -140,7 +143,7 @@ def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, see
     reflectance = Reflectance(
         R_d=own.R_d,
         R_s=own.R_s,
-        sigma=own.sigma,
+        sigma=own.width_factor * lobes[0][1] if lobes else own.sigma,
         full_scale=full_scale,
         model=model,
         diffuse=diffuse,
@@ -164,6 +167,13 @@ def _brushing(own: ReflectanceConfig) -> Brushing | None:
     if given.around_axis is not None:
         return RoundBrushing(np.array(given.around_axis.point_mm), np.array(given.around_axis.direction))
     return CurvedBrushing(np.array(given.along_curve_mm))
+
+
+def _lobes_of_table(part: PartConfig, table: str, *keys: str | int) -> tuple[tuple[float, float], ...]:
+    try:
+        return table_lobes(part.source.resolve(table))
+    except InputError as error:
+        raise InputError(f"{part.source.at(*keys, 'table')}: {error.args[0]}") from None
 
 
 def build_camera(rig: RigConfig) -> PinholeCamera:

@@ -180,7 +180,7 @@ class _Search:
 
 def _sigma_problems(part: PartConfig, factor: float, where: str) -> list[str]:
     sigma = part.reflectance.sigma * factor
-    if factor == 1.0 or LEAST_SIGMA <= sigma <= MOST_SIGMA:
+    if factor == 1.0 or part.reflectance.table is not None or LEAST_SIGMA <= sigma <= MOST_SIGMA:
         return []
     range_text = f"{LEAST_SIGMA:g} to {MOST_SIGMA:g}"
     return [f"{where}: makes sigma {sigma:.3g} rad of {part.reflectance.sigma:g}; expected from {range_text}"]

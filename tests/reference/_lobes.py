@@ -24,6 +24,9 @@ def specular(normal, view, light, reflectance, across=None):
         value = np.exp(-(delta**2) / (2.0 * sigma**2))
         if model.name == "two-lobe":
             value = value + model.wide_share * np.exp(-(delta**2) / (2.0 * (sigma * model.wide_ratio) ** 2))
+        if model.name == "measured":
+            widths = [(height, sigma * own / model.measured[0][1]) for height, own in model.measured]
+            value = sum(height * np.exp(-(delta**2) / (2.0 * own**2)) for height, own in widths)
         value = value / np.maximum(n_dot_v, 0.01)
     if model.refractive_index is not None:
         index = model.refractive_index

@@ -30,6 +30,7 @@ MODELS = {
     "ggx-metal": SpecularModel(name="ggx", refractive_index=NICKEL),
     "two-lobe": SpecularModel(name="two-lobe", wide_share=0.02, wide_ratio=8.0),
     "two-lobe-metal": SpecularModel(name="two-lobe", wide_share=0.1, wide_ratio=3.0, refractive_index=NICKEL),
+    "measured": SpecularModel(name="measured", measured=((0.6, 0.01), (0.3, 0.022), (0.09, 0.05), (0.01, 0.09))),
     "brushed": SpecularModel(across_ratio=8.0),
     "brushed-ggx": SpecularModel(name="ggx", across_ratio=5.0),
     "brushed-two-lobe-metal": SpecularModel(

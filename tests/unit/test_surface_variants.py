@@ -20,6 +20,7 @@ MODELS = {
     "torrance-sparrow": (SpecularModel(), LAMBERT),
     "ggx": (SpecularModel(name="ggx", refractive_index=(1.98, 3.74)), LAMBERT),
     "two-lobe": (SpecularModel(name="two-lobe", wide_share=0.03, wide_ratio=5.0), LAMBERT),
+    "measured": (SpecularModel(name="measured", measured=((0.7, 0.01), (0.25, 0.03), (0.05, 0.06))), LAMBERT),
     "brushed": (SpecularModel(across_ratio=6.0), LAMBERT),
     "brushed ggx": (SpecularModel(name="ggx", across_ratio=4.0, refractive_index=(1.98, 3.74)), LAMBERT),
     "exponent": (SpecularModel(), DiffuseForm(exponent=1.4)),

@@ -372,6 +372,7 @@ def _reflectance_values(
     if result.model.name != own.model:
         values[(*keys, "model")] = result.model.name
         superseded = [name for name in fitted_names(SpecularModel(name=own.model)) if name not in result.fitted]
+        superseded += ["table"] if own.table is not None else []
         values |= {(*keys, name): None for name in superseded}
     across, before = result.model.across_key, SpecularModel(name=own.model).across_key
     if own.sigma_across is not None and result.model.width_key in result.fitted:

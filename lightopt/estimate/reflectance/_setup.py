@@ -112,7 +112,7 @@ class FitSetup:
         own = self.scene.reflectance.model
         if name in (None, own.name):
             return self
-        return self.with_model(replace(own, name=name, wide_share=0.0, wide_ratio=1.0))
+        return self.with_model(replace(own, name=name, wide_share=0.0, wide_ratio=1.0, measured=()))
 
     def with_model(self, model: SpecularModel) -> FitSetup:
         """The same with another specular lobe."""

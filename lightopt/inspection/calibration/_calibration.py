@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from scipy import special
 
-from lightopt.config import RANGE_KEYS, PartConfig, RigConfig
+from lightopt.config import RANGE_KEYS, PartConfig, RigConfig, pictures
 from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.provenance import computed_by, differences, file_sha256
 from lightopt.core.transforms import Posture
@@ -141,11 +141,11 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
     """All that scores depend on, as hashes, and the options: not names, limits of the verdict, or lists of defects."""
     names = ("name", "postures", "defects", "defect_catalogue")
     of_part: dict[str, Any] = {**dict.fromkeys(names, True), "mesh": {"file"}}
-    # predictions depend on the bounces, and on the pixels of masks, whatever these are called
+    # predictions depend on the bounces, and on masks and tables, whatever these are called
     of_part["inspection"] = set(type(part.inspection).model_fields) - {"bounces"}
-    of_part["regions"] = {"__all__": {"name": True, "mask": {"file"}}}
-    files = (region.mask.file for region in part.regions if region.mask is not None)
-    masks = [file_sha256(part.source.resolve(name)) for name in files]
+    of_part["reflectance"] = {"table"}
+    of_part["regions"] = {"__all__": {"name": True, "mask": {"file"}, "reflectance": {"table"}}}
+    masks = [file_sha256(part.source.resolve(name)) for _, name in pictures(part)]
     if DETECTORS[options.scored_by].uses_catalogue or options.reference == "self":
         del of_part["defect_catalogue"]
     by_synthetic = DETECTORS[options.detector].uses_synthetic

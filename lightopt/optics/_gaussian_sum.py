@@ -1,0 +1,69 @@
+"""A lobe that is given by a table, as a sum of a few Gaussian lobes."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.arrays import Float64
+from lightopt.core.errors import InputError
+from lightopt.optics._reflection_model import MOST_WIDER
+
+FLOOR = 1e-4  # share of the peak below which relative errors count less
+_WIDTHS = 48  # that are tried, from half the table's least angle above 0 to this [rad]
+_WIDEST = 0.5
+_LEAST_WIDTH = 2e-4  # [rad]
+_PLACES = 240  # along the table, as many per angle as per logarithm of it
+_LEAST_RATIO = 1.1  # of widths of lobes that follow each other
+
+
+def gaussian_sum(delta: Float64, value: Float64) -> tuple[tuple[tuple[float, float], ...], float]:
+    """Heights and σ [rad] of the Gaussian lobes whose sum follows a table, from the narrowest on; their sum is 1.
+
+    Widths are added one by one, each the one that helps most, and then improved together.
+
+    delta: Angle δ between normal and half vector [rad], ascending, from 0 or nearly so, shape (n,)
+    value: The lobe there, in any unit, shape (n,)
+    Returns lobes, error: The greatest deviation from the table, as a share of the level and 1e-4 of the peak
+    Raises InputError: The table has no peak at its first angle
+    """
+    from scipy.optimize import least_squares, nnls  # takes long to load
+
+    if not value[0] > 0.0 or value[0] < 0.5 * value.max():
+        raise InputError("expected a lobe that is greatest at the least angle δ")
+    least = max(float(delta[delta > 0.0][0]), 1e-4)
+    places = np.concatenate([[delta[0]], np.geomspace(least, delta[-1], _PLACES)])
+    wanted = np.interp(places, delta, value / value[0])
+    weight = 1.0 / (wanted + FLOOR)
+
+    def lobes(sigma: NDArray[np.float64]) -> Float64:
+        return np.exp(-0.5 * (places[:, None] / sigma) ** 2)
+
+    def fit(sigma: NDArray[np.float64]) -> tuple[Float64, float]:
+        heights, rest = nnls(weight[:, None] * lobes(sigma), weight * wanted)
+        return heights, float(rest)
+
+    tried = np.geomspace(max(0.5 * least, _LEAST_WIDTH), _WIDEST, _WIDTHS)
+    chosen = np.zeros(0)
+    before = np.inf
+    for _ in range(MOST_WIDER + 1):
+        apart = [s for s in tried if np.all(np.abs(np.log(chosen / s)) > np.log(_LEAST_RATIO))]
+        rests = [fit(np.sort(np.append(chosen, s)))[1] for s in apart]
+        if not rests or min(rests) > 0.98 * before:
+            break
+        before = min(rests)
+        chosen = np.sort(np.append(chosen, apart[int(np.argmin(rests))]))
+    chosen = chosen[fit(chosen)[0] > 0.0]
+
+    def residuals(logarithms: Float64) -> Float64:
+        heights, sigma = np.exp(logarithms.reshape(2, -1))
+        return weight * (lobes(sigma) @ heights - wanted)
+
+    start = np.log(np.stack([np.maximum(fit(chosen)[0], 1e-9), chosen])).ravel()
+    found = np.exp(least_squares(residuals, start, max_nfev=200).x.reshape(2, -1))
+    order = np.argsort(found[1])
+    heights, sigma = found[:, order]
+    kept = np.append(True, sigma[1:] > _LEAST_RATIO * sigma[:-1]) & (sigma <= _WIDEST)
+    sigma, (heights, _) = sigma[kept], fit(sigma[kept])
+    sigma, heights = sigma[heights > 0.0], heights[heights > 0.0]
+    error = float(np.max(np.abs(weight * (lobes(sigma) @ heights - wanted))))
+    shares = heights / heights.sum()
+    return tuple(zip(shares.tolist(), sigma.tolist(), strict=True)), error
