@@ -7,12 +7,13 @@ from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.optics._reflection_model import MOST_WIDER
 
-FLOOR = 1e-4  # share of the peak below which relative errors count less
+# shares of the peak below which relative deviations count less: in the search, and in the error that is stated
+FLOOR, ERROR_FLOOR = 1e-4, 1e-3
 _WIDTHS = 48  # that are tried, from half the table's least angle above 0 to this [rad]
-_WIDEST = 0.5
+_WIDEST = 1.0
 _LEAST_WIDTH = 2e-4  # [rad]
 _PLACES = 240  # along the table, as many per angle as per logarithm of it
-_LEAST_RATIO = 1.1  # of widths of lobes that follow each other
+_APART, _LEAST_RATIO = 1.4, 1.1  # of widths of lobes that follow each other, as they are added and in the end
 
 
 def gaussian_sum(delta: Float64, value: Float64) -> tuple[tuple[tuple[float, float], ...], float]:
@@ -22,7 +23,7 @@ def gaussian_sum(delta: Float64, value: Float64) -> tuple[tuple[tuple[float, flo
 
     delta: Angle δ between normal and half vector [rad], ascending, from 0 or nearly so, shape (n,)
     value: The lobe there, in any unit, shape (n,)
-    Returns lobes, error: The greatest deviation from the table, as a share of the level and 1e-4 of the peak
+    Returns lobes, error: The greatest deviation from the table, as a share of the level and 1e-3 of the peak
     Raises InputError: The table has no peak at its first angle
     """
     from scipy.optimize import least_squares, nnls  # takes long to load
@@ -45,7 +46,7 @@ def gaussian_sum(delta: Float64, value: Float64) -> tuple[tuple[tuple[float, flo
     chosen = np.zeros(0)
     before = np.inf
     for _ in range(MOST_WIDER + 1):
-        apart = [s for s in tried if np.all(np.abs(np.log(chosen / s)) > np.log(_LEAST_RATIO))]
+        apart = [s for s in tried if np.all(np.abs(np.log(chosen / s)) > np.log(_APART))]
         rests = [fit(np.sort(np.append(chosen, s)))[1] for s in apart]
         if not rests or min(rests) > 0.98 * before:
             break
@@ -57,13 +58,15 @@ def gaussian_sum(delta: Float64, value: Float64) -> tuple[tuple[tuple[float, flo
         heights, sigma = np.exp(logarithms.reshape(2, -1))
         return weight * (lobes(sigma) @ heights - wanted)
 
-    start = np.log(np.stack([np.maximum(fit(chosen)[0], 1e-9), chosen])).ravel()
-    found = np.exp(least_squares(residuals, start, max_nfev=200).x.reshape(2, -1))
-    order = np.argsort(found[1])
-    heights, sigma = found[:, order]
-    kept = np.append(True, sigma[1:] > _LEAST_RATIO * sigma[:-1]) & (sigma <= _WIDEST)
-    sigma, (heights, _) = sigma[kept], fit(sigma[kept])
+    def improved(sigma: NDArray[np.float64]) -> NDArray[np.float64]:
+        start = np.log(np.stack([np.maximum(fit(sigma)[0], 1e-9), sigma])).ravel()
+        return np.sort(np.exp(least_squares(residuals, start, max_nfev=200).x.reshape(2, -1)[1]))
+
+    sigma = improved(chosen)
+    while np.any(alike := sigma[1:] < _LEAST_RATIO * sigma[:-1]):
+        sigma = improved(np.delete(sigma, 1 + int(np.argmax(alike))))
+    heights, _ = fit(sigma)
     sigma, heights = sigma[heights > 0.0], heights[heights > 0.0]
-    error = float(np.max(np.abs(weight * (lobes(sigma) @ heights - wanted))))
+    error = float(np.max(np.abs(lobes(sigma) @ heights - wanted) / (wanted + ERROR_FLOOR)))
     shares = heights / heights.sum()
     return tuple(zip(shares.tolist(), sigma.tolist(), strict=True)), error

@@ -26,19 +26,19 @@ def summed(lobes, delta):
 def test_two_gaussian_lobes_are_found_again():
     truth = ((0.95, 0.02), (0.05, 0.12))
     lobes, error = gaussian_sum(DELTA, 3.0 * summed(truth, DELTA))
-    assert error < 1e-3
-    assert np.allclose(summed(lobes, DELTA), summed(truth, DELTA), rtol=2e-3, atol=1e-6)
+    assert error < 0.01
+    assert np.allclose(summed(lobes, DELTA), summed(truth, DELTA), rtol=0.01, atol=1e-4)
 
 
 @pytest.mark.parametrize("alpha", [0.01, 0.06, 0.3])
 def test_tails_of_ggx_are_followed(alpha):
     value = ggx(DELTA, alpha)
     lobes, error = gaussian_sum(DELTA, value)
-    assert error < 0.08
+    assert error < 0.03
     assert sum(height for height, _ in lobes) == pytest.approx(1.0)
     assert np.all(np.diff([sigma for _, sigma in lobes]) > 0.0)
     seen = value > 1e-3
-    assert np.allclose(summed(lobes, DELTA)[seen], value[seen], rtol=0.08)
+    assert np.allclose(summed(lobes, DELTA)[seen], value[seen], rtol=0.05)
 
 
 def test_the_lobe_is_the_sum():
@@ -71,7 +71,7 @@ def test_a_material_of_the_merl_database_is_read(tmp_path):
     write_merl(tmp_path / "metal.binary", 0.08, 0.02)
     lobes = table_lobes(tmp_path / "metal.binary")
     delta = np.radians(np.linspace(0.0, 15.0, 40))
-    assert np.allclose(summed(lobes, delta), ggx(delta, 0.08), rtol=0.08, atol=1e-3)
+    assert np.allclose(summed(lobes, delta), ggx(delta, 0.08), rtol=0.02, atol=1e-3)
 
 
 @pytest.mark.parametrize(
