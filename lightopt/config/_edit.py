@@ -160,8 +160,8 @@ def _index(
 def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Keys, str | None] | None = None) -> str:
     """The text of a configuration file for another folder; comments, order and layout stay.
 
-    Names relative to the configuration file change: a part's mesh and masks, the files and folders that a rig names
-    (those of commands where they are there), and the schema in the comment that editors read.
+    Names relative to the configuration file change: a part's mesh, masks and tables, the files and folders that a rig
+    names (those of commands where they are there), and the schema in the comment that editors read.
 
     folder: Where the copy will lie
     values: Further values to change in the copy, as for :func:`with_values`
@@ -192,7 +192,7 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
                 names["hardware", "controllers", controller, "command", i] = argument
     names |= dict(pictures(config))
     for keys, name in names.items():
-        if name is None:
+        if name is None or changes.get(keys, name) is None:  # not there, or removed
             continue
         moved = _moved(config.source.resolve(name), name, folder)
         if moved != name:

@@ -12,7 +12,7 @@ FLOOR, ERROR_FLOOR = 1e-4, 1e-3
 _WIDTHS = 48  # that are tried, from half the table's least angle above 0 to this [rad]
 _WIDEST = 1.0
 _LEAST_WIDTH = 2e-4  # [rad]
-_PLACES = 240  # along the table, as many per angle as per logarithm of it
+_MOST_PLACES = 400  # of the table that count, evenly by the logarithm of the angle
 _APART, _LEAST_RATIO = 1.4, 1.1  # of widths of lobes that follow each other, as they are added and in the end
 
 
@@ -31,8 +31,9 @@ def gaussian_sum(delta: Float64, value: Float64) -> tuple[tuple[tuple[float, flo
     if not value[0] > 0.0 or value[0] < 0.5 * value.max():
         raise InputError("expected a lobe that is greatest at the least angle δ")
     least = max(float(delta[delta > 0.0][0]), 1e-4)
-    places = np.concatenate([[delta[0]], np.geomspace(least, delta[-1], _PLACES)])
-    wanted = np.interp(places, delta, value / value[0])
+    wanted_places = np.searchsorted(delta, np.geomspace(least, delta[-1], _MOST_PLACES))
+    rows = np.arange(len(delta)) if len(delta) <= _MOST_PLACES else np.unique([0, *wanted_places])
+    places, wanted = delta[rows], value[rows] / value[0]
     weight = 1.0 / (wanted + FLOOR)
 
     def lobes(sigma: NDArray[np.float64]) -> Float64:

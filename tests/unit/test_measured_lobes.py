@@ -114,7 +114,9 @@ def test_a_part_with_the_table_of_its_lobe_looks_the_same(bench):
     part = load_part(bench.part)
     assert "table lobe.csv" in input_files(part)
     (bench.folder / "elsewhere").mkdir()
-    assert "table: ../lobe.csv" in copied_text(part, bench.folder / "elsewhere", {})
+    assert 'table: "../lobe.csv"' in copied_text(part, bench.folder / "elsewhere", {})
+    ggx = {("reflectance", "model"): "ggx", ("reflectance", "alpha"): "0.1", ("reflectance", "table"): None}
+    assert "table:" not in copied_text(part, bench.folder / "elsewhere", ggx)
 
 
 def test_a_table_that_cannot_be_used_is_named_with_its_line(bench):

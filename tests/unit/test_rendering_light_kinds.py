@@ -226,7 +226,7 @@ def test_twice_as_many_nodes_change_nothing(name: str, sigma: float) -> None:
 OTHER_LOBES = {
     "ggx": SpecularModel(name="ggx"),
     "two-lobe": SpecularModel(name="two-lobe", wide_share=0.02, wide_ratio=6.0, refractive_index=(1.98, 3.74)),
-    "measured": SpecularModel(name="measured", measured=((0.6, 0.01), (0.3, 0.022), (0.09, 0.05), (0.01, 0.09))),
+    "measured": SpecularModel(name="measured", measured=((0.6, 0.01), (0.3, 0.018), (0.1, 0.03))),
     "brushed": SpecularModel(across_ratio=6.0),
     "brushed ggx": SpecularModel(name="ggx", across_ratio=6.0),
 }
