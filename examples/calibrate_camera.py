@@ -33,7 +33,7 @@ def main(folder: Path) -> None:
     board_sheet(BOARD, folder / "board.pdf", paper="a4")
     (folder / "board.stl").write_bytes(stl_bytes(board_mesh(BOARD, margin=2.0)))
     (folder / "part.yaml").write_text(PART)
-    nominal = build_scene(load_rig(RIG), load_part(folder / "part.yaml"))
+    nominal = build_scene(load_rig(RIG), load_part(folder / "part.yaml"), lights=["light1", "light3"])
     postures = [Posture(tilt, turn) for tilt in (-35.0, 0.0, 35.0) for turn in (10.0, 100.0, 190.0, 280.0)]
     turned = rotation_from_vector(np.radians([0.2, -0.3, 0.5]))
     real = replace(

@@ -41,7 +41,7 @@ def test_both_widths_are_found(shared_bench, name):
 
     images = draw_images(scene, cast_rays_at(scene), lobe, R_d=own.R_d, R_s=own.R_s, exposures=(1.0, 1 / 16))
     start = Reflectance(R_d=90.0, R_s=500.0, sigma=0.1, model=replace(own.model, across_ratio=1.5))
-    options = FitOptions(joint=True, pixels=20_000)
+    options = FitOptions(joint=True, pixels=8_000)
     result, _, _ = _fit_one(FitSetup(replace(scene, reflectance=start), cast_rays_at(scene), images, options=options))
     width = own.model.width_factor * own.sigma
     truth = {"R_d": own.R_d, "R_s": own.R_s, own.model.width_key: width, own.model.across_key: 4.0 * width}
