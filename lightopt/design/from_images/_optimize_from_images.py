@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -187,6 +188,10 @@ def write_from_images(
         except InputError:
             path.unlink()
             raise
+    for previous in (output.folder / IMAGES_FOLDER).glob("*"):
+        remove_image_set(previous)
+        with suppress(OSError):  # something else is in it
+            previous.rmdir()
     report = run.stage("synthesising images")
     for number, name in enumerate(result.samples.names):
         _write_images(result, number, output.folder / IMAGES_FOLDER / name)
@@ -239,7 +244,6 @@ def _write_images(result: FromImagesResult, number: int, folder: Path) -> None:
         warnings=(),
         extra={},
     )
-    remove_image_set(folder)
     writer = ImageSetWriter(folder, header)
     for p, posture in enumerate(samples.postures):
         for image in result.images:

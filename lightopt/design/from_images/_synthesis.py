@@ -47,13 +47,21 @@ def chosen_images(
     """The images of weights (N, K) on the samples' images, each as long as saturation allows.
 
     levels: Controller level of a light at full brightness, where it is known: its weights are whole levels
+    Raises InputError: The lights of an image leave the part black.
     """
     exposures = np.array([channel.exposure for channel in samples.channels])
     room = USED_RANGE * (samples.manifest.saturated_from - samples.manifest.black_level)
     images: list[ChosenImage] = []
     for number, row in enumerate(weights, start=1):
         brightness = row * exposures  # a light that was exposed longer is darker than its image
-        exposure = room / float(row @ evidence.brightest) * float(brightness.max())
+        brightest = float(row @ evidence.brightest)
+        if not brightest > 0.0:
+            lights = ", ".join(c.light for c, share in zip(samples.channels, row, strict=True) if share)
+            raise InputError(
+                f"{samples.sets[0].folder}: 99.9 % of the part's pixels are black under {lights}, so that no exposure "
+                "can be given; ask for fewer images, or leave the light out of the sets"
+            )
+        exposure = room / brightest * float(brightness.max())
         lit: dict[str, float] = {}
         for channel, share in zip(samples.channels, brightness / brightness.max(), strict=True):
             steps = levels.get(channel.light, _STEPS)
