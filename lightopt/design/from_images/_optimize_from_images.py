@@ -177,17 +177,15 @@ def write_from_images(
         folder, _provenance(result), name=RESULT_NAME, format=_FORMAT, what="a choice of lights", force=force
     )
     entries = _programme(result.images)
-    text = None
     if result.rig is not None:
         text = with_list(copied_text(result.rig, folder), "programme", entries, comment=_COMMENT)
-    output.write_text(PROGRAMME_NAME, "\n".join([f"# {_COMMENT}", "programme:", *(f"  - {e}" for e in entries), ""]))
-    if text is not None:
         path = output.write_text(RIG_NAME, text)
         try:
             load_rig(path)
         except InputError:
             path.unlink()
             raise
+    output.write_text(PROGRAMME_NAME, "\n".join([f"# {_COMMENT}", "programme:", *(f"  - {e}" for e in entries), ""]))
     for previous in (output.folder / IMAGES_FOLDER).glob("*"):
         remove_image_set(previous)
         with suppress(OSError):  # something else is in it
