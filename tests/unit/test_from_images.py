@@ -333,6 +333,10 @@ def test_other_bad_input_is_refused(tmp_path, three):
     assert "none of the chosen images: expected led-" in refusal(
         sets, captured=write_set(tmp_path / "captured", levels[0, :1], lights=["ring"])
     )
+    white = write_set(tmp_path / "white", np.full_like(levels[0], 255.0))
+    assert f"{white}: each pixel of the part is saturated" in refusal(sets, captured=white)
+    write_png(tmp_path / "nothing.png", np.zeros(levels.shape[2:], np.uint8), metadata={})
+    assert "nothing.png: 0 everywhere" in refusal(sets, region=tmp_path / "nothing.png")
 
 
 def test_the_command_without_sets_says_what_is_missing(cli):
