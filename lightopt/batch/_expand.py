@@ -144,6 +144,7 @@ def _read(name: str, path: Path, load: Callable[[Path], RigConfig | PartConfig])
             drives_devices = config.hardware is not None and _is_real(config.hardware)
             if config.virtual_bench is not None and config.virtual_bench.rig is not None:
                 files.append(config.source.resolve(config.virtual_bench.rig))
+                files += input_files(load_rig(files[-1])).values()
     except InputError:
         pass  # one wrong file stops no other: its own tasks fail, and say why
     return _Input(name, path, {str(file.absolute()): content_sha256(file) for file in files}, drives_devices)
