@@ -354,7 +354,7 @@ def test_a_batch_drives_no_devices(files, port, real):
 def test_the_command(cli, files, monkeypatch):
     jobs = files.folder / "jobs.yaml"
     monkeypatch.setattr("lightopt.cli._batch.run_captured", commands := Commands())
-    commands.answers[("render", "a")] = (2, "error: no room\n")
+    commands.answers[("render", "a")] = (2, "warning: coarse\nerror: no room\n")
     ran = cli("batch", jobs, "-o", files.out, "--workers", 1)
     assert ran.status == 1
     assert ran.err == "error: images/rig/a: no room\n"
