@@ -31,16 +31,11 @@ class CommandForm:
     takes_threads: bool = True
 
 
-@dataclass(frozen=True)
-class OptionWords:
-    """Options of a job as words of its command line, and the files that they name, resolved."""
+def option_words(batch: BatchConfig, index: int, form: CommandForm) -> tuple[list[str], list[Path]]:
+    """The options of a job as words of its command line, and the files that they name, relative to the batch file.
 
-    words: tuple[str, ...]
-    files: tuple[Path, ...]
-
-
-def option_words(batch: BatchConfig, index: int, form: CommandForm) -> OptionWords:
-    """The options of a job; a file is named relative to the batch file. Check :func:`option_problems` first."""
+    Check :func:`option_problems` first.
+    """
     words, files = list[str](), list[Path]()
     for name, value in batch.jobs[index].options.items():
         option = form.options[name]
@@ -55,7 +50,7 @@ def option_words(batch: BatchConfig, index: int, form: CommandForm) -> OptionWor
             texts = [str(file) for file in found]
         # --option=value: a value may begin with a dash
         words += [f"--{name}={text}" for text in (texts if option.repeatable else [",".join(texts)])]
-    return OptionWords(tuple(words), tuple(files))
+    return words, files
 
 
 def option_problems(batch: BatchConfig, index: int, form: CommandForm) -> Iterator[str]:

@@ -65,8 +65,8 @@ def expand(batch: BatchConfig, form_of: FormOf, out: Path, *, threads: int) -> t
     made_by, tasks = computed_by(), dict[tuple[str, str, str], Task]()
     for job in batch.in_order:
         form, index = forms[job.name], batch.jobs.index(job)
-        options = option_words(batch, index, form)
-        option_files = {str(path): content_sha256(path) for path in options.files}
+        words, files = option_words(batch, index, form)
+        option_files = {str(path): content_sha256(path) for path in files}
         for own_rigs, part in product(_groups(rigs, form), parts):
             needs = {name: [tasks[name, rig.name, part.name] for rig in own_rigs] for name in job.all_needs}
             place = Path(job.name, *([] if "rigs" in form.arguments else [own_rigs[0].name]), part.name)
@@ -81,7 +81,7 @@ def expand(batch: BatchConfig, form_of: FormOf, out: Path, *, threads: int) -> t
                 folder=out.absolute() / place,
                 place=place.as_posix(),
                 key=hashlib.sha256(text.encode()).hexdigest(),
-                command=(job.command, *arguments, *options.words),
+                command=(job.command, *arguments, *words),
                 tail=((f"--threads={threads}",) if form.takes_threads else ()),
                 writes_folder=form.writes_folder,
                 files=tuple({**option_files, **_all_hashes([*own_rigs, part]), **_manifest(images)}.items()),
@@ -118,10 +118,11 @@ def _named_inputs(
     paths, problems = dict[Path, None](), list[str]()
     for index, text in enumerate(getattr(batch, key)):
         given = batch.source.resolve(text)
-        found = [given] if given.is_file() else sorted(given.glob("*.yaml")) if given.is_dir() else []
-        found = found or sorted(Path(path) for path in glob.glob(str(given), recursive=True))  # noqa: PTH207 - absolute
+        pattern = str(given / "*.yaml" if given.is_dir() else given)
+        matches = [given] if given.is_file() else map(Path, glob.glob(pattern, recursive=True))  # noqa: PTH207 - absolute
+        found = sorted(path for path in matches if path.is_file())
         if not found:
-            what = f"no such file: {given}" if glob.escape(text) == text else f"no file matches {given}"
+            what = f"no such file: {given}" if glob.escape(pattern) == pattern else f"no file matches {pattern}"
             problems.append(f"{batch.source.at(key, index)}: {what}; expected YAML files or a folder of them")
         paths |= dict.fromkeys(Path(os.path.abspath(path)) for path in found)  # noqa: PTH100 - links stay as they are
     names = {path: path.stem for path in paths}
@@ -143,6 +144,7 @@ def _read(name: str, path: Path, load: Callable[[Path], RigConfig | PartConfig])
             drives_devices = config.hardware is not None and _is_real(config.hardware)
             if config.virtual_bench is not None and config.virtual_bench.rig is not None:
                 files.append(config.source.resolve(config.virtual_bench.rig))
+                files += input_files(load_rig(files[-1])).values()
     except InputError:
         pass  # one wrong file stops no other: its own tasks fail, and say why
     return _Input(name, path, {str(file.absolute()): content_sha256(file) for file in files}, drives_devices)

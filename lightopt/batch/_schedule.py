@@ -109,7 +109,7 @@ def _client(workers: Workers, tasks: Sequence[Task], run: RunContext) -> Generat
         if workers.system is not None:
             address = stack.enter_context(_started(workers.system, workers.number))
         elif address is None:
-            address = stack.enter_context(_local_cluster(workers.number))
+            address = stack.enter_context(_local_cluster(min(workers.number, len(tasks))))
             stack.push(lambda kind, *_: kind is not None and _stop(address, tasks))
         else:
             _require_scheduler(address)

@@ -3,15 +3,11 @@
 import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from lightopt.batch._task import RECORD_NAME, TERMINAL_NAME, Outcome, Task
+from lightopt.batch._task import TERMINAL_NAME, Outcome, Task, published
 from lightopt.config import BatchConfig
 from lightopt.core.errors import counted
 from lightopt.images import csv_text, write_text_atomic
-
-if TYPE_CHECKING:
-    pass
 
 SUMMARY_NAME, PAGE_NAME = "summary.csv", "report.html"
 _STATES = ("done", "kept", "failed", "skipped")
@@ -50,7 +46,7 @@ def _page(
     from lightopt.report import Answer, Page, Section, Table, Warnings, page_html
 
     def table(some: Sequence[int]) -> Table:
-        links = [_link(tasks[i], outcomes) for i in some]
+        links = [_link(tasks[i]) for i in some]
         own = [list(rows[i][:-1]) for i in some]
         return Table(header=_COLUMNS[:-1], rows=own, numbers_from=len(_COLUMNS), links=links)
 
@@ -97,8 +93,8 @@ def _row(task: Task, outcome: Outcome | None) -> list[str]:
     return [task.job, task.rig, task.part, outcome.state, f"{outcome.seconds:.1f}", *said]
 
 
-def _link(task: Task, outcomes: Mapping[str, Outcome]) -> str:
-    if task.place not in outcomes or not (task.folder / RECORD_NAME).is_file():
+def _link(task: Task) -> str:
+    # none to results of earlier inputs, which stay where a task fails
+    if published(task) is None:
         return ""
-    own = next(name for name in (PAGE_NAME, TERMINAL_NAME) if name == TERMINAL_NAME or (task.folder / name).is_file())
-    return f"{task.place}/{own}"
+    return f"{task.place}/{PAGE_NAME if (task.folder / PAGE_NAME).is_file() else TERMINAL_NAME}"

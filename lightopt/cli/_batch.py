@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
 from io import StringIO
@@ -92,11 +93,17 @@ def batch(
 
 def _failures(result: BatchResult) -> list[str]:
     failed = [one for one in result.outcomes.values() if one.state == "failed"]
-    texts = [f"{one.place}: {' '.join(one.messages[:1]).removeprefix('error: ')}" for one in failed]
+    texts = [f"{one.place}: {_reason(one.messages)}" for one in failed]
     if len(texts) > MOST_FAILURES:
         more = len(texts) - MOST_FAILURES + 1
         texts = [*texts[: MOST_FAILURES - 1], f"{more} more tasks failed; {result.paths[0]} has the reasons"]
     return texts
+
+
+def _reason(messages: Sequence[str]) -> str:
+    # the first error, which warnings may precede
+    errors = [text for text in messages if not text.startswith("warning: ")]
+    return (errors or ["failed"])[0].removeprefix("error: ")
 
 
 def command_form(name: str) -> CommandForm | None:

@@ -46,7 +46,7 @@ _COMMANDS = {
     "batch": ("_batch", "Run commands for many rigs and parts, on this machine or a cluster."),
     "overlap": ("_image_sets", "Report where saturated regions of images overlap."),
     "compare": ("_image_sets", "Compare new images or image sets with golden ones."),
-    "schema": ("_files", "Print the JSON schema of a rig, part or batch file."),
+    "schema": ("_files", "Print the JSON schema of a kind of file."),
     "bench": ("_bench", "Test the devices of a rig one by one."),
 }
 

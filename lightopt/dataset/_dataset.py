@@ -109,7 +109,7 @@ def make_dataset(
             f"{counted(len(poses), 'pose')}: none is in the split {' or '.join(empty)}; more samples, or fewer samples "
             "per pose, fill it"
         )
-    out.begin()
+    out.begin(views)
     kinds = list(dict.fromkeys(entry.shape.kind for entry in catalogue))
     size = scene.camera.width, scene.camera.height
     work = _Work(rig, scene, catalogue, options, ranges, factors, views, kinds, size, out)

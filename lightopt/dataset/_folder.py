@@ -1,7 +1,7 @@
 """The folder of a dataset: which of its poses are there, and what a previous dataset left."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,10 @@ from lightopt.core.provenance import differences
 from lightopt.images import make_folder, remove_file, write_text_atomic
 
 MANIFEST, FORMAT = "dataset.json", "lightopt-dataset/1"
+INVISIBLE = "invisible"  # folder of images whose defects none can find
+
+_OF_SAMPLES = ("images", "labels", INVISIBLE)  # folders of a view whose files begin with the number of a sample
+_NUMBER = "[0-9]" * 6
 
 
 class DatasetFolder:
@@ -53,13 +57,13 @@ class DatasetFolder:
         there = all(poses) and all((self.folder / name).is_file() for name in old["files"])
         return old if there else None
 
-    def begin(self) -> None:
+    def begin(self, views: Sequence[str]) -> None:
         """Write the manifest of a dataset without files, unless one is continued; remove the one that is replaced."""
         make_folder(self.folder)
         if self._replaced is not None:
             self._remove(self._replaced)
         if self._old is None:
-            self._write({"complete": False, "files": []})
+            self._write({"complete": False, "views": list(views), "files": []})
 
     def record(self, number: int) -> dict[str, Any] | None:
         """What is known of a pose; None where any of its files is missing."""
@@ -96,6 +100,10 @@ class DatasetFolder:
         records = sorted((self.folder / "poses").glob("pose-*.json"))
         for record in records:
             names += (_read(record) or {}).get("files", [])
+        # and of poses that a stopped run did not complete
+        views = [f"{view}/{own}/**/{_NUMBER}*" for view in old.get("views", []) for own in _OF_SAMPLES]
+        for pattern in (*views, f"poses/pose-{_NUMBER}.exr", f"stacks/pose-{_NUMBER}.h5"):
+            names += [str(path.relative_to(self.folder)) for path in self.folder.glob(pattern) if path.is_file()]
         root, folders = self.folder.resolve(), set[Path]()
         for name in names:
             path = (self.folder / name).resolve()

@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 
 from lightopt.config import PartConfig, RangesConfig, RigConfig
+from lightopt.core.arrays import UInt8
 from lightopt.dataset._draws import SPLITS, DatasetOptions, Factors
-from lightopt.dataset._folder import DatasetFolder
+from lightopt.dataset._folder import INVISIBLE, DatasetFolder
 from lightopt.dataset._masks import outlines, pixels_of
 from lightopt.dataset._visibility import MIN_IMAGES
 from lightopt.images import csv_text
 
 Record = Mapping[str, Any]
-
-INVISIBLE = "invisible"  # folder of images whose defects none can find
 
 
 def image_name(view: str, number: int, defects: Sequence[Record], split: str) -> str:
@@ -214,7 +213,7 @@ def datasheet(
     return "\n".join(lines) + "\n"
 
 
-def union(defects: Sequence[Record], view: str, size: tuple[int, int]) -> Any:
+def union(defects: Sequence[Record], view: str, size: tuple[int, int]) -> UInt8:
     """Mask of the visible defects of an image: 255 and 0, shape (H, W)."""
     width, height = size
     mask = np.zeros((height, width), np.uint8)

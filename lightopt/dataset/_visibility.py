@@ -23,8 +23,9 @@ from lightopt.defects import (
     rest_of_images,
     search_grid,
 )
+from lightopt.inspection import InspectOptions
 
-MIN_IMAGES = 2  # must show a defect, as inspections ask by default, where more than one light reaches it
+MIN_IMAGES = InspectOptions.min_images  # must show a defect where more than one light reaches it
 
 
 def thresholds(

@@ -34,11 +34,9 @@ class StraightBrushing:
     direction: Float64
 
     def along(self, points: Float64) -> Float64:
-        """As :meth:`Brushing.along` has it."""
         return np.broadcast_to(self.direction, points.shape)
 
     def moved(self, rotation: Float64, _translation: Float64) -> StraightBrushing:
-        """As :meth:`Brushing.moved` has it."""
         return StraightBrushing(rotation @ self.direction)
 
 
@@ -50,11 +48,10 @@ class RoundBrushing:
     axis: Float64
 
     def along(self, points: Float64) -> Float64:
-        """As :meth:`Brushing.along` has it; there is no direction on the axis itself."""
+        # none on the axis itself
         return np.cross(self.axis, points - self.point)
 
     def moved(self, rotation: Float64, translation: Float64) -> RoundBrushing:
-        """As :meth:`Brushing.moved` has it."""
         return RoundBrushing(rotation @ self.point + translation, rotation @ self.axis)
 
 
@@ -68,7 +65,6 @@ class CurvedBrushing:
     corners: Float64
 
     def along(self, points: Float64) -> Float64:
-        """As :meth:`Brushing.along` has it."""
         pieces = np.diff(self.corners, axis=0)
         pieces /= np.linalg.norm(pieces, axis=1, keepdims=True)
         at_corners = np.concatenate([pieces[:1], pieces[:-1] + pieces[1:], pieces[-1:]])
@@ -79,7 +75,6 @@ class CurvedBrushing:
         return (1.0 - share[:, None]) * at_corners[piece] + share[:, None] * at_corners[piece + 1]
 
     def moved(self, rotation: Float64, translation: Float64) -> CurvedBrushing:
-        """As :meth:`Brushing.moved` has it."""
         return CurvedBrushing(self.corners @ rotation.T + translation)
 
 

@@ -41,6 +41,8 @@ LEAST_POINTS, MOST_POINTS = 4, 6
 # what the coarse rays of a pixel to a light show
 MOST_TOGETHER = 16  # channels of a light that are shaded at once
 
+_TURNS = 18  # ways that a surface may be brushed, of which the brightest is sought
+
 _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
 
 
@@ -449,26 +451,29 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
     """Specular level at exposure 1 of a surface at the origin that mirrors a panel's centre [grey level].
 
     Of the region that is brightest there, and of the panel as a whole, whatever its number of points: R_s is what a
-    single point of light would reach.
+    single point of light would reach. Of a brushed surface, brushed the way that makes it brightest.
 
     light: World frame
     """
-    origin = np.zeros((1, 3))
     view = scene.camera.position / np.linalg.norm(scene.camera.position)
     middle = light.targets.mean(axis=0) if isinstance(light, SurfaceLight) else light.centre
     half = view + middle / np.linalg.norm(middle)
     if (length := float(np.linalg.norm(half))) < 1e-9:
         return 0.0  # the light is opposite the camera
     normal = half[None] / length
-    surface = SurfacePoints(origin, normal, normal, view[None], np.ones(1, np.bool_))
+    turns = math.pi / _TURNS * np.arange(_TURNS if any(one.lobe.widening > 1.0 for one in scene.shown) else 1)
+    across = np.stack([np.cos(turns), np.sin(turns)], axis=1) @ np.linalg.svd(normal)[2][1:]
+    normals, origin = np.repeat(normal, len(turns), axis=0), np.zeros((len(turns), 3))
+    views, front = np.broadcast_to(view, origin.shape).copy(), np.ones(len(turns), np.bool_)
+    surface = SurfacePoints(origin, normals, normals, views, front, across=across)
     if isinstance(light, SurfaceLight):
         lobes = (shade_light(surface, light, reflectance=own, caster=None)[1] for own in scene.shown)
-        return max(float(own.R_s * lobe[0]) for own, lobe in zip(scene.shown, lobes, strict=True))
+        return max(float(own.R_s * lobe.max()) for own, lobe in zip(scene.shown, lobes, strict=True))
     whole = replace(light, points="auto")
     panel = converged_panel(whole, centre=origin[0], radius=1.0)
-    at: dict[str, Any] = {"sample": np.zeros(1, np.intp), "shape": (1, 1), "caster": None}
+    at: dict[str, Any] = {"sample": np.arange(len(turns)), "shape": (len(turns), 1), "caster": None}
     lobes = (shade_converged(surface, panel, reflectance=own, **at)[1] for own in scene.shown)
-    level = max(float(own.R_s * lobe[0]) for own, lobe in zip(scene.shown, lobes, strict=True))
+    level = max(float(own.R_s * lobe.max()) for own, lobe in zip(scene.shown, lobes, strict=True))
     return level * light.total_weight / whole.total_weight
 
 

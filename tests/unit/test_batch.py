@@ -155,6 +155,17 @@ def test_a_failure_stops_what_needs_it_and_nothing_else(batch, files, commands):
     assert batch().count("done") == 3, "what failed is tried again"
 
 
+def test_a_task_that_failed_has_no_link_to_earlier_results(batch, files, commands):
+    batch()
+    files.edit("jobs.yaml", "step: 5", "step: 10")
+    commands.answers[("optimize", "part.fitted")] = (2, "error: no room\n")
+    assert batch().count("failed") == 1
+    assert (files.out / "best" / "rig" / "a" / "task.json").is_file()
+    page = (files.out / "report.html").read_text(encoding="utf-8")
+    assert 'href="best/rig/b/terminal.txt"' in page
+    assert 'href="best/rig/a/' not in page
+
+
 def test_a_check_that_failed_is_not_repeated(batch, files, commands):
     commands.answers[("fit-specular", "b")] = (1, "error: the fit did not converge\n")
     assert batch().count("failed", "skipped") == 2
@@ -289,9 +300,11 @@ def test_files_of_the_same_name_are_told_apart_by_their_folders(files):
         ("part_from: fit", "images_from: images", 9, "optimize reads no images"),
         ("rigs: [rig.yaml]", "rigs: [rg.yaml]", 2, "rigs[0]: no such file"),
         ("parts: [parts]", 'parts: ["*.yml"]', 3, "parts[0]: no file matches"),
+        ("parts: [parts]", "parts: [empty]", 3, "parts[0]: no file matches"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_jobs(files, old, new, line, message):
+    (files.folder / "empty").mkdir()
     files.edit("jobs.yaml", old, new)
     (said,) = problems(files)
     assert said.startswith(f"{files.folder / 'jobs.yaml'}:{line}: ")
@@ -341,7 +354,7 @@ def test_a_batch_drives_no_devices(files, port, real):
 def test_the_command(cli, files, monkeypatch):
     jobs = files.folder / "jobs.yaml"
     monkeypatch.setattr("lightopt.cli._batch.run_captured", commands := Commands())
-    commands.answers[("render", "a")] = (2, "error: no room\n")
+    commands.answers[("render", "a")] = (2, "warning: coarse\nerror: no room\n")
     ran = cli("batch", jobs, "-o", files.out, "--workers", 1)
     assert ran.status == 1
     assert ran.err == "error: images/rig/a: no room\n"

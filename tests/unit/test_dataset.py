@@ -377,6 +377,10 @@ def test_a_stopped_run_goes_on_and_a_finished_one_is_left_alone(made, tmp_path, 
     assert cli(*command(made, folder)).status == 130
     monkeypatch.undo()
     assert not json.loads((folder / "dataset.json").read_text(encoding="utf-8"))["complete"]
+    shutil.copytree(folder, tmp_path / "other")
+    assert cli(*command(made, tmp_path / "other", images=2, seed=4), "--force").status == 0
+    assert cli(*command(made, tmp_path / "new", images=2, seed=4)).status == 0
+    assert snapshot(tmp_path / "other") == snapshot(tmp_path / "new"), "nothing of the pose that was stopped is left"
     ran = cli(*command(made, folder))
     assert (ran.status, ran.err) == (0, "")
     assert ran.out.startswith("12 samples, 24 images, 4 poses (")

@@ -159,6 +159,9 @@ def test_the_files_that_are_written(tmp_path, cli):
     other = cli(*arguments, "--mix")
     assert other.status == 2
     assert "mix: previously false, now true" in other.err
+    assert cli(*arguments[:2], *map(str, sets[1:]), *arguments[-4:], "--force").status == 0
+    assert sorted(path.name for path in (out / "images").iterdir()) == [f"s{i}" for i in range(1, 7)]
+    assert cli(*arguments, "--force").status == 0
     # the synthesised images are samples themselves
     again = optimize_from_images([out / "images" / f"s{i}" for i in range(7)], options=FromImagesOptions(images=1))
     assert len(again.evidence.defects) == 4
@@ -266,6 +269,14 @@ def test_saturated_lights_are_named(tmp_path):
     assert any(line.startswith("saturated pixels, which show no defect: led-2 100.0 %") for line in warned)
 
 
+def test_an_image_of_a_light_that_is_off_has_no_exposure(tmp_path):
+    levels, masks = drawn_samples()
+    levels[:, 1] = 0.0
+    sets = write_samples(tmp_path, levels, masks)
+    assert "99.9 % of the part's pixels are black under led-2" in refusal(sets, options=FromImagesOptions(images=4))
+    assert len(optimize_from_images(sets, options=FromImagesOptions(images=3)).images) == 3
+
+
 @pytest.fixture
 def three(tmp_path):
     levels, masks = drawn_samples(good=2, bad=1)
@@ -322,6 +333,10 @@ def test_other_bad_input_is_refused(tmp_path, three):
     assert "none of the chosen images: expected led-" in refusal(
         sets, captured=write_set(tmp_path / "captured", levels[0, :1], lights=["ring"])
     )
+    white = write_set(tmp_path / "white", np.full_like(levels[0], 255.0))
+    assert f"{white}: each pixel of the part is saturated" in refusal(sets, captured=white)
+    write_png(tmp_path / "nothing.png", np.zeros(levels.shape[2:], np.uint8), metadata={})
+    assert "nothing.png: 0 everywhere" in refusal(sets, region=tmp_path / "nothing.png")
 
 
 def test_the_command_without_sets_says_what_is_missing(cli):

@@ -257,3 +257,11 @@ def test_highlight_level_is_that_of_a_mirroring_plate(bench):
         level = highlight_level(scene, scene.lights[0])
         assert level == pytest.approx(image[58:62, 78:82].max(), rel=1e-2)
     assert level == pytest.approx(12500 / np.sin(np.deg2rad(60)), rel=0.1)
+    text = bench.part.read_text(encoding="utf-8")
+    levels = []
+    for way in ("[1, 0, 0]", "[1, 1, 0]", "[0, 1, 0]"):
+        brushed = f"sigma_rad: 0.01, sigma_across_rad: 0.2, brushing: {{direction: {way}}}"
+        bench.part.write_text(text.replace("sigma_rad: 0.15", brushed), encoding="utf-8")
+        scene = build_scene(bench.rig, bench.part, points="auto", postures=flat)
+        levels.append(next(iter(render(scene, layers=True))).lights[0].specular[58:62, 78:82].max())
+    assert highlight_level(scene, scene.lights[0]) == pytest.approx(max(levels), rel=0.03)

@@ -53,7 +53,7 @@ def score(gains: Float64) -> float:
 
 
 def choose_lights(evidence: Evidence, count: int, *, limit: int = DEFAULT_LIMIT, threads: int | None = None) -> Choice:
-    """Find the best `count` lights; the lowest numbers in the order of single scores win ties.
+    """Find the best `count` lights, the same with any number of threads; of choices that tie, one of them.
 
     limit: About how many choices to score before the search stops with a bound.
     """

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -176,17 +177,19 @@ def write_from_images(
         folder, _provenance(result), name=RESULT_NAME, format=_FORMAT, what="a choice of lights", force=force
     )
     entries = _programme(result.images)
-    text = None
     if result.rig is not None:
         text = with_list(copied_text(result.rig, folder), "programme", entries, comment=_COMMENT)
-    output.write_text(PROGRAMME_NAME, "\n".join([f"# {_COMMENT}", "programme:", *(f"  - {e}" for e in entries), ""]))
-    if text is not None:
         path = output.write_text(RIG_NAME, text)
         try:
             load_rig(path)
         except InputError:
             path.unlink()
             raise
+    output.write_text(PROGRAMME_NAME, "\n".join([f"# {_COMMENT}", "programme:", *(f"  - {e}" for e in entries), ""]))
+    for previous in (output.folder / IMAGES_FOLDER).glob("*"):
+        remove_image_set(previous)
+        with suppress(OSError):  # something else is in it
+            previous.rmdir()
     report = run.stage("synthesising images")
     for number, name in enumerate(result.samples.names):
         _write_images(result, number, output.folder / IMAGES_FOLDER / name)
@@ -239,7 +242,6 @@ def _write_images(result: FromImagesResult, number: int, folder: Path) -> None:
         warnings=(),
         extra={},
     )
-    remove_image_set(folder)
     writer = ImageSetWriter(folder, header)
     for p, posture in enumerate(samples.postures):
         for image in result.images:

@@ -105,6 +105,8 @@ def read_samples(paths: Sequence[Path], region: Path | None = None) -> Samples:
     problems: list[str] = []
     found = [_labels(one, postures, shape, problems) for one in sets]
     shown = None if region is None else _mask(region, shape, problems) > 0
+    if shown is not None and not problems and not shown.any():
+        problems.append(f"{region}: 0 everywhere; expected a picture that is not 0 where the part is to be inspected")
     refuse(problems)
     samples = Samples(
         sets=sets,

@@ -1,7 +1,9 @@
 """Images of several lights from images of single ones, which add up; and how well they agree with captured images."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,13 +49,21 @@ def chosen_images(
     """The images of weights (N, K) on the samples' images, each as long as saturation allows.
 
     levels: Controller level of a light at full brightness, where it is known: its weights are whole levels
+    Raises InputError: The lights of an image leave the part black.
     """
     exposures = np.array([channel.exposure for channel in samples.channels])
     room = USED_RANGE * (samples.manifest.saturated_from - samples.manifest.black_level)
     images: list[ChosenImage] = []
     for number, row in enumerate(weights, start=1):
         brightness = row * exposures  # a light that was exposed longer is darker than its image
-        exposure = room / float(row @ evidence.brightest) * float(brightness.max())
+        brightest = float(row @ evidence.brightest)
+        if not brightest > 0.0:
+            lights = ", ".join(c.light for c, share in zip(samples.channels, row, strict=True) if share)
+            raise InputError(
+                f"{samples.sets[0].folder}: 99.9 % of the part's pixels are black under {lights}, so that no exposure "
+                "can be given; ask for fewer images, or leave the light out of the sets"
+            )
+        exposure = room / brightest * float(brightness.max())
         lit: dict[str, float] = {}
         for channel, share in zip(samples.channels, brightness / brightness.max(), strict=True):
             steps = levels.get(channel.light, _STEPS)
@@ -109,7 +119,7 @@ def compare_captured(
 
     captured: Its lights are the names of `images`.
     Returns: Name of the samples' set, and each image of it.
-    Raises InputError: The captured set has none of the images, or they are of another size.
+    Raises InputError: The captured set has none of the images, or they are of another size or saturated all over.
     """
     known = {image.name: image for image in images}
     entries = [e for e in captured.images if e.light in known and e.posture in samples.postures]
@@ -122,8 +132,15 @@ def compare_captured(
         [_agreement(samples, number, known[entry.light], captured, entry) for entry in entries]
         for number in range(len(samples.sets))
     ]
-    best = min(range(len(found)), key=lambda i: sum(one.rms**2 * one.pixels for one in found[i]))
+    best = min(range(len(found)), key=lambda i: _rms_of_all(found[i], "rms"))
+    if not any(one.pixels for one in found[best]):
+        raise InputError(f"{captured.folder}: each pixel of the part is saturated; expected shorter exposures")
     return samples.names[best], tuple(found[best])
+
+
+def _rms_of_all(found: Sequence[Agreement], key: Literal["rms", "means_rms"]) -> float:
+    pixels = sum(one.pixels for one in found)
+    return math.sqrt(sum(getattr(one, key) ** 2 * one.pixels for one in found) / pixels) if pixels else math.inf
 
 
 def _agreement(samples: Samples, number: int, image: ChosenImage, captured: ImageSet, entry: ImageEntry) -> Agreement:
@@ -155,11 +172,8 @@ def _rms(values: Float32) -> float:
 def agreement_text(name: str, found: Sequence[Agreement]) -> str:
     """The agreement in a sentence."""
     pixels = sum(one.pixels for one in found)
-    rms, means = (
-        float(np.sqrt(sum(getattr(one, key) ** 2 * one.pixels for one in found) / max(1, pixels)))
-        for key in ("rms", "means_rms")
-    )
     return (
-        f"{counted(len(found), 'captured image')} against images synthesised from {name}: {rms:.2f} levels rms, "
-        f"{means:.2f} as means of {_MEAN_PX} × {_MEAN_PX} px, at {counted(pixels, 'unsaturated pixel')}"
+        f"{counted(len(found), 'captured image')} against images synthesised from {name}: "
+        f"{_rms_of_all(found, 'rms'):.2f} levels rms, {_rms_of_all(found, 'means_rms'):.2f} as means of {_MEAN_PX} × "
+        f"{_MEAN_PX} px, at {counted(pixels, 'unsaturated pixel')}"
     )
