@@ -105,12 +105,24 @@ def published(task: Task) -> Outcome | None:
     except (OSError, ValueError, TypeError):
         return None
     if record.key != task.key or record.format != _FORMAT:
+        _require_own_files(task.folder, record)
         return None
     with suppress(OSError):
         if all((task.folder / name).stat().st_size == size for name, size in record.files.items()):
             messages, state = tuple(record.messages), "kept" if record.succeeded else "failed"
             return Outcome(place=task.place, state=state, answer=record.answer, messages=messages)
     return None
+
+
+def _require_own_files(folder: Path, record: _Record) -> None:
+    # results of earlier inputs are replaced; what else lies beside them is not
+    own = {RECORD_NAME, *record.files}
+    names = (path.relative_to(folder).as_posix() for path in sorted(folder.rglob("*")) if path.is_file())
+    if other := [name for name in names if name not in own]:
+        raise InputError(
+            f"{folder}: would be replaced, and has files that the batch did not write ({', '.join(other[:3])}); move "
+            "them away"
+        )
 
 
 def run_task(task: Task, run_command: RunCommand, *needed: Outcome) -> Outcome:

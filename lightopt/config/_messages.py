@@ -42,7 +42,7 @@ def model_problems(model: type[BaseModel], errors: Sequence[ErrorDetails], docum
             continue
         if kind in _EXPECTED and any(path[: len(keys)] == keys for path in document.invalid):
             continue  # a list with an invalid value in it
-        if kind == "too_short" and error["input"]:
+        if kind == "too_short" and len(error["input"]) >= error.get("ctx", {}).get("min_length", 1):
             continue  # pydantic does not count entries that are wrong themselves; those are reported
         wanted = {keys[-1]} if kind == "missing" else set(error.get("ctx", {}).get("keys", ()))
         if kind in ("missing", "absent", "extra_forbidden"):
@@ -78,7 +78,8 @@ def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, s
     if kind == "tuple_type":
         return f"expected a list, {found}"
     if kind == "too_short":
-        return "expected at least one entry, found none"
+        least, there = context["min_length"], len(error["input"])
+        return f"expected at least {'one entry' if least == 1 else f'{least} entries'}, found {there or 'none'}"
     if kind == "too_long":
         return f"expected at most {context['max_length']} entries, found {context['actual_length']}"
     return f"this value cannot be used here: {found}"

@@ -33,7 +33,7 @@ from lightopt.dataset._stack import require_h5py, write_stack
 from lightopt.defects import CatalogueEntry
 from lightopt.images import write_exr, write_png
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
-from lightopt.scene import Scene, build_catalogue, build_scene, defect_facts
+from lightopt.scene import Scene, build_catalogue, build_scene, defect_facts, frame_part, view_from_part
 
 TAKEN = (FUSED, STACK, "poses", "stacks")  # names that no light may have
 
@@ -109,13 +109,16 @@ def make_dataset(
             f"{counted(len(poses), 'pose')}: none is in the split {' or '.join(empty)}; more samples, or fewer samples "
             "per pose, fill it"
         )
+    shown = {pose.posture for pose in poses}
+    if unshown := [str(posture) for posture in scene.postures if posture not in shown]:
+        run.warn(f"no sample is in posture {', '.join(unshown)}; more samples, or fewer samples per pose, show it")
     out.begin(views)
     kinds = list(dict.fromkeys(entry.shape.kind for entry in catalogue))
     size = scene.camera.width, scene.camera.height
     work = _Work(rig, scene, catalogue, options, ranges, factors, views, kinds, size, out)
     limits: dict[Any, PostureLimits] = {}
     records: list[dict[str, Any]] = []
-    resumed = 0
+    resumed, cut_off = 0, list[int]()
     stage = run.stage("rendering poses")
     for pose in poses:
         if (record := out.record(pose.number)) is not None:
@@ -123,10 +126,18 @@ def make_dataset(
         else:
             if pose.posture not in limits:
                 limits[pose.posture] = posture_limits(rig, scene, pose.posture, catalogue, options, run.threads)
+            placed = pose.scene(scene)
+            if not frame_part(view_from_part(placed, pose.posture).camera, placed.mesh).inside:
+                cut_off.append(pose.number)
             record = work.make_pose(pose, limits[pose.posture], run.threads)
         records.append(record)
         stage((pose.number + 1) / len(poses))
     samples = [sample for record in records for sample in record["samples"]]
+    if cut_off:
+        run.warn(
+            f"the part leaves the view in {counted(len(cut_off), 'pose')} of {len(poses)}, as in pose {cut_off[0]}; "
+            "lower shift_mm of the ranges' pose, or let the camera see more"
+        )
     omitted = sum(record["omitted"] for record in records)
     if omitted:
         run.warn(

@@ -9,6 +9,7 @@ import numpy as np
 
 from lightopt.config import PartConfig, RangesConfig, RigConfig
 from lightopt.core.arrays import UInt8
+from lightopt.core.errors import counted
 from lightopt.dataset._draws import SPLITS, DatasetOptions, Factors
 from lightopt.dataset._folder import INVISIBLE, DatasetFolder
 from lightopt.dataset._masks import outlines, pixels_of
@@ -178,8 +179,8 @@ def datasheet(
     lines = [
         f"# Dataset of {part.name} on {rig.name}",
         "",
-        f"Rendered by lightopt, seed {options.seed}: {len(samples)} samples in {poses} poses. A sample is one piece in "
-        f"one posture: one image per light{scale}"
+        f"Rendered by lightopt, seed {options.seed}: {counted(len(samples), 'sample')} in {counted(poses, 'pose')}. A "
+        f"sample is one piece in one posture: one image per light{scale}"
         + (", and one image fused from these without highlights." if options.fusion else "."),
         "",
         "| split | good samples | samples with defects |",

@@ -229,6 +229,18 @@ def test_a_folder_of_something_else_is_not_touched(batch, files):
     assert mine.exists()
 
 
+def test_files_that_were_put_beside_results_are_not_replaced(batch, files):
+    batch()
+    mine = files.out / "images" / "rig" / "a" / "mine.txt"
+    mine.touch()
+    assert batch().count("kept") == len(batch().tasks)
+    part = files.folder / "parts" / "a.yaml"
+    part.write_text(part.read_text(encoding="utf-8") + "# changed\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"files that the batch did not write \(mine.txt\); move them away"):
+        batch()
+    assert mine.exists()
+
+
 @pytest.mark.parametrize("text", ["", "[]", '{"key": 1}', "{"])
 def test_a_damaged_record_is_no_result(batch, files, text):
     batch()

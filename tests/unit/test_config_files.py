@@ -494,6 +494,10 @@ def test_missing_keys_are_described(folder: Path) -> None:
             ["expected one of direction, around_axis, along_curve_mm, found none of them"],
         ),
         (
+            "sigma_rad: 0.05, sigma_across_rad: 0.2, brushing: {along_curve_mm: [[0, 0, 0]]}",
+            ["brushing.along_curve_mm: expected at least 2 entries, found 1"],
+        ),
+        (
             "sigma_rad: 0.05, sigma_across_rad: 0.2, brushing: {along_curve_mm: [[0, 0, 0], [0, 0, 0]]}",
             ["two corners that follow each other are at the same place"],
         ),

@@ -195,6 +195,17 @@ def test_the_programme_goes_into_the_rig(tmp_path, cli):
     assert "has a programme" in refused.err
 
 
+def test_lights_of_the_written_rig_do_not_move(tmp_path, cli):
+    sets = write_samples(tmp_path, *drawn_samples())
+    light = "{name: led-%d, distance_mm: 300, elevation_deg: 60, azimuth_deg: %d, elevation_range_deg: [30, 80]}"
+    lights = "".join(f"  - {light % (i, 90 * i)}\n" for i in range(1, 5))
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(RIG[: RIG.index("lights:")] + "light_source: {size_mm: [60, 60], points: 4}\nlights:\n" + lights)
+    ran = cli("optimize", "--from-images", *map(str, sets), "--rig", str(rig), "-k", "2", "-o", str(tmp_path / "out"))
+    assert ran.status == 0, ran.err
+    assert "range" not in (tmp_path / "out" / "rig.optimized.yaml").read_text(encoding="utf-8")
+
+
 def test_no_defective_sample_is_said(tmp_path):
     levels, masks = drawn_samples(bad=0)
     levels[:, 2] *= 0.2

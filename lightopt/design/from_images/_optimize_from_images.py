@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lightopt.config import RigConfig, copied_text, load_rig, with_list
+from lightopt.config import RANGE_KEYS, RigConfig, copied_text, load_rig, with_list
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, counted, percent, refuse
 from lightopt.core.provenance import provenance
@@ -178,7 +178,14 @@ def write_from_images(
     )
     entries = _programme(result.images)
     if result.rig is not None:
-        text = with_list(copied_text(result.rig, folder), "programme", entries, comment=_COMMENT)
+        # lights of a programme do not move
+        moving = {
+            ("lights", number, key): None
+            for number, light in enumerate(result.rig.lights)
+            for key in RANGE_KEYS
+            if getattr(light, key) is not None
+        }
+        text = with_list(copied_text(result.rig, folder, moving), "programme", entries, comment=_COMMENT)
         path = output.write_text(RIG_NAME, text)
         try:
             load_rig(path)

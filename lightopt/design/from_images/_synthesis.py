@@ -17,6 +17,7 @@ from lightopt.design.from_images._samples import Samples, sensor_levels
 from lightopt.images import ImageEntry, ImageSet
 
 USED_RANGE = 0.95  # of the range up to saturation that 99.9 % of the part's pixels of an image may reach
+MOST_LONGER = 100.0  # times that of the samples, an exposure may be
 
 _STEPS = 1000  # of brightness, of lights whose levels are unknown
 _MEAN_PX = 5  # side of the squares whose means are compared as well, in which noise is a fifth
@@ -57,13 +58,15 @@ def chosen_images(
     for number, row in enumerate(weights, start=1):
         brightness = row * exposures  # a light that was exposed longer is darker than its image
         brightest = float(row @ evidence.brightest)
-        if not brightest > 0.0:
+        longest = float(brightness.max())
+        if not brightest * MOST_LONGER > room:
             lights = ", ".join(c.light for c, share in zip(samples.channels, row, strict=True) if share)
             raise InputError(
-                f"{samples.sets[0].folder}: 99.9 % of the part's pixels are black under {lights}, so that no exposure "
-                "can be given; ask for fewer images, or leave the light out of the sets"
+                f"{samples.sets[0].folder}: 99.9 % of the part's pixels are black under {lights}, or nearly so: more "
+                f"than {MOST_LONGER:g} times the exposure is needed. Ask for fewer images, or leave the light out of the "
+                "sets"
             )
-        exposure = room / brightest * float(brightness.max())
+        exposure = room / brightest * longest
         lit: dict[str, float] = {}
         for channel, share in zip(samples.channels, brightness / brightness.max(), strict=True):
             steps = levels.get(channel.light, _STEPS)
