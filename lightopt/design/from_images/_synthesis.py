@@ -63,8 +63,7 @@ def chosen_images(
             lights = ", ".join(c.light for c, share in zip(samples.channels, row, strict=True) if share)
             raise InputError(
                 f"{samples.sets[0].folder}: 99.9 % of the part's pixels are black under {lights}, or nearly so: more "
-                f"than {MOST_LONGER:g} times the exposure is needed. Ask for fewer images, or leave the light out of the "
-                "sets"
+                f"than {MOST_LONGER:g} times the exposure is needed. Ask for fewer images, or leave the light out"
             )
         exposure = room / brightest * longest
         lit: dict[str, float] = {}
