@@ -31,6 +31,7 @@ SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
     _part.check_size,
     _part.check_mesh,
     _regions.check_regions,
+    _regions.check_brushing,
     _camera.check_depth,
     _camera.check_focus,
     _camera.check_part_in_view,

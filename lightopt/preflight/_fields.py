@@ -18,6 +18,7 @@ from lightopt.scene import build_lights
 POINTS = 4000  # surface points of a posture that are tried: shares are good to a percent
 LOBE_SIGMAS = 2.0  # a normal that is off by so many σ from the mirror's still shows most of a light
 _SIDES = 6  # directions that normals are tilted to
+_SHARES_ACROSS = (0.25, 0.5, 0.75)  # of the tilt across the brushing, that are tried as well
 
 _HOLE_SHARE = 0.01  # of the surface in view, above which a mirrored camera hole is worth a note
 
@@ -95,13 +96,29 @@ def _mirrored(checked: CheckedScene, sample: PostureSamples, tilt: float) -> tup
     side = np.cross(n, np.eye(3)[np.argmin(np.abs(n), axis=1)])
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     turns = [2.0 * math.pi * k / _SIDES for k in range(_SIDES)] if tilt > 0.0 else []
-    leaning = [math.cos(t) * side + math.sin(t) * np.cross(n, side) for t in turns]
-    normals = np.stack([n, *(math.cos(tilt) * n + math.sin(tilt) * way for way in leaning)])
+    ways = [(math.cos(t), math.sin(t)) for t in turns]
+    wider = np.ones((len(some), 1))
+    if some.across is not None and ways:
+        # across the brushing the lobe reaches farther
+        brushed = some.across.any(axis=1)
+        side[brushed] = some.across[brushed]
+        ratios = np.array([own.model.across_ratio for own in checked.scene.reflectances])
+        of_points = ratios[0] if some.material is None else ratios[some.material]
+        wider = np.where(brushed, of_points, 1.0)[:, None]
+        ways += [(share * sign, 0.0) for share in _SHARES_ACROSS for sign in (1.0, -1.0)]
+    leaning = [wider * a * side + b * np.cross(n, side) for a, b in ways]
+    normals = np.stack([n, *(_tilted(n, way, tilt) for way in leaning)])
     mirrored = 2.0 * np.einsum("rik,ik->ri", normals, v)[..., None] * normals - v
     ends = some.points + 1e2 * checked.caster.radius * mirrored
     blocked = _blocked(checked.caster, some, ends) | (np.einsum("rik,ik->ri", mirrored, some.facets) <= 0.0)
     blocked |= ~checked.glossy(some)
     return some, np.where(blocked[..., None], some.points, ends)
+
+
+def _tilted(normals: Float64, ways: Float64, tilt: float) -> Float64:
+    # normals turned towards tangents, by the tilt times their lengths
+    length = np.linalg.norm(ways, axis=1, keepdims=True)
+    return np.cos(tilt * length) * normals + np.sin(tilt * length) * ways / length
 
 
 def _meets(lights: Sequence[PanelLight], some: SurfacePoints, ends: Float64) -> Bool:

@@ -1,4 +1,4 @@
-"""How much of the part, and of what the camera sees, each region of the part is."""
+"""How much of the part, and of what the camera sees, each region of the part is, and where it has a brushing."""
 
 from collections.abc import Iterator
 
@@ -6,6 +6,8 @@ import numpy as np
 
 from lightopt.geometry import face_areas
 from lightopt.preflight._findings import CheckedScene, Finding, percent
+
+_WITHOUT_DIRECTION = 0.1  # share of a brushed surface from which on a direction along its normal is worth a warning
 
 
 def check_regions(checked: CheckedScene) -> Iterator[Finding]:
@@ -35,3 +37,26 @@ def check_regions(checked: CheckedScene) -> Iterator[Finding]:
         if not pixels[number + 1]:
             text = f"the camera does not see {region.name}: check where the region is, or add postures that show it"
             yield Finding("warning", "regions", text, checked.part.source.at("regions", number))
+
+
+def check_brushing(checked: CheckedScene) -> Iterator[Finding]:
+    """How much of a brushed surface in view has no direction, since the brushing is along its normal."""
+    for number, own in enumerate(checked.scene.reflectances):
+        if own.model.across_ratio == 1.0:
+            continue
+        pixels = without = 0
+        for sample in checked.samples:
+            surface = sample.surface
+            assert surface.across is not None
+            seen = surface.front if surface.material is None else surface.front & (surface.material == number)
+            pixels += int(seen.sum())
+            without += int(np.sum(seen & ~surface.across.any(axis=1)))
+        if not pixels:
+            continue
+        share, keys = without / pixels, ("reflectance",) if number == 0 else ("regions", number - 1, "reflectance")
+        text = f"the lobe is {own.model.across_ratio:.3g} times as wide across the brushing; it has a direction on "
+        text += f"{percent(1.0 - share)} of this surface in view"
+        if share > _WITHOUT_DIRECTION:
+            text += ", and is along the normal on the rest: directions are in the mesh file's coordinates"
+        kind = "warning" if share > _WITHOUT_DIRECTION else "ok"
+        yield Finding(kind, "brushing", text, checked.part.source.at(*keys, "brushing"), {"share": 1.0 - share})

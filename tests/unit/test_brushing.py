@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from lightopt import build_scene, render
+from lightopt.config import load_part, load_rig
 from lightopt.geometry import CurvedBrushing, RoundBrushing, StraightBrushing, TriangleMesh, transformed
 from lightopt.optics import Reflectance, SpecularModel, least_white_level
+from lightopt.preflight import check_scene
 from lightopt.scene import move_part
 
 PLATE = TriangleMesh(
@@ -100,6 +102,37 @@ def test_a_highlight_is_longer_across_the_brushing(bench):
     centre = np.sum(rows * level) / level.sum(), np.sum(columns * level) / level.sum()
     spread = [np.sum((at - c) ** 2 * level) / level.sum() for at, c in zip((rows, columns), centre, strict=True)]
     assert spread[1] / spread[0] > 4.0
+
+
+@pytest.mark.parametrize(
+    ("direction", "kind", "words"), [("1, 0, 0", "ok", "100 %"), ("0, 0, 1", "warning", "mesh file")]
+)
+def test_check_says_where_the_brushing_has_a_direction(bench, direction, kind, words):
+    (bench.folder / "knob.stl").write_bytes(
+        _stl(np.array([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], np.float64))
+    )
+    bench.edit("part.yaml", "postures:", "postures: [{elevation_deg: 0, rotation_deg: 0}]  #")
+    text = f"sigma_rad: 0.02, sigma_across_rad: 0.1, brushing: {{direction: [{direction}]}}"
+    bench.edit("part.yaml", "sigma_rad: 0.0475", text)
+    findings = check_scene(load_rig(bench.rig), load_part(bench.part)).findings
+    (found,) = [one for one in findings if one.topic == "brushing"]
+    assert found.level == kind
+    assert words in found.text
+    assert "5 times as wide" in found.text
+
+
+def test_bright_field_reaches_farther_across_the_brushing(bench):
+    shares = {}
+    for name, more in {"plain": "", "brushed": ", sigma_across_rad: 0.2, brushing: {direction: [0, 1, 0]}"}.items():
+        folder = bench.folder / name
+        folder.mkdir()
+        for file in ("rig.yaml", "knob.stl"):
+            (folder / file).write_bytes((bench.folder / file).read_bytes())
+        part = bench.part.read_text(encoding="utf-8").replace("sigma_rad: 0.0475", f"sigma_rad: 0.02{more}")
+        (folder / "part.yaml").write_text(part, encoding="utf-8")
+        findings = check_scene(load_rig(folder / "rig.yaml"), load_part(folder / "part.yaml")).findings
+        shares[name] = [one.values["bright field"] for one in findings if one.topic == "bright field"]
+    assert np.all(np.array(shares["brushed"]) > 1.5 * np.array(shares["plain"]))
 
 
 def _stl(corners):
