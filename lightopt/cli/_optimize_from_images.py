@@ -9,6 +9,7 @@ import typer
 from lightopt.cli import _common as common
 from lightopt.cli._common import output_option
 from lightopt.cli._terminal import echo, echo_paths, run_context, show_page_table
+from lightopt.core.errors import InputError
 
 sample_option = partial(typer.Option, rich_help_panel="Samples")
 choice_option = partial(typer.Option, rich_help_panel="Choice of images")
@@ -75,6 +76,11 @@ def optimize_from_images(
     )
     from lightopt.report.design import chosen_table, defects_table, from_images_report, scores_table
 
+    if files := [path.name for path in sets if path.suffix.lower() in (".yaml", ".yml")]:
+        raise InputError(
+            f"{', '.join(files)}: lights are chosen from image sets; give no rig and part file (--rig names the rig "
+            "that is to take the programme)"
+        )
     options = FromImagesOptions(images=images, mix=mix, false_alarms=false_alarms, limit=max_combinations)
     with run_context(quiet=quiet, threads=threads) as run:
         result = choose(sets, options=options, region=region, rig=rig, captured=compare, run=run)

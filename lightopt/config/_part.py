@@ -172,7 +172,8 @@ class BrushingConfig(Frozen):
             return curve
         given = [key for key in keys[:2] if info.data[key] is not None] + [keys[2]] * (curve is not None)
         if len(given) != 1:
-            raise complaint(f"expected one of {', '.join(keys)}, found {' and '.join(given) or 'none of them'}")
+            found = " and ".join(given) or "none of them"
+            raise fields.absent(f"expected one of {', '.join(keys)}, found {found}", *keys)
         if curve is not None and any(a == b for a, b in pairwise(curve)):
             raise complaint("two corners that follow each other are at the same place; remove one of them")
         return curve

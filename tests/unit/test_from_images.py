@@ -206,6 +206,12 @@ def test_lights_of_the_written_rig_do_not_move(tmp_path, cli):
     assert "range" not in (tmp_path / "out" / "rig.optimized.yaml").read_text(encoding="utf-8")
 
 
+def test_a_rig_and_a_part_are_not_asked_for(tmp_path, cli):
+    ran = cli("optimize", "--from-images", "rig.yaml", "part.yaml", str(tmp_path), "-o", str(tmp_path / "out"))
+    assert ran.status == 2
+    assert "rig.yaml, part.yaml: lights are chosen from image sets; give no rig and part file" in ran.err
+
+
 def test_no_defective_sample_is_said(tmp_path):
     levels, masks = drawn_samples(bad=0)
     levels[:, 2] *= 0.2

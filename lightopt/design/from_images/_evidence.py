@@ -387,6 +387,7 @@ def _warn(
         )
     if hidden := np.flatnonzero(windows.sizes == 0).tolist():
         names = ", ".join(" ".join(windows.label(j)) for j in hidden[:5])
+        names += f" and {len(hidden) - 5} more" if len(hidden) > 5 else ""
         run.warn(
             f"{counted(len(hidden), 'defect')} not used, since no good sample or no pixel shows the place: {names}"
         )
