@@ -182,7 +182,7 @@ def expected_layers(surface: SurfacePoints, words: dict[str, Any], sigma: float,
 
 def wrong(found: np.ndarray, expected: np.ndarray, peak: float) -> np.ndarray:
     """Whether levels are further off than they may be, with R_s such that the brightest highlight is just saturated."""
-    R_s = TOP / peak
+    R_s = TOP / peak if peak > 0.0 else 0.0  # no point shows the highlight of a small light in a narrow lobe
     level, right = (R_D * both[0] + R_s * both[1] for both in (found, expected))
     return np.abs(level - right) > np.maximum(0.1, 0.001 * right)
 
