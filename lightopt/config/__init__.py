@@ -9,7 +9,7 @@ from lightopt.config._camera import CameraConfig as CameraConfig, CameraDeviceCo
 from lightopt.config._defects import DefectConfig as DefectConfig, PixelPlaceConfig as PixelPlaceConfig
 from lightopt.config._edit import (
     copied_text as copied_text,
-    pictures as pictures,
+    referenced_files as referenced_files,
     with_list as with_list,
     with_values as with_values,
 )

@@ -190,7 +190,7 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
         for i, argument in enumerate(device.command or ()):
             if config.source.resolve(argument).is_file():
                 names["hardware", "controllers", controller, "command", i] = argument
-    names |= dict(pictures(config))
+    names |= dict(referenced_files(config))
     for keys, name in names.items():
         if name is None or changes.get(keys, name) is None:  # not there, or removed
             continue
@@ -206,8 +206,8 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
     return text[: comment.start(2)] + schema + text[comment.end(2) :]
 
 
-def pictures(config: RigConfig | PartConfig) -> Iterator[tuple[Keys, str]]:
-    """Places in the file, and names, of a rig's pictures, or of the masks and the tables of a part."""
+def referenced_files(config: RigConfig | PartConfig) -> Iterator[tuple[Keys, str]]:
+    """Places in the file, and names, of the pictures of a rig's lights, or of the masks and tables of a part."""
     if isinstance(config, PartConfig):
         if config.reflectance.table is not None:
             yield ("reflectance", "table"), config.reflectance.table

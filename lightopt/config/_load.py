@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from lightopt.config._batch import BatchConfig
 from lightopt.config._camera import CameraDeviceConfig
-from lightopt.config._edit import pictures
+from lightopt.config._edit import referenced_files
 from lightopt.config._fields import mapping
 from lightopt.config._hardware import ChannelConfig, ControllerConfig, HardwareConfig
 from lightopt.config._part import PartConfig
@@ -68,7 +68,7 @@ def input_files(config: RigConfig | PartConfig) -> dict[str, Path]:
         files["data sheet"] = config.source.resolve(config.camera.sensor.data_sheet)
     files |= {
         f"{'table' if keys[-1] == 'table' else 'picture'} {name}": config.source.resolve(name)
-        for keys, name in pictures(config)
+        for keys, name in referenced_files(config)
     }
     if isinstance(config, PartConfig):
         files["mesh"] = config.source.resolve(config.mesh.file)

@@ -33,7 +33,7 @@ from lightopt.dataset._stack import require_h5py, write_stack
 from lightopt.defects import CatalogueEntry
 from lightopt.images import write_exr, write_png
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
-from lightopt.scene import Scene, build_catalogue, build_scene, defect_facts, frame_part, view_from_part
+from lightopt.scene import Scene, build_catalogue, build_scene, defect_facts, frame_part
 
 TAKEN = (FUSED, STACK, "poses", "stacks")  # names that no light may have
 
@@ -118,7 +118,7 @@ def make_dataset(
     work = _Work(rig, scene, catalogue, options, ranges, factors, views, kinds, size, out)
     limits: dict[Any, PostureLimits] = {}
     records: list[dict[str, Any]] = []
-    resumed, cut_off = 0, list[int]()
+    resumed = 0
     stage = run.stage("rendering poses")
     for pose in poses:
         if (record := out.record(pose.number)) is not None:
@@ -126,14 +126,11 @@ def make_dataset(
         else:
             if pose.posture not in limits:
                 limits[pose.posture] = posture_limits(rig, scene, pose.posture, catalogue, options, run.threads)
-            placed = pose.scene(scene)
-            if not frame_part(view_from_part(placed, pose.posture).camera, placed.mesh).inside:
-                cut_off.append(pose.number)
             record = work.make_pose(pose, limits[pose.posture], run.threads)
         records.append(record)
         stage((pose.number + 1) / len(poses))
     samples = [sample for record in records for sample in record["samples"]]
-    if cut_off:
+    if cut_off := [record["pose"] for record in records if record["leaves_view"]]:
         run.warn(
             f"the part leaves the view in {counted(len(cut_off), 'pose')} of {len(poses)}, as in pose {cut_off[0]}; "
             "lower shift_mm of the ranges' pose, or let the camera see more"
@@ -214,7 +211,8 @@ class _Work:
             files.append(f"stacks/pose-{draw.number:06}.h5")
             self._write_stack(files[-1], pose, samples, [images for _, _, images in found if images is not None])
         omitted = sum(facts["omitted"] for facts in samples)
-        record = {**draw.as_dict(), "samples": samples, "omitted": omitted, "files": files}
+        leaves = not frame_part(pose.pixels.view.camera, pose.scene.mesh).inside
+        record = {**draw.as_dict(), "leaves_view": leaves, "samples": samples, "omitted": omitted, "files": files}
         self.out.write_record(draw.number, record)
         return record
 

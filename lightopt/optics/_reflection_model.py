@@ -313,7 +313,7 @@ def lobe_across(lobe: Lobe, across: Vector) -> Lobe:
         lobe.k,
         lobe.normal_reflectance,
         lobe.widening,
-        Vector(length * across.x, length * across.y, length * across.z),
+        scaled(across, length),
     )
 
 

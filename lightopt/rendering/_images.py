@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -305,6 +305,17 @@ def _run(job: _PostureJob, posture: Posture, threads: int | None, progress: Shar
     _log.info(text, posture, rays / 1e6, seconds, free / 1e6)
 
 
+class _RaysInside(NamedTuple):
+    # rays through places all over some pixels, and what they meet
+    pixels: int  # how many they are
+    pixel: Int32  # of each ray that meets the part, its number among these pixels
+    surface: SurfacePoints
+    sample: Index
+    grid: tuple[int, int]
+    passed: Float64 | None
+    marked: tuple[DefectSamples, ...]
+
+
 class _PostureJob:
     """The images of one posture while they are being made; blocks write to rows of their own."""
 
@@ -440,48 +451,52 @@ class _PostureJob:
 
     def average(self, numbers: list[int], pixels: Index) -> None:
         """Render means over those of some pixels, raveled indices, that are rough in each light."""
-        for number, light in self._means_inside(numbers, pixels)[1]:
+        for number, light in self._means_inside(self._rays_inside(pixels), numbers):
             own = np.isin(pixels, self.rough[number], assume_unique=True)
             for target, means in light:
                 target.ravel()[pixels[own]] = means[own]
 
     def levels_of(self, pixels: Index) -> PixelLevels:
         """Means over some pixels, raveled indices."""
+        inside = self._rays_inside(pixels)
         diffuse, specular = np.zeros((2, len(self.images), len(pixels)))
-        share = np.zeros((len(self.scene.defects), len(pixels)))
         for numbers in self.together:
-            share, lights = self._means_inside(numbers, pixels)
-            for number, light in lights:
+            for number, light in self._means_inside(inside, numbers):
                 _, (_, diffuse[number]), (_, specular[number]) = light
+        share = np.zeros((len(self.scene.defects), len(pixels)))
+        for some in inside.marked:
+            np.add.at(share, (some.label, inside.pixel[some.index]), 1.0 / RAYS_ACROSS**2)
         return PixelLevels(diffuse=diffuse, specular=specular, defect=share)
 
-    def _means_inside(
-        self, numbers: list[int], pixels: Index
-    ) -> tuple[Float64, Iterator[tuple[int, list[tuple[Float32, Float64]]]]]:
-        # the share of each pixel that each defect takes; of each light its arrays, and the means over the pixels for
-        # each
+    def _rays_inside(self, pixels: Index) -> _RaysInside:
         n = RAYS_ACROSS
         row, column = np.divmod(pixels, self.scene.camera.width)
         columns, rows = _inner_points(column, row)
         hits, surface = trace_samples(self.caster, self.scene.mesh, self.view.camera, columns, rows, neighbours=True)
-        passed = lens_share(self.view.camera, columns[hits.ray], rows[hits.ray])
         surface = self._wavy(surface)
-        # to the shadows' refinement the rays of a pixel are neighbours, those of two pixels are not
-        grid = (len(pixels) * (n + 1), n)
-        sample = hits.ray.astype(np.intp) + hits.ray // n**2 * n
         pixel = hits.ray // n**2
-        marked = self._in_defects(surface)
-        share = np.zeros((len(self.scene.defects), len(pixels)))
-        for some in marked:
-            np.add.at(share, (some.label, pixel[some.index]), 1.0 / n**2)
+        return _RaysInside(
+            pixels=len(pixels),
+            pixel=pixel,
+            surface=surface,
+            # to the shadows' refinement the rays of a pixel are neighbours, those of two pixels are not
+            sample=hits.ray.astype(np.intp) + pixel * n,
+            grid=(len(pixels) * (n + 1), n),
+            passed=lens_share(self.view.camera, columns[hits.ray], rows[hits.ray]),
+            marked=self._in_defects(surface),
+        )
 
-        def lights() -> Iterator[tuple[int, list[tuple[Float32, Float64]]]]:
-            shaded = self._shade(surface, numbers, sample, grid)
-            for number, light in zip(numbers, shaded, strict=True):
-                found = self._light(marked, number, light, sample, grid, passed)
-                yield number, [(target, np.bincount(pixel, values, len(pixels)) / n**2) for target, values in found]
-
-        return share, lights()
+    def _means_inside(
+        self, inside: _RaysInside, numbers: list[int]
+    ) -> Iterator[tuple[int, list[tuple[Float32, Float64]]]]:
+        # of each light its arrays, and the means over the pixels for each
+        shaded = self._shade(inside.surface, numbers, inside.sample, inside.grid)
+        for number, light in zip(numbers, shaded, strict=True):
+            found = self._light(inside.marked, number, light, inside.sample, inside.grid, inside.passed)
+            yield (
+                number,
+                [(target, np.bincount(inside.pixel, each, inside.pixels) / RAYS_ACROSS**2) for target, each in found],
+            )
 
     def add_bounces(self, threads: int) -> None:
         """Add the light that reaches the camera from the part, or its surroundings, by way of the part."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -53,7 +54,7 @@ class SurfacePoints:
     material: UInt8 | None = None
     across: Float64 | None = None
 
-    @property
+    @cached_property
     def frames(self) -> Float64:
         """The normals, and of a brushed surface the unit tangents across its brushing; shape (k, 3) or (k, 6)."""
         if self.across is None:

@@ -507,3 +507,20 @@ def test_stacks_have_what_the_images_have(bench, cli):
             for label, defect in enumerate(sample["defects"], 1):
                 own = _masks.pixels_of(defect["mask"])
                 assert (file["defect"][number].reshape(-1)[own] == label).mean() > 0.9
+
+
+@pytest.mark.slow
+def test_postures_without_samples_and_parts_that_leave_the_view_are_said(bench, cli):
+    with_catalogue(bench)
+    ranges = bench.folder / "ranges.yaml"
+    ranges.write_text(RANGES.replace("shift_mm: 0.5", "shift_mm: 60"), encoding="utf-8")
+    wanted = "the part leaves the view in 1 pose of 1, as in pose 0; lower shift_mm of the ranges' pose"
+    for again in (False, True):  # the second run goes on with what is there
+        if again:
+            manifest = bench.out / "dataset.json"
+            content = json.loads(manifest.read_text(encoding="utf-8"))
+            manifest.write_text(json.dumps({**content, "complete": False}), encoding="utf-8")
+        ran = cli(*command(bench, images=2))
+        assert ran.status == 0, ran.err
+        assert "no sample is in posture (-10°, 170°); more samples, or fewer samples per pose, show it" in ran.err
+        assert wanted in ran.err

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from scipy import special
 
-from lightopt.config import RANGE_KEYS, PartConfig, RigConfig, pictures
+from lightopt.config import RANGE_KEYS, PartConfig, RigConfig, referenced_files
 from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.provenance import computed_by, differences, file_sha256
 from lightopt.core.transforms import Posture
@@ -145,7 +145,7 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
     of_part["inspection"] = set(type(part.inspection).model_fields) - {"bounces"}
     of_part["reflectance"] = {"table"}
     of_part["regions"] = {"__all__": {"name": True, "mask": {"file"}, "reflectance": {"table"}}}
-    masks = [file_sha256(part.source.resolve(name)) for _, name in pictures(part)]
+    masks = [file_sha256(part.source.resolve(name)) for _, name in referenced_files(part)]
     if DETECTORS[options.scored_by].uses_catalogue or options.reference == "self":
         del of_part["defect_catalogue"]
     by_synthetic = DETECTORS[options.detector].uses_synthetic
