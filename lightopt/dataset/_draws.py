@@ -92,11 +92,12 @@ def factors_of(ranges: RangesConfig, rig: RigConfig, part: PartConfig) -> Factor
         )
         for light in rig.lights
     }
-    width = limits(values.get("alpha"), own.alpha or 0.0, limits(values.get("sigma_rad"), own.sigma, ranges.sigma))
+    widths = {"sigma_rad": own.sigma_rad, "alpha": own.alpha, "width_factor": own.width_factor if own.table else None}
+    key, width = next((key, width) for key, width in widths.items() if width is not None)
     return Factors(
         R_d=limits(values.get("R_d"), own.R_d, ranges.R_d),
         R_s=limits(values.get("R_s"), own.R_s, ranges.R_s),
-        sigma=width,
+        sigma=limits(values.get(key), width, ranges.sigma),
         gains=gains,
     )
 

@@ -489,6 +489,13 @@ def test_intervals_of_a_fit_and_of_a_calibrated_rig_are_limits(bench):
     assert found.R_s == (0.95, 1.05)  # an open interval limits nothing
     assert found.sigma == pytest.approx((0.046 / 0.0475, 0.049 / 0.0475))
     assert found.gains == {"light1": pytest.approx((0.9, 1.2)), "light3": (0.97, 1.03)}
+    # of a table, the fit finds the factor on its angles
+    fit["values"]["width_factor"] = {"interval_95": [0.8, 1.1]}
+    (bench.folder / "fit.json").write_text(json.dumps(fit), encoding="utf-8")
+    (bench.folder / "lobe.csv").write_text("0,1\n", encoding="utf-8")
+    bench.edit("part.yaml", "sigma_rad: 0.0475", "model: measured, table: lobe.csv, width_factor: 2")
+    found = _draws.factors_of(load_ranges(bench.folder / "ranges.yaml"), rig, load_part(bench.part))
+    assert found.sigma == pytest.approx((0.4, 0.55))
 
 
 def test_stacks_have_what_the_images_have(bench, cli):
