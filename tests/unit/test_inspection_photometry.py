@@ -52,3 +52,13 @@ def test_a_defect_tells_nothing_of_the_lights(bench, gain, level):
 def test_gain_and_dark_of_the_models_own_lobe_are_found(bench, gain, dark):
     light = highlight(9.0) + 30.0
     assert fitted(bench, light, light, gain=gain, dark=dark) == pytest.approx((gain, dark), abs=0.5)
+
+
+def test_haze_on_a_tenth_of_a_dark_part_is_neither_light_nor_black(bench):
+    """Its halo is within the noise of single pixels; a quarter of a level over all others would be a stain."""
+    y, x = np.mgrid[-40:40, -60:60]
+    predicted = (25.0 + x / 4.0).astype(np.float32)
+    haze = 60.0 * np.exp(-((x - 30.0) ** 2 + (y + 10.0) ** 2) / (2.0 * 5.0**2))
+    noise = np.random.default_rng(3).normal(scale=0.8, size=predicted.shape)
+    gain, dark = fitted(bench, predicted + haze + noise, predicted)
+    assert (gain, dark) == (pytest.approx(1.0, abs=6e-3), pytest.approx(0.0, abs=0.1))  # with Huber's weights 0.014

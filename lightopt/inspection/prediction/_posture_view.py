@@ -24,7 +24,7 @@ from lightopt.scene import Scene
 
 PIXELS_PER_IMAGE = 40_000  # about so many pixels of an image are used: all of them would hardly improve the fit
 
-HUBER = 1.5
+HUBER, TUKEY = 1.5, 4.685
 ROUNDS = 12
 # black is no lighter than that share of an image's pixels, and so many times the noise of black
 DARK_QUANTILE, DARK_NOISE = 0.05, 4.0
@@ -323,14 +323,17 @@ def fit_photometry(
     prior = np.append(np.full(n, 1.0 / GAIN_SPREAD**2), 1.0 / DARK_SPREAD**2)
     nominal = x.copy()
     # not with core.least_squares: each image has a spread of its own, and sums in one pass need no matrix of pixels
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
         normal, right = np.diag(prior), prior * nominal
         for light, model, level, noise in rows:
             if not len(model):
                 continue
             off = np.abs(level - x[light] * model - x[n]) / noise
             spread = max(1.4826 * float(np.median(off)), 1.0)
-            square, both, count, seen, total = _huber_sums(off, model, level, noise, HUBER * spread)
+            # Huber's weights find the place whatever the start; a defect of a tenth of the surface still moves it
+            redescending = number >= ROUNDS // 2
+            reach = (TUKEY if redescending else HUBER) * spread
+            square, both, count, seen, total = _robust_sums(off, model, level, noise, reach, redescending)
             normal[light, light] += square
             normal[n, n] += count
             normal[light, n] += both
@@ -417,13 +420,15 @@ def _darkest(scene: Scene, o: Observation, index: Index) -> float:
 
 
 @kernel
-def _huber_sums(
-    off: Float64, model: Float64, level: Float64, noise: Float64, reach: float
+def _robust_sums(
+    off: Float64, model: Float64, level: Float64, noise: Float64, reach: float, redescending: bool
 ) -> tuple[float, float, float, float, float]:
-    # with Huber's weights w: sums of w·m², w·m, w, w·m·level, w·level
+    # with Huber's or Tukey's weights w: sums of w·m², w·m, w, w·m·level, w·level
     square, both, count, seen, total = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(len(off)):
-        weight = min(1.0, reach / max(off[i], 1e-9)) / (noise[i] * noise[i])
+        share = off[i] / reach
+        weight = max(1.0 - share * share, 0.0) ** 2 if redescending else 1.0 / max(share, 1.0)
+        weight /= noise[i] * noise[i]
         weighted = weight * model[i]
         square += weighted * model[i]
         both += weighted
