@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float32, UInt8
 from lightopt.core.errors import InputError, refuse
 from lightopt.core.provenance import file_sha256, files_sha256
-from lightopt.images._file_names import MANIFEST_NAME
 from lightopt.images._image_files import read_exr, read_png
-from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_manifest
+from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest, read_manifest
 
 
 @dataclass(frozen=True)

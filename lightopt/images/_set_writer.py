@@ -14,10 +14,21 @@ from lightopt.core.arrays import Float32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences, file_sha256
 from lightopt.core.transforms import Posture
-from lightopt.images import _file_names as file_names
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._image_files import write_exr, write_png
-from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_manifest
+from lightopt.images._manifest import (
+    MANIFEST_NAME,
+    FileNames,
+    GeometryEntry,
+    ImageEntry,
+    ImageKey,
+    Manifest,
+    exr_name,
+    geometry_name,
+    inside_problem,
+    png_name,
+    read_manifest,
+)
 
 _PATCHES_NAME = "patches.npz"
 
@@ -45,11 +56,11 @@ class ImageSetWriter:
     """
 
     def __init__(
-        self, folder: str | Path, header: Manifest, *, force: bool = False, plan: Iterable[file_names.ImageKey] = ()
+        self, folder: str | Path, header: Manifest, *, force: bool = False, plan: Iterable[ImageKey] = ()
     ) -> None:
         self.folder = Path(folder)
         self._lock = threading.Lock()
-        self._names = file_names.FileNames()
+        self._names = FileNames()
         self._verified: dict[str, str] = {}
         plan = tuple(plan)
         self._names.claim_images(plan)
@@ -58,9 +69,9 @@ class ImageSetWriter:
         self.resumed = existing is not None
         self._may_overwrite = force or self.resumed
         for light, posture, exposure in plan:
-            self._writable(file_names.png_name(light, posture, exposure))
-            self._writable(file_names.exr_name(light, posture))
-            self._writable(file_names.geometry_name(posture))
+            self._writable(png_name(light, posture, exposure))
+            self._writable(exr_name(light, posture))
+            self._writable(geometry_name(posture))
         self.manifest = existing or replace(header, images=(), geometry=(), patches=None, files={})
         self._names.claim_images(entry.key for entry in self.manifest.images)
         make_folder(self.folder)
@@ -113,7 +124,7 @@ class ImageSetWriter:
                     f"light {entry.light!r}: expected {wanted} levels up to {top} ({self.manifest.bit_depth} bits), "
                     f"found {png.dtype} up to {png.max()}"
                 )
-            name = files["png"] = file_names.png_name(*entry.key)
+            name = files["png"] = png_name(*entry.key)
             facts = self._metadata(entry, linear=False)
             hashes["png"] = self._write(name, lambda path: write_png(path, png, metadata=facts))
         if exr is not None:
@@ -141,12 +152,12 @@ class ImageSetWriter:
         return next((e for e in self.manifest.images if e.key[:2] == (light, posture) and e.exr), None)
 
     def _write_linear(self, entry: ImageEntry, channels: Mapping[str, Float32]) -> tuple[str, str]:
-        name, facts = file_names.exr_name(entry.light, entry.posture), self._metadata(entry, linear=True)
+        name, facts = exr_name(entry.light, entry.posture), self._metadata(entry, linear=True)
         return name, self._write(name, lambda path: write_exr(path, channels, metadata=facts))
 
     def _images_sharing(self, entry: ImageEntry, digest: str) -> tuple[ImageEntry, ...]:
         # the listed images; those of the entry's light and posture with the linear image that was written for it
-        exr = file_names.exr_name(entry.light, entry.posture)
+        exr = exr_name(entry.light, entry.posture)
         images = list(self.manifest.images)
         for i, e in enumerate(images):
             if e.key[:2] == entry.key[:2]:
@@ -166,7 +177,7 @@ class ImageSetWriter:
         Channels, float32 (H, W): ``P.X P.Y P.Z`` [mm] and ``N.X N.Y N.Z`` in the world frame, ``Z`` [mm along the ray],
         ``patch`` and, for parts with defects, ``defect``.
         """
-        name = file_names.geometry_name(posture)
+        name = geometry_name(posture)
         self._names.claim(name, f"the geometry of {name.partition('/')[0]}")
         facts = {**self._origin(), "posture": posture.as_dict(), **(metadata or {})}
         digest = self._write(name, lambda path: write_exr(path, channels, metadata=facts))
@@ -228,7 +239,7 @@ class ImageSetWriter:
 
     def _add_further(self, name: str, write: Callable[[Path], str], **changes: Any) -> None:
         # write a file that is no image and list it, with other changes of the manifest
-        if problem := file_names.inside_problem(name):
+        if problem := inside_problem(name):
             raise InputError(f"{name!r}: {problem}")
         self._names.claim(name, f"the file {name}")
         digest = self._write(name, write)
@@ -271,13 +282,13 @@ class ImageSetWriter:
 
     def _save(self, **changes: Any) -> None:
         manifest = replace(self.manifest, **changes)
-        write_text_atomic(self.folder / file_names.MANIFEST_NAME, manifest.to_json())
+        write_text_atomic(self.folder / MANIFEST_NAME, manifest.to_json())
         self.manifest = manifest
 
 
 def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
     """Manifest to continue, the header's warnings added; None for no set. InputError for another run's, or damaged."""
-    path = folder / file_names.MANIFEST_NAME
+    path = folder / MANIFEST_NAME
     if not path.exists():
         return None
     advice = "use option 'force' to replace it, or choose another output folder"
@@ -311,12 +322,12 @@ def remove_image_set(folder: Path) -> int:
     manifest = _readable_manifest(folder)
     if manifest is None or manifest.kind != "simulated":
         return 0
-    return _remove_files(folder, manifest) + remove_file(folder / file_names.MANIFEST_NAME)
+    return _remove_files(folder, manifest) + remove_file(folder / MANIFEST_NAME)
 
 
 def _readable_manifest(folder: Path) -> Manifest | None:
     try:
-        return read_manifest(folder / file_names.MANIFEST_NAME)
+        return read_manifest(folder / MANIFEST_NAME)
     except InputError:
         return None
 

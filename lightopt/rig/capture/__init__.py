@@ -3,9 +3,9 @@
 - plan: ``_capture_plan.py`` (the capture as data, checked against limits before anything is opened), ``_wiring.py``
   (which device plays which role);
 - devices: ``_connect.py`` (opens real or simulated ones), ``_safe_devices.py`` (lights off and stage stopped on every
-  way out), ``_watchdog.py`` (limits how long lights are on), ``_lights_off.py``, ``_manual_control.py``;
-- run: ``_capture.py``, ``_session.py`` (order of steps), ``_acquisition.py`` (lights, settling, frames);
-- images: ``_image_checks.py``, ``_repeatability.py``, ``_captured_set.py`` (on disk).
+  way out, never longer on than allowed), ``_lights_off.py``, ``_manual_control.py``;
+- run: ``_capture.py`` (order of steps), ``_acquisition.py`` (lights, settling, frames, their exposures);
+- images: ``_image_checks.py`` (and repeatability of the stage), ``_captured_set.py`` (on disk).
 """
 
 from lightopt.rig.capture._acquisition import Timing as Timing

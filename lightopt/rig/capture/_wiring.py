@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -65,11 +65,13 @@ class Wiring:
 
     def pictures(self, controller: str) -> dict[int, Callable[[], Float64]]:
         """Picture of each channel of a display, made when it is needed."""
-        config = self.hardware.controllers[controller].picture
+        if (config := self.hardware.controllers[controller].picture) is None:
+            return {}
+        own = {name: self.hardware.lights[name] for name in self.displays if name in self.hardware.lights}
         return {
             channel.channel: partial(display_picture, self.displays[name], config.seen_px, folder=self.folder)
-            for name, channel in self.hardware.lights.items()
-            if config is not None and channel.controller == controller and name in self.displays
+            for name, channel in own.items()
+            if channel.controller == controller
         }
 
     def top_level(self, name: str) -> int:
@@ -100,19 +102,20 @@ class Wiring:
 
 def wiring_of(rig: RigConfig) -> Wiring:
     """The devices of a rig, or the virtual bench: CCS controllers of four channels, a SHOT stage, a virtual camera."""
-    hardware = rig.hardware
-    exposure_us = rig.camera.exposure_us or VIRTUAL_EXPOSURE_US
-    if hardware is not None:
-        wiring = Wiring(
-            hardware,
-            given=True,
-            exposure_us=exposure_us,
-            images=_image_levels(rig, hardware),
-            displays={light.name: light for light in rig.channels if light.kind == "display"},
-            folder=rig.source.resolve("."),
-        )
-        refuse(_too_bright(rig, wiring))
-        return wiring
+    hardware = rig.hardware or _virtual_hardware(rig)
+    wiring = Wiring(
+        hardware,
+        given=rig.hardware is not None,
+        exposure_us=rig.camera.exposure_us or VIRTUAL_EXPOSURE_US,
+        images=_image_levels(rig, hardware),
+        displays={light.name: light for light in rig.channels if light.kind == "display"},
+        folder=rig.source.resolve("."),
+    )
+    refuse(_too_bright(rig, wiring))
+    return wiring
+
+
+def _virtual_hardware(rig: RigConfig) -> HardwareConfig:
     controllers: dict[str, ControllerConfig] = {}
     lights: dict[str, ChannelConfig] = {}
     for i, light in enumerate(rig.channels):
@@ -122,8 +125,7 @@ def wiring_of(rig: RigConfig) -> Wiring:
         lights[light.name] = ChannelConfig(controller=name, channel=channel, level=_VIRTUAL_LEVEL)
     stage = StageDeviceConfig(driver="shot", port=VIRTUAL, elevation=_VIRTUAL_TILT, rotation=_VIRTUAL_ROTATION)
     camera = CameraDeviceConfig(driver="virtual")
-    hardware = HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
-    return Wiring(hardware, given=False, exposure_us=exposure_us, images=_image_levels(rig, hardware))
+    return HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
 
 
 def _image_levels(rig: RigConfig, hardware: HardwareConfig) -> dict[str, dict[str, int]]:
@@ -135,10 +137,10 @@ def _image_levels(rig: RigConfig, hardware: HardwareConfig) -> dict[str, dict[st
             wanted = weight * hardware.lights[light].level
             own[light] = round(wanted)
             if abs(own[light] - wanted) > _LEVEL_TOLERANCE * wanted:
+                where, level = rig.source.at("programme", i, "lights", light), hardware.lights[light].level
                 problems.append(
-                    f"{rig.source.at('programme', i, 'lights', light)}: weight {weight:g} of level "
-                    f"{hardware.lights[light].level} is {wanted:g}, and the controller has whole levels; choose a "
-                    "weight that gives one, or another level of the light"
+                    f"{where}: weight {weight:g} of level {level} is {wanted:g}, and the controller has whole levels; "
+                    "choose a weight that gives one, or another level of the light"
                 )
     refuse(problems)
     return found
@@ -159,22 +161,18 @@ def _too_bright(rig: RigConfig, wiring: Wiring) -> Iterator[str]:
             pictures = wiring.pictures(controller)
             most = float(np.sum([share * pictures[channel]() for channel, share in own.items()], axis=0).max())
             if most > 1.0 + 1e-9:
-                yield (
-                    f"{rig.source.at('programme', i, 'lights')}: the pictures together need {most:.3g} times the full "
-                    f"radiance of the display {controller} at their brightest place; lower the weights, or the levels "
-                    "of the lights"
-                )
+                where, full = rig.source.at("programme", i, "lights"), f"the full radiance of the display {controller}"
+                yield f"{where}: the pictures together need {most:.3g} times {full}; lower the weights, or the levels"
 
 
 def stage_axes(rig: RigConfig, stage: StageDeviceConfig) -> list[Axis]:
+    axes = (
+        ("elevation", stage.elevation, rig.stage.elevation_range_deg),
+        ("rotation", stage.rotation, rig.stage.rotation_range_deg),
+    )
     return [
-        Axis(
-            name=name,
-            device=axis.axis,
-            range_deg=getattr(rig.stage, f"{name}_range_deg"),
-            **axis.model_dump(exclude={"axis"}),
-        )
-        for name, axis in (("elevation", stage.elevation), ("rotation", stage.rotation))
+        Axis(name, axis.axis, range_deg, **axis.model_dump(exclude={"axis"}))
+        for name, axis, range_deg in axes
         if axis is not None
     ]
 
@@ -223,30 +221,30 @@ def start_bench(
 
 def bench_truth(rig: RigConfig, seed: int | None = None) -> BenchTruth:
     """How the virtual bench differs from a rig's file, apart from the rig that it follows; `seed` as in the file."""
-    own = rig.virtual_bench
-    if own is None:
-        return BenchTruth() if seed is None else BenchTruth(seed=seed)
-    x, y, z = map(math.radians, own.part_rotation_vector_deg)
-    seed = own.seed if seed is None else seed
-    return BenchTruth(
-        seed=seed, rays=own.rays, bounces=own.bounces, part_offset_mm=own.part_offset_mm, part_rotation=(x, y, z)
-    )
+    truth = BenchTruth()
+    if (own := rig.virtual_bench) is not None:
+        x, y, z = map(math.radians, own.part_rotation_vector_deg)
+        same = own.model_dump(include={"seed", "rays", "bounces", "part_offset_mm"})
+        truth = BenchTruth(**same, part_rotation=(x, y, z))
+    return truth if seed is None else replace(truth, seed=seed)
 
 
 def _true_rig(rig: RigConfig) -> RigConfig:
     if rig.virtual_bench is None or rig.virtual_bench.rig is None:
         return rig
     true = load_rig(rig.source.resolve(rig.virtual_bench.rig))
-    for what, own, there in (
-        ("lights", {light.name for light in rig.channels}, {light.name for light in true.channels}),
-        ("resolution_px", rig.camera.resolution_px, true.camera.resolution_px),
-        ("bit_depth", rig.camera.sensor.bit_depth, true.camera.sensor.bit_depth),
-    ):
-        if own != there:
-            raise InputError(
-                f"{rig.source.at('virtual_bench', 'rig')}: {true.source.path} has other {what} than this file; "
-                "the bench's true rig must have the same"
-            )
+    own, there = (
+        {
+            "lights": {light.name for light in one.channels},
+            "resolution_px": one.camera.resolution_px,
+            "bit_depth": one.camera.sensor.bit_depth,
+        }
+        for one in (rig, true)
+    )
+    for what in own:
+        if own[what] != there[what]:
+            where = f"{rig.source.at('virtual_bench', 'rig')}: {true.source.path}"
+            raise InputError(f"{where} has other {what} than this file; the bench's true rig must have the same")
     return true
 
 

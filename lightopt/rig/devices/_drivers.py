@@ -15,10 +15,8 @@ from lightopt.rig.devices._light_ccs import CcsController
 from lightopt.rig.devices._light_display import CommandController, ScreenController
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
-from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._serial_log import SerialLog
-from lightopt.rig.devices._stage import Clock, Stage
-from lightopt.rig.devices._stage_dialogue import Axis, Dialogue
+from lightopt.rig.devices._serial_link import SerialLink, SerialLog
+from lightopt.rig.devices._stage import Axis, Clock, Dialogue, Stage
 from lightopt.rig.devices._stage_grbl import GrblDialogue
 from lightopt.rig.devices._stage_sigmakoki import GscDialogue, ShotDialogue
 from lightopt.rig.devices._stage_zaber import ZaberDialogue

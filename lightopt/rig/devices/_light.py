@@ -12,8 +12,7 @@ from typing import Any, ClassVar, TypeVar
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.rig.devices._device import Identity, RefusedError, Retry
-from lightopt.rig.devices._serial_link import Link, SerialLink
-from lightopt.rig.devices._serial_log import SerialLog
+from lightopt.rig.devices._serial_link import Link, SerialLink, SerialLog
 
 T = TypeVar("T")
 

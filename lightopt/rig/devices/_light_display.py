@@ -30,8 +30,7 @@ from lightopt.core.errors import HardwareError, InputError
 from lightopt.images import write_png
 from lightopt.rig.devices._device import RefusedError, ReplyError
 from lightopt.rig.devices._light import LightController, LightSettings, PictureSettings
-from lightopt.rig.devices._serial_link import Link, SerialLink
-from lightopt.rig.devices._serial_log import SerialLog
+from lightopt.rig.devices._serial_link import Link, SerialLink, SerialLog
 
 _START_S = 30.0
 _END_S = 5.0

@@ -21,7 +21,7 @@ from typing import Any
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices._device import LinkLostError, ReplyError
 from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading, describe_range
+from lightopt.rig.devices._stage import Axis, Dialogue, Reading, describe_range
 
 _AXES = ("X", "Y", "Z")
 _RESET = b"\x18"
@@ -37,49 +37,23 @@ _HELD = {
     "Sleep": "asleep; reset it",
     "Alarm": "locked; home it (lightopt bench home RIG), or find out why and unlock it with $X",
 }
-
-
 _CRITICAL = ("ALARM:1 ", "ALARM:2 ")  # Grbl then answers nothing, not even '?', until it is reset
-
 _ALARMS = {
     1: "hard limit: a limit switch was hit, the position is lost",
     2: "soft limit: the target lies outside the travel; the position is kept",
     3: "reset in motion: steps may be lost",
-    4: "probe fail: the probe was in another state than expected",
-    5: "probe fail: the probe met nothing",
     6: "homing fail: reset during homing",
     7: "homing fail: the door was opened during homing",
     8: "homing fail: pulling off did not release the limit switch",
     9: "homing fail: no limit switch was found within the search distance",
     10: "homing fail: the second limit switch of an axis was not found",
 }
-_ERRORS = {
-    1: "a letter was expected",
-    2: "a number is missing or not one",
-    3: "unknown $ command",
-    4: "a negative value where none may be",
+_ERRORS = {  # that a line of this driver can cause as it was sent; others mean that it was damaged on its way
     5: "homing is not enabled ($22=0)",
-    6: "step pulse shorter than 3 µs",
-    7: "the settings could not be read from memory and were reset",
     8: "not possible while the machine is not idle",
     9: "locked by an alarm, or while jogging",
-    10: "soft limits need homing ($22=1)",
-    11: "the line is too long",
-    12: "the step rate is too high",
     13: "the door is open",
-    14: "the startup line is too long",
-    15: "the jog target lies outside the travel",
-    16: "wrong jog command",
-    17: "laser mode needs a PWM output",
     20: "unsupported command",
-    21: "two commands of one group in a line",
-    22: "the feed rate is missing",
-    23: "a whole number was expected",
-    24: "two commands that use the axis words",
-    25: "a word twice in a line",
-    26: "no axis words",
-    31: "axis words without a command that uses them",
-    33: "the target of the move is invalid",
 }
 _REPORT = re.compile(rb"<(?P<state>[A-Za-z]+(?::\d+)?)\|(?P<fields>[^<>]*)>\r?\n")
 _NUMBERS = re.compile(r"-?\d+(?:\.\d+)?(?:,-?\d+(?:\.\d+)?)*")
@@ -325,4 +299,4 @@ class GrblDialogue(Dialogue):
         kind, _, number = line.decode("ascii", "replace").strip().partition(":")
         if not number.isdigit():
             raise self.link.failure("a broken reply", reply=line, kind=ReplyError)
-        return f"{kind}:{number} ({meanings.get(int(number), 'unknown')})"
+        return f"{kind}:{number} ({meanings.get(int(number), 'see the lists of Grbl')})"

@@ -22,7 +22,7 @@ from typing import ClassVar
 
 from lightopt.core.errors import InputError, refuse
 from lightopt.rig.devices._device import ReplyError, printable
-from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
+from lightopt.rig.devices._stage import Axis, Dialogue, Reading
 
 END = b"\r\n"
 RAMP_MS = 200  # acceleration and deceleration; the controllers' own value at power-up

@@ -16,7 +16,7 @@ from typing import Any
 from lightopt.core.errors import InputError
 from lightopt.rig.devices._device import ReplyError, printable
 from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
+from lightopt.rig.devices._stage import Axis, Dialogue, Reading
 
 NOT_HOMED = frozenset({"WR", "WH"})
 
@@ -33,8 +33,6 @@ _WARNINGS = {
     "FQ": "encoder error: the position may be wrong",
     "FS": "stalled and stopped",
     "FT": "the lockstep axes twist too much",
-    "FB": "a streamed motion left its bounds",
-    "FP": "a streamed motion left its path",
     "FE": "a limit sensor cannot be reached or is faulty",
     "WH": "not homed",
     "WL": "a limit sensor ended a move that should not have met it: the axis may have slipped",
@@ -45,18 +43,13 @@ _WARNINGS = {
     "WR": "no reference position",
     "NC": "moved by hand with the knob",
     "NI": "a move was interrupted by another",
-    "ND": "a stream ran out of motions",
     "NU": "a setting waits for a restart",
-    "NJ": "the joystick is being calibrated",
 }
 _REJECTIONS = {
     "AGAIN": "not now; send again",
     "BADAXIS": "the device has no such axis",
     "BADCOMMAND": "unknown command or setting",
     "BADDATA": "the value is wrong or out of range",
-    "BADMESSAGEID": "the message number is wrong",
-    "DEVICEONLY": "a command for the device, not for an axis",
-    "FULL": "no more room",
     "LOCKSTEP": "the axis is part of a lockstep group",
     "NOACCESS": "not allowed at this access level",
     "PARKED": "the device is parked",
@@ -87,7 +80,7 @@ def checksum(body: bytes) -> bytes:
 
 
 def frame(device: int, axis: int, number: int, command: str) -> bytes:
-    body = " ".join(part for part in (str(device), str(axis), f"{number:02d}", command) if part).encode("ascii")
+    body = f"{device} {axis} {number:02d} {command}".encode("ascii")
     return b"/" + body + b":" + checksum(body) + b"\n"
 
 
