@@ -49,10 +49,8 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], *, overw
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            raise InputError(
-                f"{path}: cannot be written: {error.strerror or error}; "
-                "check that the folder exists, is writable and has room, or choose another one"
-            ) from error
+            advice = "check that the folder exists, is writable and has room, or choose another one"
+            raise InputError(f"{path}: cannot be written: {error.strerror or error}; {advice}") from error
         raise
     return digest
 
@@ -180,10 +178,9 @@ class ResultFolder:
         before = (old or {}).get("provenance")
         changed = differences(before if isinstance(before, Mapping) else {}, self.made_from)
         if there and not force and (old is None or changed):
-            raise InputError(
-                f"{folder} already has {', '.join(there)} of {what} of other inputs or with other options"
-                f"{f' ({changed})' if changed else ''}; use option 'force' to replace it, or choose another folder"
-            )
+            other = f"of {what} of other inputs or with other options{f' ({changed})' if changed else ''}"
+            advice = "use option 'force' to replace it, or choose another folder"
+            raise InputError(f"{folder} already has {', '.join(there)} {other}; {advice}")
 
     def place(self, name: str) -> Path:
         """Path for a file of the result, by its name relative to the folder; its own folder is made."""

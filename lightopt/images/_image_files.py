@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,13 +53,11 @@ def _write_image(
     rows: Iterable[NDArray[Any]],
     metadata: Mapping[str, Any],
     *,
-    is_complete: Callable[[Path], bool],
     overwrite: bool = True,
 ) -> str:
     """Encode an image block by block, whole or not at all; returns the SHA-256 in hex.
 
-    `rows` are blocks from the top down, each (rows, W, C) in the spec's sample type. `is_complete` says whether a
-    file has its end: a disk that fills up at the last flush is reported by no encoder.
+    `rows` are blocks from the top down, each (rows, W, C) in the spec's sample type.
     """
     # ASCII JSON with sorted keys: equal metadata are equal bytes, and PNG's Latin-1 text holds them
     text = json.dumps(dict(metadata), sort_keys=True, allow_nan=False, separators=(",", ":"))
@@ -78,7 +76,9 @@ def _write_image(
         closed = output.close()
         # The PNG writer reports success on a full disk; only its error text shows it.
         message = output.geterror()
-        if not (done and closed) or message or not is_complete(path):
+        # a disk that fills up at the last flush is reported by no encoder
+        is_whole = _is_whole_png if file_format == "png" else _is_whole_exr
+        if not (done and closed) or message or not is_whole(path):
             with path.open("ab") as file:  # appended, so that the system says why it refuses (no space left, quota, …)
                 file.write(bytes(_PROBE_BYTES))
             raise OSError(message.strip().split("\n")[0] or "the file came out incomplete")
@@ -155,7 +155,7 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], 
     if grey:
         spec.attribute("png:filter", _NO_FILTER)
     spec.attribute("oiio:ColorSpace", "unknown")  # else sRGB and gamma chunks are added, which are not true
-    return _write_image(path, "png", spec, [pixels], metadata, is_complete=_is_whole_png, overwrite=overwrite)
+    return _write_image(path, "png", spec, [pixels], metadata, overwrite=overwrite)
 
 
 def _is_whole_png(path: Path) -> bool:
@@ -228,7 +228,7 @@ def write_exr(path: str | Path, channels: Mapping[str, Float32], *, metadata: Ma
         for top in range(0, height, _BLOCK_ROWS):
             yield np.stack([channel[top : top + _BLOCK_ROWS] for channel in channels.values()], axis=-1)
 
-    return _write_image(path, "openexr", spec, blocks(), metadata, is_complete=_is_whole_exr)
+    return _write_image(path, "openexr", spec, blocks(), metadata)
 
 
 def _is_whole_exr(path: Path) -> bool:

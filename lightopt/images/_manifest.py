@@ -1,4 +1,4 @@
-"""The manifest of an image set: what was imaged, under which light, posture and exposure, and the names of its files."""
+"""The manifest of an image set: what was imaged, under which light, posture and exposure, in which files."""
 
 import json
 import math

@@ -72,14 +72,10 @@ def _overlap(images: ImageSet, posture: Posture, exposure: float, entries: list[
             raise InputError(f"{where}: {sizes}; expected images of one camera")
         total = share if total is None else total + share
     assert total is not None
-    return Overlap(
-        posture=posture,
-        exposure=exposure,
-        saturated={light: int(mask.sum()) for light, mask in masks.items()},
-        pairs={(a, b): int((masks[a] & masks[b]).sum()) for a, b in itertools.combinations(masks, 2)},
-        count=np.stack(list(masks.values())).sum(axis=0).astype(np.uint8),
-        mean=(total / len(entries)).astype(np.float32),
-    )
+    saturated = {light: int(mask.sum()) for light, mask in masks.items()}
+    pairs = {(a, b): int((masks[a] & masks[b]).sum()) for a, b in itertools.combinations(masks, 2)}
+    count = np.stack(list(masks.values())).sum(axis=0).astype(np.uint8)
+    return Overlap(posture, exposure, saturated, pairs, count, (total / len(entries)).astype(np.float32))
 
 
 def overlap_map_name(posture: Posture, exposure: float = 1.0) -> str:

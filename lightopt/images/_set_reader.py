@@ -72,11 +72,9 @@ class ImageSet:
         sensor = read_png(self.path(name))
         highest = int(sensor.max())
         if highest > manifest.max_level or np.iinfo(sensor.dtype).max < manifest.max_level:
-            expected = f"right-aligned levels of {manifest.bit_depth} bits (up to {manifest.max_level})"
-            raise InputError(
-                f"{self.path(name)}: expected {expected}, found {sensor.dtype} up to {highest}; correct bit_depth in "
-                "the manifest or deliver the levels unscaled"
-            )
+            expected = f"expected right-aligned levels of {manifest.bit_depth} bits (up to {manifest.max_level})"
+            advice = "correct bit_depth in the manifest or deliver the levels unscaled"
+            raise InputError(f"{self.path(name)}: {expected}, found {sensor.dtype} up to {highest}; {advice}")
         scale = manifest.full_scale / (manifest.max_level * entry.held_exposure)
         levels = ((sensor.astype(np.float64) - manifest.black_level) * scale).astype(np.float32)
         saturated = sensor >= manifest.saturated_from
@@ -111,10 +109,8 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
         patterns = (f"*/{MANIFEST_NAME}", f"*/*/{MANIFEST_NAME}")
         if below := sorted(found.parent for pattern in patterns for found in path.glob(pattern)):
             raise InputError(f"{path}: no image set, but these folders in it are: {', '.join(map(str, below[:5]))}")
-        raise InputError(
-            f"{path}: no {MANIFEST_NAME}, which says what each picture shows; docs/reference/conventions.md, Image "
-            "sets, says how to write one for pictures that another program took"
-        )
+        how = "docs/reference/conventions.md, Image sets, says how to write one for pictures that another program took"
+        raise InputError(f"{path}: no {MANIFEST_NAME}, which says what each picture shows; {how}")
     image_set = ImageSet(folder=manifest_path.parent, manifest=read_manifest(manifest_path))
     listed = image_set.manifest.listed_files if verify else ()
     refuse([text for name, digest in listed if (text := _file_problem(image_set.path(name), digest))])

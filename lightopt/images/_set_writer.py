@@ -120,10 +120,8 @@ class ImageSetWriter:
         if png is not None:
             wanted, top = np.dtype(np.uint8 if self.manifest.bit_depth <= 8 else np.uint16), self.manifest.max_level
             if png.dtype != wanted or int(png.max()) > top:
-                raise InputError(
-                    f"light {entry.light!r}: expected {wanted} levels up to {top} ({self.manifest.bit_depth} bits), "
-                    f"found {png.dtype} up to {png.max()}"
-                )
+                expected = f"expected {wanted} levels up to {top} ({self.manifest.bit_depth} bits)"
+                raise InputError(f"light {entry.light!r}: {expected}, found {png.dtype} up to {png.max()}")
             name = files["png"] = png_name(*entry.key)
             facts = self._metadata(entry, linear=False)
             hashes["png"] = self._write(name, lambda path: write_png(path, png, metadata=facts))
@@ -216,11 +214,8 @@ class ImageSetWriter:
             listed += [name for name in names if name in self.manifest.files]
             changed = {**self.manifest.extra, **(extra or {})}
             if listed or changed != self.manifest.extra:
-                self._save(
-                    images=tuple(e for e in entries if e.key[:2] not in of_them),
-                    files={n: h for n, h in self.manifest.files.items() if n not in names},
-                    extra=changed,
-                )
+                files = {name: digest for name, digest in self.manifest.files.items() if name not in names}
+                self._save(images=tuple(e for e in entries if e not in gone), files=files, extra=changed)
         for name in listed:
             self._verified.pop(name, None)
             remove_file(self.folder / name)

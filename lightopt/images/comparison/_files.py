@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, UInt8
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, collected
 from lightopt.core.provenance import file_sha256, files_sha256, provenance
 from lightopt.core.transforms import Posture
 from lightopt.images import (
@@ -139,16 +139,13 @@ def _load_image(
     role: str, path: Path, saturation: float | None, black: float | None, problems: list[str]
 ) -> LoadedFile | None:
     """Read an image; where that fails, add the problem."""
-    if not path.is_file():
-        problems.append(f"{role} file is missing: {path}")
-        return None
-    try:
+    with collected(problems):
+        if not path.is_file():
+            raise InputError(f"{role} file is missing: {path}")
         image = load_file(path)
-    except InputError as error:
-        problems.extend(error.messages)
-        return None
-    known = {name: value for name, value in (("saturation", saturation), ("black", black)) if value is not None}
-    return replace(image, **known) if image.kind.startswith("PNG") else image
+        known = {name: value for name, value in (("saturation", saturation), ("black", black)) if value is not None}
+        return replace(image, **known) if image.kind.startswith("PNG") else image
+    return None
 
 
 def _structure_problems(golden: LoadedFile, new: LoadedFile) -> Iterator[str]:
@@ -341,11 +338,9 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds 
 
 
 def _open(role: str, path: str | Path, problems: list[str]) -> ImageSet | None:
-    try:
+    with collected(problems, where=f"{role} set"):
         return read_image_set(path, verify=False)
-    except InputError as error:
-        problems.extend(f"{role} set: {message}" for message in error.messages)
-        return None
+    return None
 
 
 def _listed(manifest: Manifest) -> dict[str, tuple[str, str | None]]:
@@ -392,10 +387,8 @@ def _notes(golden: Manifest, new: Manifest) -> Iterator[str]:
 def comparison_provenance(result: FileComparison | SetComparison, thresholds: ComparisonThresholds) -> dict[str, Any]:
     """Inputs and thresholds of a comparison, in the layout of :mod:`lightopt.core.provenance`. Raises OSError."""
     if isinstance(result, SetComparison):
-        inputs = {
-            "golden": _set_hashes(result.a, [file.a for file in result.files]),
-            "new": _set_hashes(result.b, [file.b for file in result.files]),
-        }
+        golden = _set_hashes(result.a, [file.a for file in result.files])
+        inputs = {"golden": golden, "new": _set_hashes(result.b, [file.b for file in result.files])}
     else:
         inputs = {"golden": {"sha256": file_sha256(result.a)}, "new": {"sha256": file_sha256(result.b)}}
     return provenance(inputs, asdict(thresholds))

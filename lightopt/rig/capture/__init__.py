@@ -21,14 +21,13 @@ from lightopt.rig.capture._connect import check_devices as check_devices, connec
 from lightopt.rig.capture._lights_off import switch_off as switch_off
 from lightopt.rig.capture._manual_control import (
     check_angles as check_angles,
-    check_exposure as check_exposure,
     check_level as check_level,
     check_on_time as check_on_time,
+    check_snap as check_snap,
     controller_place as controller_place,
     device_statuses as device_statuses,
     hold_light as hold_light,
     snap as snap,
-    snap_on_s as snap_on_s,
 )
 from lightopt.rig.capture._safe_devices import Devices as Devices
 from lightopt.rig.capture._wiring import wiring_of as wiring_of

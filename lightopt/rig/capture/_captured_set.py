@@ -191,9 +191,7 @@ class BackgroundWriter:
 
     def submit_linear(self, work: Callable[..., None], *arguments: object) -> None:
         """Write a linear image, once its exposures are written; waits while the queue is full."""
-        with self._timing.spent("writing_s"):
-            while len(self._unwritten()) >= MOST_LINEARS:
-                wait(self._queued, return_when=FIRST_COMPLETED)
+        self._wait_for_linears(MOST_LINEARS - 1)
         self._queued.append(self._linears.submit(_run_after, self._last, work, *arguments))
 
     def wait_for_image(self, longest_s: float | None = None) -> bool:
@@ -210,9 +208,7 @@ class BackgroundWriter:
     def wait(self) -> None:
         """Wait until all is on disk; the first error is raised here."""
         self.wait_for_image()
-        with self._timing.spent("writing_s"):
-            while self._unwritten():
-                wait(self._queued, return_when=FIRST_COMPLETED)
+        self._wait_for_linears(0)
 
     def cancel_linears(self) -> None:
         self._linears.shutdown(wait=False, cancel_futures=True)
@@ -227,13 +223,17 @@ class BackgroundWriter:
         self._images.shutdown(wait=True)
         self._linears.shutdown(wait=True)
 
-    def _unwritten(self) -> list[Future[None]]:
-        """Linear images that are not written yet; the first error of those that are done is raised."""
-        done = [future for future in self._queued if future.done()]
-        self._queued = [future for future in self._queued if future not in done]
-        for future in done:
-            _result(future)
-        return self._queued
+    def _wait_for_linears(self, most: int) -> None:
+        """Wait until at most so many linear images are not written yet; the first error of the others is raised."""
+        with self._timing.spent("writing_s"):
+            while True:
+                done = [future for future in self._queued if future.done()]
+                self._queued = [future for future in self._queued if future not in done]
+                for future in done:
+                    _result(future)
+                if len(self._queued) <= most:
+                    return
+                wait(self._queued, return_when=FIRST_COMPLETED)
 
 
 def _run_after(before: Future[None] | None, work: Callable[..., None], *arguments: object) -> None:

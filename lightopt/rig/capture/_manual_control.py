@@ -74,15 +74,14 @@ def check_on_time(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> 
         raise InputError(f"{name} would be on for {seconds:.3g} s, {longer}; nothing was opened")
 
 
-def check_exposure(wiring: Wiring, rig: RigConfig, exposure: float) -> None:
-    """Refuse a relative exposure that the camera is known not to have (InputError); nothing is opened."""
+def check_snap(wiring: Wiring, rig: RigConfig, exposure: float, light: str | None) -> None:
+    """Refuse a frame that camera or light are known not to allow (InputError); nothing is opened."""
     refuse(exposure_problems(rig, wiring, (exposure,)))
-
-
-def snap_on_s(wiring: Wiring, exposure: float) -> float:
-    """How long a light is on for one frame at a relative exposure [s]: settling, and the frames' exposures."""
-    timing = wiring.hardware.timing
-    return timing.light_ms / 1e3 + (1 + timing.discard_frames) * exposure * wiring.exposure_us / 1e6
+    if light is not None:
+        check_level(wiring, rig, light, None)
+        timing = wiring.hardware.timing
+        frames_s = (1 + timing.discard_frames) * exposure * wiring.exposure_us / 1e6
+        check_on_time(wiring, rig, light, timing.light_ms / 1e3 + frames_s)
 
 
 def hold_light(

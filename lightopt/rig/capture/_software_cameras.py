@@ -67,8 +67,8 @@ class FolderCamera:
             if light is not None:
                 raise HardwareError(problem)
             # the set's black level, to check lit images against where it has no dark frames
-            shape, black = self.resolution_px[::-1], round(self._set.manifest.black_level)
-            levels = np.full(shape, black, np.uint8) if self.bit_depth <= 8 else np.full(shape, black, np.uint16)
+            black = np.full(self.resolution_px[::-1], round(self._set.manifest.black_level))
+            levels = black.astype(np.uint8) if self.bit_depth <= 8 else black.astype(np.uint16)
         else:
             name = dark_name(posture, exposure) if light is None else self._entries[light, posture, exposure].png
             try:

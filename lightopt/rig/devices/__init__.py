@@ -35,10 +35,7 @@ from lightopt.rig.devices._light import (
     all_off as all_off,
     run_in_parallel as run_in_parallel,
 )
-from lightopt.rig.devices._light_display import (
-    check_program as check_program,
-    check_screen_library as check_screen_library,
-)
+from lightopt.rig.devices._light_display import check_display as check_display
 from lightopt.rig.devices._serial_link import SerialLog as SerialLog
 from lightopt.rig.devices._serial_ports import port_problem as port_problem, serial_ports as serial_ports
 from lightopt.rig.devices._stage import Axis as Axis, Stage as Stage, StageState as StageState

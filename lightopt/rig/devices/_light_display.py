@@ -16,6 +16,7 @@ import threading
 import time
 import zlib
 from abc import abstractmethod
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
@@ -41,10 +42,14 @@ _MOST_STDERR = 500  # characters of what a command printed that a message has
 _ROUNDING = 1e-9
 
 
-def check_screen_library() -> None:
-    """Check that the library of the windows is installed, or raise an InputError with how to install it."""
-    if find_spec("pygame") is None:
-        raise InputError("driver: screen needs pygame-ce; install it: pip install 'lightopt[screen]'")
+def check_display(command: Sequence[str] | None, folder: Path) -> None:
+    """Check that the program of a command, or without one the library of windows, is there, or raise an InputError."""
+    if command is None:
+        if find_spec("pygame") is None:
+            raise InputError("driver: screen needs pygame-ce; install it: pip install 'lightopt[screen]'")
+    elif program_path(command[0], folder) is None:
+        where = "on the PATH" if Path(command[0]).name == command[0] else f"in {folder}"
+        raise InputError(f"no program {command[0]} {where} that can be run; expected a program's name or path")
 
 
 class ScreenProcess:
@@ -55,7 +60,7 @@ class ScreenProcess:
     """
 
     def __init__(self, monitor: int, size: tuple[int, int], *, device: str) -> None:
-        check_screen_library()
+        check_display(None, Path())
         with tempfile.TemporaryFile() as errors:
             # this interpreter, a file of this package
             arguments = [sys.executable, str(_WINDOW), *map(str, (monitor, *size))]
@@ -148,11 +153,9 @@ class DisplayController(LightController):
                 raise InputError(f"{self._link.device}: no light of the rig is on channel {channel}; nothing was shown")
             total += level / self.top_level * self._picture.pictures[channel]()
         if total.max() > 1.0 + _ROUNDING:
-            channels = ", ".join(map(str, sorted(lit)))
-            raise InputError(
-                f"{self._link.device}: channels {channels} together need {total.max():.3g} times the full radiance of "
-                "the screen; lower their levels, or the weights of the programme"
-            )
+            need = f"channels {', '.join(map(str, sorted(lit)))} together need {total.max():.3g} times"
+            advice = "lower their levels, or the weights of the programme"
+            raise InputError(f"{self._link.device}: {need} the full radiance of the screen; {advice}")
         return total
 
 
@@ -284,10 +287,3 @@ class CommandController(ScreenController):
 def program_path(program: str, folder: Path) -> str | None:
     """Path of a program: relative to `folder` where it has a folder, else found as a shell would; None: none."""
     return which(program if Path(program).name == program else str((folder / program).resolve()))
-
-
-def check_program(program: str, folder: Path) -> None:
-    """Check that a program is there, or raise an InputError; it is not run."""
-    if program_path(program, folder) is None:
-        where = "on the PATH" if Path(program).name == program else f"in {folder}"
-        raise InputError(f"no program {program} {where} that can be run; expected a program's name or path")

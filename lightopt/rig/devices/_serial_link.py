@@ -190,9 +190,8 @@ class Link:
 
     def preempted(self, sent: bytes = b"") -> HardwareError:
         """Error of what was broken off for something that cannot wait."""
-        return self.failure(
-            "no longer waited for, because a light had to be switched off", sent=sent, kind=PreemptedError
-        )
+        why = "no longer waited for, because a light had to be switched off"
+        return self.failure(why, sent=sent, kind=PreemptedError)
 
     def drain(self) -> None:
         """Read and discard what is on its way; nothing where there are no late replies."""
@@ -389,21 +388,14 @@ class SerialLink(Link):
         try:
             return action()
         except serial.SerialTimeoutException:
-            raise self.failure(
-                f"does not take what is sent within {self._write_s:g} s; check flow control and cable",
-                sent=sent,
-                kind=LinkLostError,
-            ) from None
+            late = f"does not take what is sent within {self._write_s:g} s; check flow control and cable"
+            raise self.failure(late, sent=sent, kind=LinkLostError) from None
         except _LOST as error:
             if not self._lost:
                 self._lost = True
                 self.note(f"device lost: {error}")
-            raise self.failure(
-                "the device is gone (unplugged, switched off, or another program reads from the port); "
-                "what it does now is unknown",
-                sent=sent,
-                kind=LinkLostError,
-            ) from None
+            gone = "the device is gone (unplugged, switched off, or another program reads from the port)"
+            raise self.failure(f"{gone}; what it does now is unknown", sent=sent, kind=LinkLostError) from None
 
     def _note_discarded(self, entry: LogEntry) -> None:
         count = len(entry.data)

@@ -182,17 +182,14 @@ class Stage:
 
     def check(self, posture: Posture) -> None:
         """Raise what :meth:`move_to` would raise for a posture that it cannot take; sends nothing."""
-        angles = _angles(posture)
         axes = {axis.name: axis for axis in self._axes}
         wrong: list[str] = []
-        for name, angle in angles.items():
+        for name, angle in _angles(posture).items():
             if name in axes:
                 wrong += axes[name].problems(angle)
             elif abs(angle) > 1e-9:
-                wrong.append(
-                    f"stage axis {name}: {angle:g}° was requested, but hardware.stage has no {name} axis, "
-                    "so it stands at 0°; nothing was moved"
-                )
+                fixed = f"but hardware.stage has no {name} axis, so it stands at 0°"
+                wrong.append(f"stage axis {name}: {angle:g}° was requested, {fixed}; nothing was moved")
         refuse(wrong)
 
     def move_to(self, posture: Posture) -> StageState:
@@ -206,15 +203,13 @@ class Stage:
             if (problem := self._problem(reading)) is not None:
                 raise self._link.failure(f"was not moved: {problem}")
             angles = _angles(posture)
-            targets = {
-                axis.device: axis.target(angles[axis.name], step=self._dialogue.step(axis)) for axis in self._axes
-            }
+            steps = {axis.name: self._dialogue.step(axis) for axis in self._axes}
+            targets = {axis.device: axis.target(angles[axis.name], step=steps[axis.name]) for axis in self._axes}
             self._dialogue.check(targets)
             if far := self._off(reading, targets, steps=0.5):
                 self._note_rounding(angles, targets)
-                travel_s = max(
-                    abs(targets[axis.device] - reading.units[axis.device]) / axis.speed_units() for axis in self._axes
-                )
+                ways = {axis: abs(targets[axis.device] - reading.units[axis.device]) for axis in self._axes}
+                travel_s = max(way / axis.speed_units() for axis, way in ways.items())
                 with self._stopped_on_failure():
                     if not self._prepared:
                         self._dialogue.prepare()
@@ -273,20 +268,15 @@ class Stage:
 
     def _note_rounding(self, angles: Mapping[str, float], targets: Mapping[str, float]) -> None:
         for axis in self._axes:
-            rounded = axis.angle_of(targets[axis.device])
-            if abs(rounded - angles[axis.name]) > 1e-6:
-                self._link.note(
-                    f"{self._link.device}: {axis.name}: {angles[axis.name]:g}° lies between two steps, "
-                    f"goes to {rounded:.6g}°"
-                )
+            angle, rounded = angles[axis.name], axis.angle_of(targets[axis.device])
+            if abs(rounded - angle) > 1e-6:
+                between = f"{axis.name}: {angle:g}° lies between two steps, goes to {rounded:.6g}°"
+                self._link.note(f"{self._link.device}: {between}")
 
     def _off(self, reading: Reading, targets: Mapping[str, float], *, steps: float = _ONE_STEP) -> list[Axis]:
         """Axes that stand more than so many steps from their targets."""
-        return [
-            axis
-            for axis in self._axes
-            if abs(reading.units[axis.device] - targets[axis.device]) > steps * self._dialogue.step(axis)
-        ]
+        off = {axis: abs(reading.units[axis.device] - targets[axis.device]) for axis in self._axes}
+        return [axis for axis, units in off.items() if units > steps * self._dialogue.step(axis)]
 
     def _problem(self, reading: Reading) -> str | None:
         """Why it is not where it was left, or must not be moved; None where nothing is wrong."""
@@ -302,11 +292,9 @@ class Stage:
         if left is None or not (moved := self._off(reading, left)):
             return None
         axis = moved[0]
-        self._lost = (
-            f"{axis.name} was left at {axis.angle_of(left[axis.device]):.6g}° and stands at "
-            f"{axis.angle_of(reading.units[axis.device]):.6g}° now: moved by hand, by another program, or switched off "
-            "between"
-        )
+        was, is_now = (axis.angle_of(units[axis.device]) for units in (left, reading.units))
+        why = "moved by hand, by another program, or switched off between"
+        self._lost = f"{axis.name} was left at {was:.6g}° and stands at {is_now:.6g}° now: {why}"
         return f"{self._lost}; {HOME_FIRST}"
 
     def _await_arrival(self, targets: Mapping[str, float], travel_s: float) -> Reading:
@@ -322,28 +310,25 @@ class Stage:
             if reading.moving:
                 still_since = None
                 if now - started > limit_s:
-                    raise self._link.failure(
-                        f"still moves after {limit_s:.1f} s, twice the time of the way and {_MARGIN_S:g} s: "
-                        f"jammed, or slower than speed_deg_per_s says{self._where(reading, targets)}"
-                    )
+                    late = f"still moves after {limit_s:.1f} s, twice the time of the way and {_MARGIN_S:g} s"
+                    why = f"jammed, or slower than speed_deg_per_s says{self._where(reading, targets)}"
+                    raise self._link.failure(f"{late}: {why}")
             elif not self._off(reading, targets):
                 return reading
             else:
                 still_since = now if still_since is None else still_since
                 if now - still_since > _SETTLE_S:
-                    raise self._link.failure(
-                        "stands still and is not where it should be: stalled, at a limit switch, or the command was "
-                        f"not taken{self._where(reading, targets)}"
-                    )
+                    why = f"stalled, at a limit switch, or the command was not taken{self._where(reading, targets)}"
+                    raise self._link.failure(f"stands still and is not where it should be: {why}")
             self._clock.sleep(_POLL_S if now - started < travel_s - _POLL_S else _NEAR_S)
 
     def _where(self, reading: Reading, targets: Mapping[str, float]) -> str:
         """Where axes stand that are not at their targets, as the end of a message."""
-        parts = [
-            f"{axis.name} should be at {axis.angle_of(targets[axis.device]):.6g}° and stands at "
-            f"{axis.angle_of(reading.units[axis.device]):.6g}° ({reading.units[axis.device]:.10g} units)"
-            for axis in self._off(reading, targets)
-        ]
+        parts: list[str] = []
+        for axis in self._off(reading, targets):
+            wanted, units = axis.angle_of(targets[axis.device]), reading.units[axis.device]
+            stands = f"stands at {axis.angle_of(units):.6g}° ({units:.10g} units)"
+            parts.append(f"{axis.name} should be at {wanted:.6g}° and {stands}")
         return "; " + ", ".join(parts) if parts else ""
 
     def _await_homing(self) -> Reading:
@@ -400,17 +385,9 @@ class Stage:
 
     def _state(self, reading: Reading) -> StageState:
         angles = {axis.name: axis.angle_of(reading.units[axis.device]) for axis in self._axes}
-        referenced = reading.referenced
-        if self._lost is not None:
-            referenced = False
-        elif referenced is None and self._homed:
-            referenced = True
-        return StageState(
-            posture=Posture(elevation_deg=angles.get("elevation", 0.0), rotation_deg=angles.get("rotation", 0.0)),
-            moving=reading.moving,
-            referenced=referenced,
-            alarm=reading.alarm,
-        )
+        posture = Posture(elevation_deg=angles.get("elevation", 0.0), rotation_deg=angles.get("rotation", 0.0))
+        known = True if reading.referenced is None and self._homed else reading.referenced
+        return StageState(posture, reading.moving, False if self._lost is not None else known, reading.alarm)
 
 
 def _angles(posture: Posture) -> dict[str, float]:

@@ -85,11 +85,9 @@ class CameraSetup:
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> "CameraSetup":
-        parts: dict[str, Any] = {
-            "lights": tuple(LightWire(**wire) for wire in data["lights"]),
-            "axes": {name: AxisWire(**wire) for name, wire in data["axes"].items()},
-            "truth": BenchTruth(**data["truth"]),
-        }
+        lights = tuple(LightWire(**wire) for wire in data["lights"])
+        axes = {name: AxisWire(**wire) for name, wire in data["axes"].items()}
+        parts: dict[str, Any] = {"lights": lights, "axes": axes, "truth": BenchTruth(**data["truth"])}
         return cls(**{**data, **parts})
 
 
@@ -148,9 +146,8 @@ class BenchProcess:
                 answer, data = self._answers.get(timeout=max(1e-3, timeout_s))
                 self._usable = True
             except queue.Empty:
-                raise self._gone(
-                    f"did not answer the request {do} within {timeout_s:.3g} s: its process hangs"
-                ) from None
+                late = f"did not answer the request {do} within {timeout_s:.3g} s: its process hangs"
+                raise self._gone(late) from None
             except (OSError, ValueError) as error:
                 raise self._gone(f"cannot take the request {do} ({error})") from None
         if not answer:

@@ -13,9 +13,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
-from lightopt.rig.simulated._firmware import SeenPicture, build
+from lightopt.rig.simulated._firmware import Firmware, SeenPicture, build
+
+T = TypeVar("T")
 
 Response = tuple[dict[str, Any], bytes]  # a JSON object, and bytes that follow it; often none
 
@@ -201,21 +203,21 @@ class SimulatedDevices:
 
     def levels(self) -> dict[str, dict[int, float]]:
         """Brightness of each channel of each light controller, as a share of the highest."""
-        with self.lock:
-            found = {name: device.firmware.levels() for name, device in self.devices.items()}
-        return {name: levels for name, levels in found.items() if levels is not None}
+        return self._of_each(lambda firmware: firmware.levels())
 
     def pictures(self) -> dict[str, SeenPicture]:
         """What each screen shows."""
-        with self.lock:
-            found = {name: device.firmware.picture() for name, device in self.devices.items()}
-        return {name: picture for name, picture in found.items() if picture is not None}
+        return self._of_each(lambda firmware: firmware.picture())
 
     def positions(self, now: float) -> dict[str, dict[str, float]]:
         """Where each axis of each stage really stands, in device units."""
+        return self._of_each(lambda firmware: firmware.positions(now))
+
+    def _of_each(self, ask: Callable[[Firmware], T | None]) -> dict[str, T]:
+        # what the devices have that have it
         with self.lock:
-            found = {name: device.firmware.positions(now) for name, device in self.devices.items()}
-        return {name: positions for name, positions in found.items() if positions is not None}
+            found = {name: ask(device.firmware) for name, device in self.devices.items()}
+        return {name: value for name, value in found.items() if value is not None}
 
     def _state(self, _: Mapping[str, Any]) -> Response:
         with self.lock:
