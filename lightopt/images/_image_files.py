@@ -109,6 +109,15 @@ def _opened(path: Path, *formats: str) -> Generator[OpenImageIO.ImageInput, None
         source.close()
 
 
+def _read_pixels(source: OpenImageIO.ImageInput, path: Path, *what: Any) -> NDArray[Any]:
+    """Read the pixels of an opened image, shape (H, W, C); `what` as of OpenImageIO's ``read_image``."""
+    pixels = source.read_image(*what)
+    if pixels is None or source.has_error:
+        reason = source.geterror().strip().partition("\n")[0]
+        raise InputError(f"{path}: damaged: {reason}; write the file anew")
+    return np.ascontiguousarray(pixels).reshape(source.spec().height, source.spec().width, -1)
+
+
 def read_metadata(path: str | Path) -> dict[str, Any]:
     """Metadata that lightopt put into a PNG or EXR, empty for those of others; InputError for a damaged file."""
     with _opened(Path(path), "openexr", "png") as source:
@@ -183,11 +192,7 @@ def read_png(path: str | Path, *, colour: bool = False) -> Levels:
             found = f"{bits}-bit {_COLOUR_TYPES.get(kind, 'unknown')}"
             expected = "8- or 16-bit grey" + (" or RGB" if colour else "")
             raise InputError(f"{path}: expected {expected}, found {found}; convert the image first")
-        spec = source.spec()
-        pixels = source.read_image(str(spec.format))
-        if pixels is None or source.has_error:
-            raise InputError(f"{path}: damaged: {source.geterror().strip().splitlines()[0]}; write the file anew")
-        values = np.ascontiguousarray(pixels).reshape(spec.height, spec.width, -1)
+        values = _read_pixels(source, path, str(source.spec().format))
     if values.shape[2] == 1:
         return values[:, :, 0]
     if values.shape[2] == 3 and colour:
@@ -267,10 +272,7 @@ def read_exr(path: str | Path) -> dict[str, Float32]:
         for name, i in index.items():
             if str(spec.channelformat(i)) not in ("float", "half"):
                 raise InputError(f"{path}: channel {name}: expected float or half, found {spec.channelformat(i)}")
-        pixels = source.read_image(0, 0, 0, len(index), "float")
-        if pixels is None or source.has_error:
-            raise InputError(f"{path}: damaged: {source.geterror().strip()}; write the file anew")
-    values = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, -1)
+        values = _read_pixels(source, path, 0, 0, 0, len(index), "float")
     return {name: np.ascontiguousarray(values[..., index[name]]) for name in sorted(index)}
 
 
@@ -309,8 +311,5 @@ def read_photograph(path: Path) -> NDArray[Any]:
     """
     shape = photograph_format(path)
     with _opened(path, *_PHOTOGRAPHS) as source:
-        pixels = source.read_image(f"uint{shape.bits}")
-        if pixels is None or source.has_error:
-            raise InputError(f"{path}: damaged: {source.geterror().strip().splitlines()[0]}; copy the file anew")
-    samples = np.asarray(pixels).reshape(shape.height, shape.width, -1)
+        samples = _read_pixels(source, path, f"uint{shape.bits}")
     return samples[..., : 3 if samples.shape[2] >= 3 else 1]

@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float32, UInt8
+from lightopt.core.arrays import Bool, Float32
 from lightopt.core.errors import InputError, refuse
 from lightopt.core.provenance import file_sha256, files_sha256
-from lightopt.images._image_files import read_exr, read_png
+from lightopt.images._image_files import Levels, read_exr, read_png
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest, read_manifest
 
 
@@ -23,7 +22,7 @@ class LoadedImage:
     # ((2^b − 1) · exposure), so clipped where saturated
     levels: Float32
     saturated: Bool  # where `levels` is a lower bound, or the camera would be saturated at the entry's exposure
-    sensor: UInt8 | NDArray[np.uint16] | None  # levels as delivered; None for an image without PNG
+    sensor: Levels | None  # levels as delivered; None for an image without PNG
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Float32, UInt8
+from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences, file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
-from lightopt.images._image_files import write_exr, write_png
+from lightopt.images._image_files import Levels, write_exr, write_png
 from lightopt.images._manifest import (
     MANIFEST_NAME,
     FileNames,
@@ -89,19 +89,15 @@ class ImageSetWriter:
 
     def geometry_done(self, posture: Posture) -> bool:
         """Whether the geometry of a posture is listed and intact."""
-        entry = next((e for e in self.manifest.geometry if e.posture == posture), None)
-        return entry is not None and self._intact(entry.exr, entry.sha256.get("exr"))
+        entries = [e for e in self.manifest.geometry if e.posture == posture]
+        return any(self._intact(e.exr, e.sha256.get("exr")) for e in entries)
 
     def file_done(self, name: str = _PATCHES_NAME) -> bool:
         """Whether a further file (the patch table unless named) is listed and intact."""
         return self._intact(name, self.manifest.files.get(name))
 
     def add_image(
-        self,
-        entry: ImageEntry,
-        *,
-        png: UInt8 | NDArray[np.uint16] | None = None,
-        exr: Mapping[str, Float32] | None = None,
+        self, entry: ImageEntry, *, png: Levels | None = None, exr: Mapping[str, Float32] | None = None
     ) -> ImageEntry:
         """Write an image's files, then list it; returns the entry as listed, which replaces one of the same key.
 
@@ -162,7 +158,7 @@ class ImageSetWriter:
                 images[i] = replace(e, exr=exr, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
         return tuple(images)
 
-    def add_levels(self, name: str, levels: UInt8 | NDArray[np.uint16], *, metadata: Mapping[str, Any]) -> None:
+    def add_levels(self, name: str, levels: Levels, *, metadata: Mapping[str, Any]) -> None:
         """Write camera levels (H, W) that are no image of a light (a dark frame) as a further file, then list it."""
         facts = {**self._origin(), "bit_depth": self.manifest.bit_depth, **metadata}
         self._add_further(name, lambda path: write_png(path, levels, metadata=facts))

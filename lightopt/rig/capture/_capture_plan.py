@@ -109,11 +109,8 @@ class CapturePlan:
 
     def on_s(self, light: str) -> float:
         """How long a light is on at a stretch [s]: settling and all its exposures."""
-        return self._switch_s(light) + self._light_settle_s + sum(map(self.frames_s, self.exposures_of[light]))
-
-    def _switch_s(self, light: str) -> float:
-        """How long the screens of an image take to show it [s]."""
-        return sum(map(self.wiring.settle_s, self.wiring.levels(light)))
+        screens_s = sum(map(self.wiring.settle_s, self.wiring.levels(light)))
+        return screens_s + self._light_settle_s + sum(map(self.frames_s, self.exposures_of[light]))
 
     @property
     def _light_settle_s(self) -> float:

@@ -15,11 +15,6 @@ from lightopt.rig.devices._serial_link import SerialLink
 _ROUNDING = 1e-9  # relative; angles that differ by less are the same
 
 
-def describe_range(range_deg: tuple[float, float]) -> str:
-    """A range as messages show it: ``-45° … 45°``."""
-    return f"{range_deg[0]:g}° … {range_deg[1]:g}°"
-
-
 @dataclass(frozen=True)
 class Axis:
     """An axis of the stage: how the rig's angle becomes the device's count, and how far and fast it may go."""
@@ -51,7 +46,7 @@ class Axis:
         slack = _ROUNDING * max(1.0, abs(low), abs(high))
         if low - slack <= angle_deg <= high + slack:
             return []
-        span = describe_range(self.range_deg)
+        span = f"{low:g}° … {high:g}°"
         return [f"stage axis {self.name}: {angle_deg:g}° lies outside the rig's range {span}; nothing was moved"]
 
     def speed_units(self) -> float:

@@ -145,14 +145,11 @@ class Device:
         self.wire = wire
         self._out = b""
         self._received_at = -math.inf
-        self._polled_at = -math.inf
+        self.polled_at = -math.inf
 
     def is_awake(self, now: float) -> bool:
         """Whether it has something to send, or was sent something a moment ago."""
         return bool(self._out) or now - self._received_at < _AWAKE_S
-
-    def is_due(self, now: float) -> bool:
-        return self.is_awake(now) or now - self._polled_at >= _ASLEEP_S
 
     def receive(self, now: float) -> None:
         if data := self.wire.receive():
@@ -160,7 +157,7 @@ class Device:
             self._out += self.firmware.feed(data, now)
 
     def send(self, now: float) -> None:
-        self._polled_at = now
+        self.polled_at = now
         self._out += self.firmware.poll(now)
         if self._out:
             self._out = self._out[self.wire.send(self._out) :]
@@ -198,7 +195,7 @@ class SimulatedDevices:
                 called = any(fd in ready for fd in device.wire.waiting)
                 if called:
                     device.receive(now)
-                if called or device.is_due(now):
+                if called or device.is_awake(now) or now - device.polled_at >= _ASLEEP_S:
                     device.send(now)
 
     def levels(self) -> dict[str, dict[int, float]]:

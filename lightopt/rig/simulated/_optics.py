@@ -53,13 +53,6 @@ def as_channels(
     return {light.name: float(share) for light, share in zip(lights, found, strict=True) if share > LEAST_SHARE}
 
 
-def as_light(name: str, picture: SeenPicture, display: PanelLight) -> PanelLight:
-    """A display of the scene with a picture on it."""
-    assert isinstance(display, SurfaceLight)
-    [pattern] = picture_patterns([picture.radiance], display.size)
-    return replace(display, name=name, pattern=pattern)
-
-
 def _block_means(picture: Float64, shape: tuple[int, int]) -> Float64:
     # means over so many rows and columns of blocks of whole pixels
     for axis, count in enumerate(shape):
@@ -109,7 +102,9 @@ class BenchOptics:
             if found is None:
                 name = f"{device} picture {picture.number}"
                 display = next(light for light in self.scene.lights if light.name == lights[0].name)
-                self._pictures[name] = as_light(name, picture, display)
+                assert isinstance(display, SurfaceLight)
+                [pattern] = picture_patterns([picture.radiance], display.size)
+                self._pictures[name] = replace(display, name=name, pattern=pattern)
                 if len(self._pictures) > _MOST_PICTURES:
                     self._pictures.popitem(last=False)
                 shares = {name: 1.0 / wires[0].share}
