@@ -12,20 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt import images
 from lightopt.core.arrays import Bool, UInt8
 from lightopt.core.errors import InputError, collected
 from lightopt.core.provenance import file_sha256, files_sha256, provenance
 from lightopt.core.transforms import Posture
-from lightopt.images import (
-    MANIFEST_NAME,
-    ImageSet,
-    Manifest,
-    read_exr,
-    read_image_set,
-    read_metadata,
-    read_png,
-    write_png,
-)
 from lightopt.images.comparison._channels import ChannelDifference, ComparisonThresholds, Verdict, compare_arrays
 
 LEVELS = "levels"  # name given to a grey PNG's only channel
@@ -70,14 +61,14 @@ def load_file(path: Path) -> LoadedFile:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     if magic == _EXR_MAGIC:
-        full_scale = _number(read_metadata(path).get("full_scale"), _DEFAULT_FULL_SCALE)
-        return LoadedFile(channels=dict(read_exr(path)), kind="EXR of floats", saturation=full_scale)
+        full_scale = _number(images.read_metadata(path).get("full_scale"), _DEFAULT_FULL_SCALE)
+        return LoadedFile(channels=dict(images.read_exr(path)), kind="EXR of floats", saturation=full_scale)
     if magic != _PNG_MAGIC:
         raise InputError(f"{path}: expected an EXR or PNG image, found neither")
-    pixels = read_png(path, colour=True)
+    pixels = images.read_png(path, colour=True)
     grey = pixels.ndim == 2
     channels = {LEVELS: pixels} if grey else {name: pixels[..., i] for i, name in enumerate("RGB")}
-    metadata = read_metadata(path)
+    metadata = images.read_metadata(path)
     saturation = _number(metadata.get("saturation_level"), float(np.iinfo(pixels.dtype).max))
     black = _number(metadata.get("black_level"), 0.0)
     return LoadedFile(dict(channels), f"PNG of {pixels.dtype}", saturation, black)
@@ -269,7 +260,7 @@ def difference_picture(
     marks = {"saturated only in golden": _ONLY_GOLDEN, "saturated only in new": _ONLY_NEW, "not finite": _NOT_FINITE}
     scaled = {"scale": scale, "beyond_scale": int((np.abs(signed) > scale).sum())}
     facts: dict[str, Any] = {"picture": "difference", "channel": name, **scaled, **counts, "colours": shades | marks}
-    write_png(path, pixels, metadata=facts, overwrite=overwrite)
+    images.write_png(path, pixels, metadata=facts, overwrite=overwrite)
     return scale
 
 
@@ -337,13 +328,13 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds 
     return SetComparison(str(a), str(b), tuple(reasons), tuple(files), missing=missing, extra=extra, notes=notes)
 
 
-def _open(role: str, path: str | Path, problems: list[str]) -> ImageSet | None:
+def _open(role: str, path: str | Path, problems: list[str]) -> images.ImageSet | None:
     with collected(problems, where=f"{role} set"):
-        return read_image_set(path, verify=False)
+        return images.read_image_set(path, verify=False)
     return None
 
 
-def _listed(manifest: Manifest) -> dict[str, tuple[str, str | None]]:
+def _listed(manifest: images.Manifest) -> dict[str, tuple[str, str | None]]:
     """Map the items of a set, in words, to their files and SHA-256; an EXR that exposures share comes once."""
     listed: dict[str, tuple[str, str | None]] = {}
     for image in manifest.images:
@@ -363,7 +354,7 @@ def _words(posture: Posture) -> str:
     return f"posture ({posture.elevation_deg:.15g}°, {posture.rotation_deg:.15g}°)"
 
 
-def _manifest_problems(golden: Manifest, new: Manifest) -> Iterator[str]:
+def _manifest_problems(golden: images.Manifest, new: images.Manifest) -> Iterator[str]:
     for name in ("bit_depth", "full_scale", "black_level"):
         old, now = getattr(golden, name), getattr(new, name)
         if old != now:
@@ -376,7 +367,7 @@ def _manifest_problems(golden: Manifest, new: Manifest) -> Iterator[str]:
             yield f"{image.light} at {_words(image.posture)} stood elsewhere: golden {old}°, new {now}°"
 
 
-def _notes(golden: Manifest, new: Manifest) -> Iterator[str]:
+def _notes(golden: images.Manifest, new: images.Manifest) -> Iterator[str]:
     if golden.saturated_from != new.saturated_from:
         yield f"different saturation_level: golden {golden.saturated_from:g}, new {new.saturated_from:g}"
     for name, old, now in (("rig", golden.rig, new.rig), ("part", golden.part, new.part)):
@@ -395,6 +386,6 @@ def comparison_provenance(result: FileComparison | SetComparison, thresholds: Co
 
 
 def _set_hashes(given: str, files: Sequence[str]) -> dict[str, str]:
-    manifest = Path(given) / MANIFEST_NAME if Path(given).is_dir() else Path(given)
+    manifest = Path(given) / images.MANIFEST_NAME if Path(given).is_dir() else Path(given)
     names = (Path(file).relative_to(manifest.parent).as_posix() for file in files)
     return {"manifest_sha256": file_sha256(manifest), "files_sha256": files_sha256(manifest.parent, names)}

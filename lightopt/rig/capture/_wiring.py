@@ -9,18 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from lightopt.config import (
-    AxisConfig,
-    CameraDeviceConfig,
-    ChannelConfig,
-    ControllerConfig,
-    HardwareConfig,
-    LightConfig,
-    PartConfig,
-    RigConfig,
-    StageDeviceConfig,
-    load_rig,
-)
+from lightopt import config
+from lightopt.config import PartConfig, RigConfig, load_rig
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, refuse
 from lightopt.rig.devices import Axis
@@ -34,24 +24,24 @@ VIRTUAL_EXPOSURE_US = 10_000.0  # exposure time of exposure 1 where all is virtu
 _CHANNELS_EACH = 4
 _VIRTUAL_LEVEL = 200
 _LEVEL_TOLERANCE = 0.005  # how far a whole level may be from the weight of an image, as a share
-_VIRTUAL_TILT = AxisConfig(axis="1", steps_per_deg=1000.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
-_VIRTUAL_ROTATION = AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
+_VIRTUAL_TILT = config.AxisConfig(axis="1", steps_per_deg=1000.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
+_VIRTUAL_ROTATION = config.AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
 
 
 @dataclass(frozen=True)
 class Wiring:
     """The devices of a rig."""
 
-    hardware: HardwareConfig  # from the rig file, or the virtual bench
+    hardware: config.HardwareConfig  # from the rig file, or the virtual bench
     given: bool  # whether the rig file has it
     exposure_us: float  # exposure time of exposure 1 [µs]
     # levels of the lights of each image of the rig's programme; none where each image is of one light
     images: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     # lights of displays by name, for their pictures; none where the rig's file cannot be read as a whole
-    displays: Mapping[str, LightConfig] = field(default_factory=dict[str, LightConfig])
+    displays: Mapping[str, config.LightConfig] = field(default_factory=dict[str, config.LightConfig])
     folder: Path = Path()  # of the rig's file, where commands of displays are run
 
-    def light(self, name: str) -> ChannelConfig:
+    def light(self, name: str) -> config.ChannelConfig:
         return self.hardware.lights[name]
 
     def levels(self, image: str) -> Mapping[str, int]:
@@ -65,11 +55,11 @@ class Wiring:
 
     def pictures(self, controller: str) -> dict[int, Callable[[], Float64]]:
         """Picture of each channel of a display, made when it is needed."""
-        if (config := self.hardware.controllers[controller].picture) is None:
+        if (screen := self.hardware.controllers[controller].picture) is None:
             return {}
         own = {name: self.hardware.lights[name] for name in self.displays if name in self.hardware.lights}
         return {
-            channel.channel: partial(display_picture, self.displays[name], config.seen_px, folder=self.folder)
+            channel.channel: partial(display_picture, self.displays[name], screen.seen_px, folder=self.folder)
             for name, channel in own.items()
             if channel.controller == controller
         }
@@ -115,20 +105,20 @@ def wiring_of(rig: RigConfig) -> Wiring:
     return wiring
 
 
-def _virtual_hardware(rig: RigConfig) -> HardwareConfig:
-    controllers: dict[str, ControllerConfig] = {}
-    lights: dict[str, ChannelConfig] = {}
+def _virtual_hardware(rig: RigConfig) -> config.HardwareConfig:
+    controllers: dict[str, config.ControllerConfig] = {}
+    lights: dict[str, config.ChannelConfig] = {}
     for i, light in enumerate(rig.channels):
         name = f"bench{i // _CHANNELS_EACH + 1}"
-        controllers.setdefault(name, ControllerConfig(driver="ccs", port=VIRTUAL, channels=_CHANNELS_EACH))
+        controllers.setdefault(name, config.ControllerConfig(driver="ccs", port=VIRTUAL, channels=_CHANNELS_EACH))
         channel = i % _CHANNELS_EACH + 1
-        lights[light.name] = ChannelConfig(controller=name, channel=channel, level=_VIRTUAL_LEVEL)
-    stage = StageDeviceConfig(driver="shot", port=VIRTUAL, elevation=_VIRTUAL_TILT, rotation=_VIRTUAL_ROTATION)
-    camera = CameraDeviceConfig(driver="virtual")
-    return HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
+        lights[light.name] = config.ChannelConfig(controller=name, channel=channel, level=_VIRTUAL_LEVEL)
+    stage = config.StageDeviceConfig(driver="shot", port=VIRTUAL, elevation=_VIRTUAL_TILT, rotation=_VIRTUAL_ROTATION)
+    camera = config.CameraDeviceConfig(driver="virtual")
+    return config.HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
 
 
-def _image_levels(rig: RigConfig, hardware: HardwareConfig) -> dict[str, dict[str, int]]:
+def _image_levels(rig: RigConfig, hardware: config.HardwareConfig) -> dict[str, dict[str, int]]:
     found: dict[str, dict[str, int]] = {}
     problems: list[str] = []
     for i, image in enumerate(rig.programme or ()):
@@ -165,7 +155,7 @@ def _too_bright(rig: RigConfig, wiring: Wiring) -> Iterator[str]:
                 yield f"{where}: the pictures together need {most:.3g} times {full}; lower the weights, or the levels"
 
 
-def stage_axes(rig: RigConfig, stage: StageDeviceConfig) -> list[Axis]:
+def stage_axes(rig: RigConfig, stage: config.StageDeviceConfig) -> list[Axis]:
     axes = (
         ("elevation", stage.elevation, rig.stage.elevation_range_deg),
         ("rotation", stage.rotation, rig.stage.rotation_range_deg),
@@ -195,24 +185,17 @@ def start_bench(
         devices[STAGE] = {"kind": hardware.stage.driver, "options": _stage_options(hardware.stage.driver, axes)}
     if part is None:
         return BenchProcess(devices)
+    lights: list[LightWire] = []
+    for name, plug in hardware.lights.items():
+        if plug.controller in devices:
+            share = plug.level / hardware.controllers[plug.controller].top_level
+            lights.append(LightWire(name, plug.controller, plug.channel, share))
     setup = CameraSetup(
         rig=str(true.source.path.resolve()),
         part=str(part.source.path.resolve()),
         exposure_us=wiring.exposure_us,
-        lights=tuple(
-            LightWire(
-                light=name,
-                device=channel.controller,
-                channel=channel.channel,
-                share=channel.level / hardware.controllers[channel.controller].top_level,
-            )
-            for name, channel in hardware.lights.items()
-            if channel.controller in devices
-        ),
-        axes={
-            axis.name: AxisWire(device=STAGE, axis=axis.device, steps_per_deg=axis.steps_per_deg, zero=axis.zero)
-            for axis in axes
-        },
+        lights=tuple(lights),
+        axes={axis.name: AxisWire(STAGE, axis.device, axis.steps_per_deg, axis.zero) for axis in axes},
         truth=truth or bench_truth(rig),
         gige=wiring.camera_is_gige,
     )
@@ -256,14 +239,14 @@ def start_lights(wiring: Wiring) -> BenchProcess:
 def _controllers(wiring: Wiring, true: RigConfig | None = None) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     there = {} if true is None or true.hardware is None else true.hardware.controllers
-    for name, config in wiring.hardware.controllers.items():
-        if config.port != VIRTUAL:
+    for name, controller in wiring.hardware.controllers.items():
+        if controller.port != VIRTUAL:
             continue
-        if config.picture is None:
-            options = config.model_dump(include={"channels", "top_level", "template"}, exclude_none=True)
-            found[name] = {"kind": config.driver, "options": options}
+        if controller.picture is None:
+            options = controller.model_dump(include={"channels", "top_level", "template"}, exclude_none=True)
+            found[name] = {"kind": controller.driver, "options": options}
         else:  # mounted as in the true rig
-            picture = (there[name].picture if name in there else None) or config.picture
+            picture = (there[name].picture if name in there else None) or controller.picture
             options = picture.model_dump(mode="json", exclude={"settle_ms"})
             found[name] = {"kind": "screen", "tcp": True, "options": options}
     return found

@@ -22,12 +22,13 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from lightopt.core.arrays import Float64, UInt8
 from lightopt.core.errors import HardwareError, InputError
+from lightopt.core.interrupts import start_apart
 from lightopt.images import write_png
 from lightopt.rig.devices._device import RefusedError, ReplyError
 from lightopt.rig.devices._light import LightController, LightSettings, PictureSettings
@@ -64,7 +65,7 @@ class ScreenProcess:
         with tempfile.TemporaryFile() as errors:
             # this interpreter, a file of this package
             arguments = [sys.executable, str(_WINDOW), *map(str, (monitor, *size))]
-            self._process = start_apart(arguments, stdout=subprocess.PIPE, stderr=errors)
+            self._process = start_apart(arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors)
             watchdog = threading.Timer(_START_S, self._process.kill)
             watchdog.start()
             assert self._process.stdout is not None
@@ -73,14 +74,15 @@ class ScreenProcess:
             watchdog.cancel()
             errors.seek(0)
             words = errors.read().decode("utf-8", "replace").strip().splitlines()[-1:]
-        answer: dict[str, Any] = json.loads(line) if line else {}
-        if "port" not in answer:
-            self._process.kill()
-            self.close()
-            if "problem" in answer:
-                raise InputError(f"{device}: {answer['problem']}")
-            raise HardwareError(f"{device}: the window's process did not start; its output: {''.join(words) or 'none'}")
-        self.port = f"socket://127.0.0.1:{answer['port']}"
+        answer: dict[str, Any] = json.loads(line or "{}")
+        if "port" in answer:
+            self.port = f"socket://127.0.0.1:{answer['port']}"
+            return
+        self._process.kill()
+        self.close()
+        if "problem" in answer:
+            raise InputError(f"{device}: {answer['problem']}")
+        raise HardwareError(f"{device}: the window's process did not start; its output: {''.join(words) or 'none'}")
 
     def close(self) -> None:
         """Wait until the window is closed, which it is once its client has gone; never raises."""
@@ -89,21 +91,6 @@ class ScreenProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-
-
-def start_apart(
-    arguments: list[str], *, stdout: int, stderr: IO[bytes], cwd: Path | None = None
-) -> subprocess.Popen[bytes]:
-    """Start a program without input that Ctrl-C does not reach: it is for this one, which still has to show black."""
-    return subprocess.Popen(  # noqa: S603  (without a shell)
-        arguments,
-        stdin=subprocess.DEVNULL,
-        start_new_session=sys.platform != "win32",
-        creationflags=0x00000200 if sys.platform == "win32" else 0,  # CREATE_NEW_PROCESS_GROUP
-        stdout=stdout,
-        stderr=stderr,
-        cwd=cwd,
-    )
 
 
 def screen_levels(picture: Float64, settings: PictureSettings) -> UInt8:
@@ -234,7 +221,8 @@ class CommandLink(Link):
         arguments[0] = program_path(arguments[0], self._folder) or arguments[0]
         with tempfile.TemporaryFile() as errors:
             try:
-                process = start_apart(arguments, cwd=self._folder, stdout=subprocess.DEVNULL, stderr=errors)
+                nothing = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+                process = start_apart(arguments, cwd=self._folder, **nothing, stderr=errors)
             except OSError as error:
                 raise self.failure(f"the command cannot be run: {error.strerror or error}") from error
             try:
@@ -258,8 +246,7 @@ class CommandLink(Link):
                 return f"the command did not end within {self.timeout_s:g} s (timeout_s) and was ended"
             with suppress(subprocess.TimeoutExpired):
                 process.wait(_SLICE_S)
-        status = process.returncode
-        return None if status == 0 else f"the command failed with exit status {status}"
+        return f"the command failed with exit status {process.returncode}" if process.returncode else None
 
     def close(self) -> None:
         """Remove the pictures."""

@@ -1,7 +1,6 @@
 """The virtual bench from outside: its process, its ports, the requests to it, and what its camera looks at."""
 
 import json
-import os
 import queue
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from lightopt.core.errors import HardwareError, InputError
+from lightopt.core.interrupts import start_apart
 
 _START_S = 120.0
 _REQUEST_S = 120.0
@@ -48,7 +48,7 @@ class BenchTruth:
     bounces: int = 0  # how often light goes from the part to the part
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LightWire:
     """Where a light is plugged in, and the share of the highest intensity at which it is as the rig describes."""
 
@@ -58,7 +58,7 @@ class LightWire:
     share: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class AxisWire:
     """Which axis of a device is the tilt or the rotation, its units per degree, and where 0° is."""
 
@@ -94,16 +94,8 @@ class CameraSetup:
 def start_process(spec: str, errors: BinaryIO) -> subprocess.Popen[bytes]:
     """Start the process of a bench, with pipes to its standard input and output."""
     places = "\n".join(place or str(Path.cwd()) for place in sys.path)
-    # A group of its own: Ctrl-C is for the client, which still has lights to switch off.
-    flags = 0x00000200 if os.name == "nt" else 0  # CREATE_NEW_PROCESS_GROUP
-    return subprocess.Popen(  # noqa: S603  (this interpreter, this package)
-        [sys.executable, "-c", _START, places, spec],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=errors,
-        start_new_session=os.name != "nt",
-        creationflags=flags,
-    )
+    command = [sys.executable, "-c", _START, places, spec]
+    return start_apart(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
 
 
 class BenchProcess:

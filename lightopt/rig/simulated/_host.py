@@ -26,15 +26,15 @@ def run(spec: Mapping[str, Any]) -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
     devices = SimulatedDevices(spec["devices"])
-    camera: BenchCamera | None = None
+    requests, ports = devices.requests(), devices.ports()
     gige: GigeCamera | None = None
     if "camera" in spec:
         camera = BenchCamera(CameraSetup.of(spec["camera"]), devices)
+        requests |= camera.requests()
         if spec["camera"].get("gige"):
             resolution_px, bit_depth = camera.sensor()
             gige = GigeCamera(camera.expose, resolution_px=resolution_px, bit_depth=bit_depth)
-    requests = {**devices.requests(), **(camera.requests() if camera is not None else {})}
-    ports = devices.ports() | ({} if gige is None else {CAMERA: gige.serial})
+            ports[CAMERA] = gige.serial
     answers.write(json.dumps(ports).encode() + b"\n")
     answers.flush()
     ours, theirs = socket.socketpair()

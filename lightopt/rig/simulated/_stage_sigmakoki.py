@@ -1,8 +1,6 @@
 """Simulated firmware of SIGMA KOKI / OptoSigma controllers: the SHOT family (MAIN mode) and the GSC-02.
 
-SHOT answers OK or NG to each command; while an axis moves, only stop and status are taken. GSC-02 answers questions
-only, and knows relative moves only; ACK1 of the next ``Q:`` shows whether a command was taken. The count starts at 0 at
-power-up, wherever the axes stand.
+While an axis moves, only stop and status are taken. The count starts at 0 at power-up, wherever the axes stand.
 """
 
 import re
