@@ -38,9 +38,8 @@ def put_off(number: int, frame: FrameType | None) -> bool:
 
 def start_apart(arguments: list[str], **options: Any) -> subprocess.Popen[bytes]:
     """Start a program that Ctrl-C does not reach: it is for this one, which still has lights to switch off."""
-    apart: dict[str, Any] = (
-        {"creationflags": 0x00000200} if os.name == "nt" else {"start_new_session": True}
-    )  # a group of its own
+    # in a group of its own
+    apart: dict[str, Any] = {"creationflags": 0x00000200} if os.name == "nt" else {"start_new_session": True}
     return subprocess.Popen(arguments, **apart, **options)  # noqa: S603  (without a shell)
 
 
