@@ -154,7 +154,7 @@ class ImageSetWriter:
 
     def add_geometry(
         self, posture: Posture, channels: Mapping[str, Float32], *, metadata: Mapping[str, Any] | None = None
-    ) -> GeometryEntry:
+    ) -> None:
         """Write a posture's geometry image, then list it.
 
         Channels, float32 (H, W): ``P.X P.Y P.Z`` [mm] and ``N.X N.Y N.Z`` in the world frame, ``Z`` [mm along the ray],
@@ -168,7 +168,6 @@ class ImageSetWriter:
         with self._lock:
             entries = {e.posture: e for e in self.manifest.geometry}
             self._save(geometry=tuple({**entries, posture: listed}.values()))
-        return listed
 
     def add_patches(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write the patch table as ``patches.npz``, then list it."""

@@ -58,7 +58,6 @@ class CaptureSession:
         with suppress(LightoptError):  # the error that ends the run is reported, not a second one
             if self._in_doubt is not None:
                 self._records.discard(*self._in_doubt)
-            self._records.writer.add_warnings(self.warnings)
             self._record_events()
         if (stopped or error is None) and self._devices is not None:
             raise Interrupted(f"all lights are off; {self._progress_text()}") from error
@@ -143,7 +142,6 @@ class CaptureSession:
     def flush(self) -> None:
         """Write warnings and events to the manifest."""
         try:
-            self._records.writer.add_warnings(self.warnings)
             self._record_events()
         except InputError as error:
             if self._devices is None:
@@ -152,10 +150,11 @@ class CaptureSession:
             raise HardwareError(f"while completing the manifest: {first}", *others, "all lights are off") from error
 
     def _record_events(self) -> None:
-        """Write irregularities on the links that are not in the entry of an image to the manifest."""
+        """Write warnings, and irregularities on the links that are not in the entry of an image, to the manifest."""
+        writer = self._records.writer
+        writer.add_warnings(self.warnings)
         source = self._started.events_since if self._started else self._devices and self._devices.events
         if events := [asdict(event) for event in (source() if source else ())]:
-            writer = self._records.writer
             writer.add_extra(EVENTS_KEY, [*writer.manifest.extra.get(EVENTS_KEY, ()), *events])
 
     def _finish(self, *, failed: bool, lights: str) -> bool:

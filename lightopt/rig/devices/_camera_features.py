@@ -128,8 +128,6 @@ _WITHOUT_CORRECTIONS: dict[str, str | bool | float] = {
     **dict.fromkeys(("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical"), 1),
     "Gamma": 1.0,
 }
-_PATTERNS = ("TestPattern", "TestImageSelector")
-_GAIN = ("Gain", "GainAbs", "GainRaw")
 _OTHER_SIZE = "change camera.resolution_px"
 
 
@@ -139,7 +137,7 @@ def switch_off_corrections(sdk: CameraSdk, settings: CameraSettings) -> None:
     for name, value in _WITHOUT_CORRECTIONS.items():
         if sdk.has(name):
             _choose(sdk, where, name, value)
-    for name in _PATTERNS:
+    for name in ("TestPattern", "TestImageSelector"):
         if sdk.has(name) and "Off" in sdk.entries(name):
             _choose(sdk, where, name, "Off")
 
@@ -192,7 +190,7 @@ def _offset_of(settings: CameraSettings, *, sensor_px: tuple[int, int], steps_px
 
 def set_gain(sdk: CameraSdk, settings: CameraSettings) -> str | None:
     """Set the gain where the rig gives one; returns the feature that has it."""
-    feature, gain = _first_of(sdk, *_GAIN), settings.gain
+    feature, gain = _first_of(sdk, "Gain", "GainAbs", "GainRaw"), settings.gain
     if gain is None:
         return feature
     if feature is None:
@@ -242,7 +240,6 @@ def _verify(where: str, feature: str, wanted: object, held: object) -> None:
         raise HardwareError(f"{where}: {feature} was set to {wanted}, and the camera holds {held}")
 
 
-_FEATURES = ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
 _RAW = "ExposureTimeRaw"
 _BASE = "ExposureTimeBaseAbs"
 _MICROSECONDS = {"us": 1.0, "µs": 1.0, "\u03bcs": 1.0, "usec": 1.0, "ns": 1e-3, "ms": 1e3, "s": 1e6}
@@ -260,7 +257,7 @@ class ExposureTime:
     def __init__(self, sdk: CameraSdk, settings: CameraSettings) -> None:
         self._sdk = sdk
         self._where = settings.where
-        feature = _first_of(sdk, *_FEATURES)
+        feature = _first_of(sdk, "ExposureTime", "ExposureTimeAbs", _RAW)
         unit_us = None if feature is None else _unit_us(sdk, feature)
         self._feature = None if unit_us is None else feature
         self._unit_us = unit_us or 1.0

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError
 
-_NETWORK = ("socket://", "rfc2217://")
-
 
 @dataclass(frozen=True)
 class Port:
@@ -56,7 +54,7 @@ def cannot_open(port: str, device: str, error: BaseException) -> LightoptError:
         return HardwareError(f"{head} is in use by another program; close it, or wait for it to end")
     if number == errno.EACCES or "Permission denied" in reason:
         return InputError(f"{head} may not be opened by this user; on Linux: add the user to its group (dialout)")
-    if port.startswith(_NETWORK):
+    if port.startswith(("socket://", "rfc2217://")):
         if re.fullmatch(r"\w+://[^/]+:\d+.*", port) is None:
             return InputError(f"{head} names no host and number; expected {port.partition(':')[0]}://host:number")
         advice = "check address and network, that the device is on, and that no other program holds its one connection"

@@ -113,14 +113,13 @@ class BenchProcess:
         self._lock = threading.Lock()
         self._answers: queue.Queue[tuple[dict[str, Any], bytes]] = queue.Queue()
         self._usable = True
-        self._reader: threading.Thread | None = None
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process)
         self._process = start_process(json.dumps(spec), self._errors)
         self.pid = self._process.pid
+        self._reader = threading.Thread(target=self._read_answers, daemon=True)
         try:
-            self.ports = self._await_ports()
-            self._reader = threading.Thread(target=self._read_answers, daemon=True)
             self._reader.start()
+            self.ports: dict[str, str] = self._await_ports()
         except BaseException:
             self.close()
             raise
@@ -184,8 +183,7 @@ class BenchProcess:
             self._process.wait(5)
         except subprocess.TimeoutExpired:
             self.kill()
-        if self._reader is not None:
-            self._reader.join()
+        self._reader.join()
         self._process.stdout.close()
         self._errors.close()
 
@@ -208,18 +206,15 @@ class BenchProcess:
         self._answers.put(({}, b""))
 
     def _await_ports(self) -> dict[str, str]:
-        watchdog = threading.Timer(_START_S, self._process.kill)
-        watchdog.start()
-        try:
-            assert self._process.stdout is not None
-            line = self._process.stdout.readline()
-        finally:
-            watchdog.cancel()
-        if not line:
-            if self._process.wait(_START_S) == WRONG:
-                raise InputError(*self._gone("cannot be as described").messages)
+        answer: dict[str, Any] = {}
+        with suppress(queue.Empty):
+            answer, _ = self._answers.get(timeout=_START_S)
+        if not answer:
+            with suppress(subprocess.TimeoutExpired):
+                if self._process.wait(_ANSWER_S) == WRONG:
+                    raise InputError(*self._gone("cannot be as described").messages)
             raise self._gone("did not start")
-        return json.loads(line)
+        return answer["ports"]
 
     def _gone(self, what: str) -> HardwareError:
         output = ""

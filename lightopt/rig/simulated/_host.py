@@ -22,7 +22,7 @@ from lightopt.rig.simulated._devices import Handler, Response, SimulatedDevices
 
 
 def run(spec: Mapping[str, Any]) -> None:
-    """Serve devices and camera of a :class:`BenchProcess`: print their ports as JSON; end with standard input."""
+    """Serve devices and camera of a :class:`BenchProcess`: first answer their ports; end with standard input."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
     devices = SimulatedDevices(spec["devices"])
@@ -35,7 +35,7 @@ def run(spec: Mapping[str, Any]) -> None:
             resolution_px, bit_depth = camera.sensor()
             gige = GigeCamera(camera.expose, resolution_px=resolution_px, bit_depth=bit_depth)
             ports[CAMERA] = gige.serial
-    answers.write(json.dumps(ports).encode() + b"\n")
+    answers.write(json.dumps({"ports": ports, "bytes": 0}).encode() + b"\n")
     answers.flush()
     ours, theirs = socket.socketpair()
     threading.Thread(target=_answer_requests, args=(requests, answers, theirs), daemon=True).start()
