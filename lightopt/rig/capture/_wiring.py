@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lightopt import config
-from lightopt.config import PartConfig, RigConfig, load_rig
+from lightopt.config import HardwareConfig, PartConfig, RigConfig, load_rig
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, refuse
 from lightopt.rig.devices import Axis
@@ -32,7 +32,7 @@ _VIRTUAL_ROTATION = config.AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_p
 class Wiring:
     """The devices of a rig."""
 
-    hardware: config.HardwareConfig  # from the rig file, or the virtual bench
+    hardware: HardwareConfig  # from the rig file, or the virtual bench
     given: bool  # whether the rig file has it
     exposure_us: float  # exposure time of exposure 1 [µs]
     # levels of the lights of each image of the rig's programme; none where each image is of one light
@@ -105,7 +105,7 @@ def wiring_of(rig: RigConfig) -> Wiring:
     return wiring
 
 
-def _virtual_hardware(rig: RigConfig) -> config.HardwareConfig:
+def _virtual_hardware(rig: RigConfig) -> HardwareConfig:
     controllers: dict[str, config.ControllerConfig] = {}
     lights: dict[str, config.ChannelConfig] = {}
     for i, light in enumerate(rig.channels):
@@ -115,10 +115,10 @@ def _virtual_hardware(rig: RigConfig) -> config.HardwareConfig:
         lights[light.name] = config.ChannelConfig(controller=name, channel=channel, level=_VIRTUAL_LEVEL)
     stage = config.StageDeviceConfig(driver="shot", port=VIRTUAL, elevation=_VIRTUAL_TILT, rotation=_VIRTUAL_ROTATION)
     camera = config.CameraDeviceConfig(driver="virtual")
-    return config.HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
+    return HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
 
 
-def _image_levels(rig: RigConfig, hardware: config.HardwareConfig) -> dict[str, dict[str, int]]:
+def _image_levels(rig: RigConfig, hardware: HardwareConfig) -> dict[str, dict[str, int]]:
     found: dict[str, dict[str, int]] = {}
     problems: list[str] = []
     for i, image in enumerate(rig.programme or ()):
