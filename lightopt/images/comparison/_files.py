@@ -266,10 +266,8 @@ def difference_picture(
 
 def diverging(shares: NDArray[np.floating[Any]]) -> UInt8:
     """Colours of shares from −1, blue, over 0, white, to 1, red, and beyond as there; shape of the shares and 3."""
-    channels = [
-        np.interp(shares, [-1.0, 0.0, 1.0], [low, middle, high])
-        for low, middle, high in zip(_LOWER, _EQUAL, _HIGHER, strict=True)
-    ]
+    colours = zip(_LOWER, _EQUAL, _HIGHER, strict=True)
+    channels = [np.interp(shares, [-1.0, 0.0, 1.0], channel) for channel in colours]
     return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)
 
 

@@ -351,9 +351,7 @@ class AcquisitionEngine:
         rows, columns = frame.levels.shape
         if (rows, columns) != (height, width) or int(frame.levels.max()) > most:
             found = f"{columns} × {rows} pixels with levels up to {frame.levels.max()}"
-            raise HardwareError(
-                f"the camera delivered a frame of {found}; expected {width} × {height} and at most {most}"
-            )
+            raise HardwareError(f"the camera delivered {found}; expected {width} × {height} and at most {most}")
         if abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
             raise HardwareError(f"the camera took a frame at {frame.exposure_us:g} µs, but held {self._held_us:g} µs")
         return frame

@@ -244,9 +244,7 @@ class Devices:
                 problems.append(f"closing a device failed: {error_text(error)}")
         return problems
 
-    def _failure(
-        self, error: BaseException, lit: list[str], stage: str | None, unclosed: Sequence[str]
-    ) -> HardwareError:
+    def _failure(self, error: BaseException, lit: list[str], stage: str | None, unclosed: list[str]) -> HardwareError:
         messages = error.messages if isinstance(error, LightoptError) else ()
         cause = messages or (f"ended by {error_text(error)}",)
         # a failure of all_off at the start and again at the end is reported once

@@ -68,9 +68,8 @@ def all_off(controllers: Mapping[str, "LightController"], *, lit: Mapping[str, C
     Raises LightsStillOnError once all were tried, with a message per controller and reason.
     """
     first = lit or {}
-    reasons = run_in_parallel(
-        {name: partial(_darken_all, one, first.get(name, ())) for name, one in controllers.items()}
-    )
+    work = {name: partial(_darken_all, one, first.get(name, ())) for name, one in controllers.items()}
+    reasons = run_in_parallel(work)
     messages: list[str] = []
     for name, found in reasons.items():
         for reason, channels in found.items():
@@ -132,9 +131,8 @@ class LightController(ABC):
     def open(cls, settings: LightSettings, log: SerialLog | None = None) -> "LightController":
         """Open the link of a controller and let its driver talk first; a link on which that fails is closed."""
         device, baud = f"light controller {settings.name} ({cls.NAME})", settings.baud or cls.BAUD
-        link = SerialLink(
-            settings.port, device=device, baud=baud, timeout_s=settings.timeout_s, gap_s=cls.GAP_S, log=log
-        )
+        waits = {"timeout_s": settings.timeout_s, "gap_s": cls.GAP_S}
+        link = SerialLink(settings.port, device=device, baud=baud, **waits, log=log)
         try:
             return cls(link, settings)
         except BaseException:
