@@ -131,8 +131,8 @@ class LightController(ABC):
     def open(cls, settings: LightSettings, log: SerialLog | None = None) -> "LightController":
         """Open the link of a controller and let its driver talk first; a link on which that fails is closed."""
         device, baud = f"light controller {settings.name} ({cls.NAME})", settings.baud or cls.BAUD
-        waits = {"timeout_s": settings.timeout_s, "gap_s": cls.GAP_S}
-        link = SerialLink(settings.port, device=device, baud=baud, **waits, log=log)
+        port, timeout_s, gap_s = settings.port, settings.timeout_s, cls.GAP_S
+        link = SerialLink(port, device=device, baud=baud, timeout_s=timeout_s, gap_s=gap_s, log=log)
         try:
             return cls(link, settings)
         except BaseException:
