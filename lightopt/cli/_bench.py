@@ -160,10 +160,7 @@ def snap(
     wiring = capture.wiring_of(loaded)
     if wiring.camera_is_virtual and loaded_part is None:
         raise InputError("--part: required with the virtual camera, which renders the part")
-    capture.check_exposure(wiring, loaded, relative)
-    if light is not None:
-        capture.check_level(wiring, loaded, light, None)
-        capture.check_on_time(wiring, loaded, light, capture.snap_on_s(wiring, relative))
+    capture.check_snap(wiring, loaded, relative, light)
     run = RunContext(warn=echo_warning)
     with capture.connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, run=run) as devices:
         low, high, mean = capture.snap(devices, file, light=light, exposure=relative, overwrite=force)

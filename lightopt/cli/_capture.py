@@ -9,7 +9,7 @@ import typer
 from lightopt.cli import _common as common
 from lightopt.cli._common import hardware_option, output_option, selection_option
 from lightopt.cli._terminal import echo, echo_error, run_context, show_table
-from lightopt.core.errors import InputError, Interrupted, counted, refuse
+from lightopt.core.errors import InputError, Interrupted, collected, counted, refuse
 
 if TYPE_CHECKING:
     from lightopt.rig.capture import CapturePlan, CaptureResult
@@ -76,15 +76,11 @@ def capture(
         plan = make_plan(loaded_rig, loaded_part, options)
         _show_plan(plan)  # before devices that are missing are reported
         problems: list[str] = []
-        try:
+        with collected(problems):
             check_devices(loaded_rig, plan.wiring, plan)
-        except InputError as error:
-            problems += error.messages
-        try:
+        with collected(problems):
             if out is not None:
                 check_folder(out, loaded_rig, loaded_part, plan, **existing)
-        except InputError as error:
-            problems += error.messages
         refuse(problems)
         return
     assert out is not None

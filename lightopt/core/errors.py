@@ -3,7 +3,8 @@
 Library code raises them; only :mod:`lightopt.cli` turns them into messages and an exit status.
 """
 
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
 
 _NOISE = 1e-9  # shares that differ by less are the same
 
@@ -85,6 +86,15 @@ def refuse(problems: Iterable[str]) -> None:
     """Raise an :class:`InputError` with all problems, where there are any."""
     if messages := tuple(problems):
         raise InputError(*messages)
+
+
+@contextmanager
+def collected(problems: list[str], *, where: str = "") -> Generator[None]:
+    """Collect the messages of an input error, each after its place, instead of raising it."""
+    try:
+        yield
+    except InputError as error:
+        problems += [f"{where}: {message}" if where else message for message in error.messages]
 
 
 class CheckFailed(LightoptError):  # noqa: N818  (the check failed, not the program)

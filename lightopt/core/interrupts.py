@@ -1,4 +1,4 @@
-"""Ctrl-C that does not raise where compiled code calls Python.
+"""Ctrl-C that does not raise where compiled code calls Python, and programs that it does not reach.
 
 llvmlite releases what numba compiled in finalisers that hold a lock. Python swallows what is raised in a finaliser, the
 interrupt is lost, the lock stays taken, and the next kernel waits for ever. Kernels take their constants apart by a
@@ -6,10 +6,13 @@ function of numba's, and make a SystemError of what it raises.
 """
 
 import _thread
+import os
 import signal
+import subprocess
 import threading
 import time
 from types import FrameType
+from typing import Any
 
 _AGAIN_AFTER_S = 0.005
 _CALLED_BY_COMPILED_CODE = ("llvmlite", "numba.core.serialize")
@@ -31,6 +34,13 @@ def put_off(number: int, frame: FrameType | None) -> bool:
             return True
         frame = frame.f_back
     return False
+
+
+def start_apart(arguments: list[str], **options: Any) -> subprocess.Popen[bytes]:
+    """Start a program that Ctrl-C does not reach: it is for this one, which still has lights to switch off."""
+    # in a group of its own
+    apart: dict[str, Any] = {"creationflags": 0x00000200} if os.name == "nt" else {"start_new_session": True}
+    return subprocess.Popen(arguments, **apart, **options)  # noqa: S603  (without a shell)
 
 
 def _send_again(number: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,13 +53,11 @@ def _write_image(
     rows: Iterable[NDArray[Any]],
     metadata: Mapping[str, Any],
     *,
-    is_complete: Callable[[Path], bool],
     overwrite: bool = True,
 ) -> str:
     """Encode an image block by block, whole or not at all; returns the SHA-256 in hex.
 
-    `rows` are blocks from the top down, each (rows, W, C) in the spec's sample type. `is_complete` says whether a
-    file has its end: a disk that fills up at the last flush is reported by no encoder.
+    `rows` are blocks from the top down, each (rows, W, C) in the spec's sample type.
     """
     # ASCII JSON with sorted keys: equal metadata are equal bytes, and PNG's Latin-1 text holds them
     text = json.dumps(dict(metadata), sort_keys=True, allow_nan=False, separators=(",", ":"))
@@ -78,7 +76,9 @@ def _write_image(
         closed = output.close()
         # The PNG writer reports success on a full disk; only its error text shows it.
         message = output.geterror()
-        if not (done and closed) or message or not is_complete(path):
+        # a disk that fills up at the last flush is reported by no encoder
+        is_whole = _is_whole_png if file_format == "png" else _is_whole_exr
+        if not (done and closed) or message or not is_whole(path):
             with path.open("ab") as file:  # appended, so that the system says why it refuses (no space left, quota, …)
                 file.write(bytes(_PROBE_BYTES))
             raise OSError(message.strip().split("\n")[0] or "the file came out incomplete")
@@ -107,6 +107,15 @@ def _opened(path: Path, *formats: str) -> Generator[OpenImageIO.ImageInput, None
         yield source
     finally:
         source.close()
+
+
+def _read_pixels(source: OpenImageIO.ImageInput, path: Path, *what: Any) -> NDArray[Any]:
+    """Read the pixels of an opened image, shape (H, W, C); `what` as of OpenImageIO's ``read_image``."""
+    pixels = source.read_image(*what)
+    if pixels is None or source.has_error:
+        reason = source.geterror().strip().partition("\n")[0]
+        raise InputError(f"{path}: damaged: {reason}; write the file anew")
+    return np.ascontiguousarray(pixels).reshape(source.spec().height, source.spec().width, -1)
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
@@ -155,7 +164,7 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], 
     if grey:
         spec.attribute("png:filter", _NO_FILTER)
     spec.attribute("oiio:ColorSpace", "unknown")  # else sRGB and gamma chunks are added, which are not true
-    return _write_image(path, "png", spec, [pixels], metadata, is_complete=_is_whole_png, overwrite=overwrite)
+    return _write_image(path, "png", spec, [pixels], metadata, overwrite=overwrite)
 
 
 def _is_whole_png(path: Path) -> bool:
@@ -183,11 +192,7 @@ def read_png(path: str | Path, *, colour: bool = False) -> Levels:
             found = f"{bits}-bit {_COLOUR_TYPES.get(kind, 'unknown')}"
             expected = "8- or 16-bit grey" + (" or RGB" if colour else "")
             raise InputError(f"{path}: expected {expected}, found {found}; convert the image first")
-        spec = source.spec()
-        pixels = source.read_image(str(spec.format))
-        if pixels is None or source.has_error:
-            raise InputError(f"{path}: damaged: {source.geterror().strip().splitlines()[0]}; write the file anew")
-        values = np.ascontiguousarray(pixels).reshape(spec.height, spec.width, -1)
+        values = _read_pixels(source, path, str(source.spec().format))
     if values.shape[2] == 1:
         return values[:, :, 0]
     if values.shape[2] == 3 and colour:
@@ -228,7 +233,7 @@ def write_exr(path: str | Path, channels: Mapping[str, Float32], *, metadata: Ma
         for top in range(0, height, _BLOCK_ROWS):
             yield np.stack([channel[top : top + _BLOCK_ROWS] for channel in channels.values()], axis=-1)
 
-    return _write_image(path, "openexr", spec, blocks(), metadata, is_complete=_is_whole_exr)
+    return _write_image(path, "openexr", spec, blocks(), metadata)
 
 
 def _is_whole_exr(path: Path) -> bool:
@@ -267,10 +272,7 @@ def read_exr(path: str | Path) -> dict[str, Float32]:
         for name, i in index.items():
             if str(spec.channelformat(i)) not in ("float", "half"):
                 raise InputError(f"{path}: channel {name}: expected float or half, found {spec.channelformat(i)}")
-        pixels = source.read_image(0, 0, 0, len(index), "float")
-        if pixels is None or source.has_error:
-            raise InputError(f"{path}: damaged: {source.geterror().strip()}; write the file anew")
-    values = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, -1)
+        values = _read_pixels(source, path, 0, 0, 0, len(index), "float")
     return {name: np.ascontiguousarray(values[..., index[name]]) for name in sorted(index)}
 
 
@@ -309,8 +311,5 @@ def read_photograph(path: Path) -> NDArray[Any]:
     """
     shape = photograph_format(path)
     with _opened(path, *_PHOTOGRAPHS) as source:
-        pixels = source.read_image(f"uint{shape.bits}")
-        if pixels is None or source.has_error:
-            raise InputError(f"{path}: damaged: {source.geterror().strip().splitlines()[0]}; copy the file anew")
-    samples = np.asarray(pixels).reshape(shape.height, shape.width, -1)
+        samples = _read_pixels(source, path, f"uint{shape.bits}")
     return samples[..., : 3 if samples.shape[2] >= 3 else 1]

@@ -12,10 +12,9 @@ from lightopt.core.arrays import Bool, Float32, Float64, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
-from lightopt.images._file_names import posture_folder
+from lightopt.images._atomic import ResultFolder
 from lightopt.images._image_files import write_png
-from lightopt.images._manifest import ImageEntry
-from lightopt.images._result_folder import ResultFolder
+from lightopt.images._manifest import ImageEntry, posture_folder
 from lightopt.images._set_reader import ImageSet
 
 ONE_COLOUR = (70, 110, 190)
@@ -73,14 +72,10 @@ def _overlap(images: ImageSet, posture: Posture, exposure: float, entries: list[
             raise InputError(f"{where}: {sizes}; expected images of one camera")
         total = share if total is None else total + share
     assert total is not None
-    return Overlap(
-        posture=posture,
-        exposure=exposure,
-        saturated={light: int(mask.sum()) for light, mask in masks.items()},
-        pairs={(a, b): int((masks[a] & masks[b]).sum()) for a, b in itertools.combinations(masks, 2)},
-        count=np.stack(list(masks.values())).sum(axis=0).astype(np.uint8),
-        mean=(total / len(entries)).astype(np.float32),
-    )
+    saturated = {light: int(mask.sum()) for light, mask in masks.items()}
+    pairs = {(a, b): int((masks[a] & masks[b]).sum()) for a, b in itertools.combinations(masks, 2)}
+    count = np.stack(list(masks.values())).sum(axis=0).astype(np.uint8)
+    return Overlap(posture, exposure, saturated, pairs, count, (total / len(entries)).astype(np.float32))
 
 
 def overlap_map_name(posture: Posture, exposure: float = 1.0) -> str:

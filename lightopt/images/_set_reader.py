@@ -6,14 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float32, UInt8
+from lightopt.core.arrays import Bool, Float32
 from lightopt.core.errors import InputError, refuse
 from lightopt.core.provenance import file_sha256, files_sha256
-from lightopt.images._file_names import MANIFEST_NAME
-from lightopt.images._image_files import read_exr, read_png
-from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_manifest
+from lightopt.images._image_files import Levels, read_exr, read_png
+from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest, read_manifest
 
 
 @dataclass(frozen=True)
@@ -24,7 +22,7 @@ class LoadedImage:
     # ((2^b − 1) · exposure), so clipped where saturated
     levels: Float32
     saturated: Bool  # where `levels` is a lower bound, or the camera would be saturated at the entry's exposure
-    sensor: UInt8 | NDArray[np.uint16] | None  # levels as delivered; None for an image without PNG
+    sensor: Levels | None  # levels as delivered; None for an image without PNG
 
 
 @dataclass(frozen=True)
@@ -73,11 +71,9 @@ class ImageSet:
         sensor = read_png(self.path(name))
         highest = int(sensor.max())
         if highest > manifest.max_level or np.iinfo(sensor.dtype).max < manifest.max_level:
-            expected = f"right-aligned levels of {manifest.bit_depth} bits (up to {manifest.max_level})"
-            raise InputError(
-                f"{self.path(name)}: expected {expected}, found {sensor.dtype} up to {highest}; correct bit_depth in "
-                "the manifest or deliver the levels unscaled"
-            )
+            expected = f"expected right-aligned levels of {manifest.bit_depth} bits (up to {manifest.max_level})"
+            advice = "correct bit_depth in the manifest or deliver the levels unscaled"
+            raise InputError(f"{self.path(name)}: {expected}, found {sensor.dtype} up to {highest}; {advice}")
         scale = manifest.full_scale / (manifest.max_level * entry.held_exposure)
         levels = ((sensor.astype(np.float64) - manifest.black_level) * scale).astype(np.float32)
         saturated = sensor >= manifest.saturated_from
@@ -112,10 +108,8 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
         patterns = (f"*/{MANIFEST_NAME}", f"*/*/{MANIFEST_NAME}")
         if below := sorted(found.parent for pattern in patterns for found in path.glob(pattern)):
             raise InputError(f"{path}: no image set, but these folders in it are: {', '.join(map(str, below[:5]))}")
-        raise InputError(
-            f"{path}: no {MANIFEST_NAME}, which says what each picture shows; docs/reference/conventions.md, Image "
-            "sets, says how to write one for pictures that another program took"
-        )
+        how = "docs/reference/conventions.md, Image sets, says how to write one for pictures that another program took"
+        raise InputError(f"{path}: no {MANIFEST_NAME}, which says what each picture shows; {how}")
     image_set = ImageSet(folder=manifest_path.parent, manifest=read_manifest(manifest_path))
     listed = image_set.manifest.listed_files if verify else ()
     refuse([text for name, digest in listed if (text := _file_problem(image_set.path(name), digest))])

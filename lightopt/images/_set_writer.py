@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Float32, UInt8
+from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences, file_sha256
 from lightopt.core.transforms import Posture
-from lightopt.images import _file_names as file_names
+from lightopt.images import _manifest as names
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
-from lightopt.images._image_files import write_exr, write_png
+from lightopt.images._image_files import Levels, write_exr, write_png
 from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_manifest
 
 _PATCHES_NAME = "patches.npz"
@@ -45,11 +45,11 @@ class ImageSetWriter:
     """
 
     def __init__(
-        self, folder: str | Path, header: Manifest, *, force: bool = False, plan: Iterable[file_names.ImageKey] = ()
+        self, folder: str | Path, header: Manifest, *, force: bool = False, plan: Iterable[names.ImageKey] = ()
     ) -> None:
         self.folder = Path(folder)
         self._lock = threading.Lock()
-        self._names = file_names.FileNames()
+        self._names = names.FileNames()
         self._verified: dict[str, str] = {}
         plan = tuple(plan)
         self._names.claim_images(plan)
@@ -58,9 +58,9 @@ class ImageSetWriter:
         self.resumed = existing is not None
         self._may_overwrite = force or self.resumed
         for light, posture, exposure in plan:
-            self._writable(file_names.png_name(light, posture, exposure))
-            self._writable(file_names.exr_name(light, posture))
-            self._writable(file_names.geometry_name(posture))
+            self._writable(names.png_name(light, posture, exposure))
+            self._writable(names.exr_name(light, posture))
+            self._writable(names.geometry_name(posture))
         self.manifest = existing or replace(header, images=(), geometry=(), patches=None, files={})
         self._names.claim_images(entry.key for entry in self.manifest.images)
         make_folder(self.folder)
@@ -78,19 +78,15 @@ class ImageSetWriter:
 
     def geometry_done(self, posture: Posture) -> bool:
         """Whether the geometry of a posture is listed and intact."""
-        entry = next((e for e in self.manifest.geometry if e.posture == posture), None)
-        return entry is not None and self._intact(entry.exr, entry.sha256.get("exr"))
+        entries = [e for e in self.manifest.geometry if e.posture == posture]
+        return any(self._intact(e.exr, e.sha256.get("exr")) for e in entries)
 
     def file_done(self, name: str = _PATCHES_NAME) -> bool:
         """Whether a further file (the patch table unless named) is listed and intact."""
         return self._intact(name, self.manifest.files.get(name))
 
     def add_image(
-        self,
-        entry: ImageEntry,
-        *,
-        png: UInt8 | NDArray[np.uint16] | None = None,
-        exr: Mapping[str, Float32] | None = None,
+        self, entry: ImageEntry, *, png: Levels | None = None, exr: Mapping[str, Float32] | None = None
     ) -> ImageEntry:
         """Write an image's files, then list it; returns the entry as listed, which replaces one of the same key.
 
@@ -109,11 +105,9 @@ class ImageSetWriter:
         if png is not None:
             wanted, top = np.dtype(np.uint8 if self.manifest.bit_depth <= 8 else np.uint16), self.manifest.max_level
             if png.dtype != wanted or int(png.max()) > top:
-                raise InputError(
-                    f"light {entry.light!r}: expected {wanted} levels up to {top} ({self.manifest.bit_depth} bits), "
-                    f"found {png.dtype} up to {png.max()}"
-                )
-            name = files["png"] = file_names.png_name(*entry.key)
+                expected = f"expected {wanted} levels up to {top} ({self.manifest.bit_depth} bits)"
+                raise InputError(f"light {entry.light!r}: {expected}, found {png.dtype} up to {png.max()}")
+            name = files["png"] = names.png_name(*entry.key)
             facts = self._metadata(entry, linear=False)
             hashes["png"] = self._write(name, lambda path: write_png(path, png, metadata=facts))
         if exr is not None:
@@ -141,32 +135,32 @@ class ImageSetWriter:
         return next((e for e in self.manifest.images if e.key[:2] == (light, posture) and e.exr), None)
 
     def _write_linear(self, entry: ImageEntry, channels: Mapping[str, Float32]) -> tuple[str, str]:
-        name, facts = file_names.exr_name(entry.light, entry.posture), self._metadata(entry, linear=True)
+        name, facts = names.exr_name(entry.light, entry.posture), self._metadata(entry, linear=True)
         return name, self._write(name, lambda path: write_exr(path, channels, metadata=facts))
 
     def _images_sharing(self, entry: ImageEntry, digest: str) -> tuple[ImageEntry, ...]:
         # the listed images; those of the entry's light and posture with the linear image that was written for it
-        exr = file_names.exr_name(entry.light, entry.posture)
+        exr = names.exr_name(entry.light, entry.posture)
         images = list(self.manifest.images)
         for i, e in enumerate(images):
             if e.key[:2] == entry.key[:2]:
                 images[i] = replace(e, exr=exr, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
         return tuple(images)
 
-    def add_levels(self, name: str, levels: UInt8 | NDArray[np.uint16], *, metadata: Mapping[str, Any]) -> None:
+    def add_levels(self, name: str, levels: Levels, *, metadata: Mapping[str, Any]) -> None:
         """Write camera levels (H, W) that are no image of a light (a dark frame) as a further file, then list it."""
         facts = {**self._origin(), "bit_depth": self.manifest.bit_depth, **metadata}
         self._add_further(name, lambda path: write_png(path, levels, metadata=facts))
 
     def add_geometry(
         self, posture: Posture, channels: Mapping[str, Float32], *, metadata: Mapping[str, Any] | None = None
-    ) -> GeometryEntry:
+    ) -> None:
         """Write a posture's geometry image, then list it.
 
         Channels, float32 (H, W): ``P.X P.Y P.Z`` [mm] and ``N.X N.Y N.Z`` in the world frame, ``Z`` [mm along the ray],
         ``patch`` and, for parts with defects, ``defect``.
         """
-        name = file_names.geometry_name(posture)
+        name = names.geometry_name(posture)
         self._names.claim(name, f"the geometry of {name.partition('/')[0]}")
         facts = {**self._origin(), "posture": posture.as_dict(), **(metadata or {})}
         digest = self._write(name, lambda path: write_exr(path, channels, metadata=facts))
@@ -174,7 +168,6 @@ class ImageSetWriter:
         with self._lock:
             entries = {e.posture: e for e in self.manifest.geometry}
             self._save(geometry=tuple({**entries, posture: listed}.values()))
-        return listed
 
     def add_patches(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write the patch table as ``patches.npz``, then list it."""
@@ -197,19 +190,17 @@ class ImageSetWriter:
         Of `images` (light and posture) all exposures go, and their linear image. `extra` are keys of the manifest that
         change together with the list, as for :meth:`add_extra`.
         """
-        of_them, names = set(images), set(files)
+        of_them, others = set(images), set(files)
         with self._lock:
             entries = self.manifest.images
             gone = [e for e in entries if e.key[:2] in of_them]
             listed = [name for e in gone for name, _ in e.files]
-            listed += [name for name in names if name in self.manifest.files]
+            listed += [name for name in others if name in self.manifest.files]
             changed = {**self.manifest.extra, **(extra or {})}
             if listed or changed != self.manifest.extra:
-                self._save(
-                    images=tuple(e for e in entries if e.key[:2] not in of_them),
-                    files={n: h for n, h in self.manifest.files.items() if n not in names},
-                    extra=changed,
-                )
+                kept = tuple(e for e in entries if e.key[:2] not in of_them)
+                hashes = {name: digest for name, digest in self.manifest.files.items() if name not in others}
+                self._save(images=kept, files=hashes, extra=changed)
         for name in listed:
             self._verified.pop(name, None)
             remove_file(self.folder / name)
@@ -228,7 +219,7 @@ class ImageSetWriter:
 
     def _add_further(self, name: str, write: Callable[[Path], str], **changes: Any) -> None:
         # write a file that is no image and list it, with other changes of the manifest
-        if problem := file_names.inside_problem(name):
+        if problem := names.inside_problem(name):
             raise InputError(f"{name!r}: {problem}")
         self._names.claim(name, f"the file {name}")
         digest = self._write(name, write)
@@ -271,13 +262,13 @@ class ImageSetWriter:
 
     def _save(self, **changes: Any) -> None:
         manifest = replace(self.manifest, **changes)
-        write_text_atomic(self.folder / file_names.MANIFEST_NAME, manifest.to_json())
+        write_text_atomic(self.folder / names.MANIFEST_NAME, manifest.to_json())
         self.manifest = manifest
 
 
 def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
     """Manifest to continue, the header's warnings added; None for no set. InputError for another run's, or damaged."""
-    path = folder / file_names.MANIFEST_NAME
+    path = folder / names.MANIFEST_NAME
     if not path.exists():
         return None
     advice = "use option 'force' to replace it, or choose another output folder"
@@ -311,12 +302,12 @@ def remove_image_set(folder: Path) -> int:
     manifest = _readable_manifest(folder)
     if manifest is None or manifest.kind != "simulated":
         return 0
-    return _remove_files(folder, manifest) + remove_file(folder / file_names.MANIFEST_NAME)
+    return _remove_files(folder, manifest) + remove_file(folder / names.MANIFEST_NAME)
 
 
 def _readable_manifest(folder: Path) -> Manifest | None:
     try:
-        return read_manifest(folder / file_names.MANIFEST_NAME)
+        return read_manifest(folder / names.MANIFEST_NAME)
     except InputError:
         return None
 

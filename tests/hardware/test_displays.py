@@ -29,7 +29,7 @@ from lightopt.rig.devices import (
     PictureSettings,
     _light_display,
     all_off,
-    check_screen_library,
+    check_display,
 )
 from lightopt.rig.devices._device import LinkLostError, RefusedError
 from lightopt.rig.simulated import BenchProcess
@@ -286,7 +286,7 @@ def test_a_window_that_does_not_start(tmp_path, window):
 def test_without_the_library(monkeypatch):
     monkeypatch.setattr(_light_display, "find_spec", lambda _: None)
     with pytest.raises(InputError, match=r"needs pygame-ce; install it: pip install 'lightopt\[screen\]'"):
-        check_screen_library()
+        check_display(None, Path())
 
 
 # ---- captures

@@ -9,7 +9,7 @@ import pytest
 from faulty_bench import set_fault, trace
 
 from lightopt.core.errors import HardwareError
-from lightopt.rig.capture._watchdog import LightWatchdog
+from lightopt.rig.capture._safe_devices import LightWatchdog
 from lightopt.rig.devices import LIGHT_DRIVERS, LightSettings, LightsStillOnError, all_off, run_in_parallel
 from lightopt.rig.simulated import BenchProcess
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from lightopt.optics import Sensor
+from lightopt.rig.capture._acquisition import ExposureImage, FrameMean, merge_exposures
 from lightopt.rig.capture._image_checks import PredictedImages, check_light, find_light_left_on
-from lightopt.rig.capture._merged_exposures import ExposureImage, FrameMean, merge_exposures
 
 EIGHT = Sensor(bit_depth=8, saturation_level=250, black_level=4)
 

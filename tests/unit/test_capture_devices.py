@@ -113,7 +113,7 @@ def grab_and_go(devices):
 
 
 def test_a_light_that_does_not_go_dark_in_time_is_tried_again(opened, world, monkeypatch):
-    monkeypatch.setattr("lightopt.rig.capture._watchdog._RETRY_S", 0.05)
+    monkeypatch.setattr("lightopt.rig.capture._safe_devices._RETRY_S", 0.05)
     world.trouble = broken("level", number=6, error=HardwareError("no reply"))  # four at the start, one on
 
     with opened({"max_on_s": 0.1}) as devices:

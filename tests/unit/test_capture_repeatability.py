@@ -15,7 +15,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.optics import expose
 from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.rig.capture._repeatability import Repeatability, measure_repeatability
+from lightopt.rig.capture._image_checks import Repeatability, measure_repeatability
 from lightopt.scene import Scene, build_scene
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

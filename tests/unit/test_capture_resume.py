@@ -227,9 +227,9 @@ def test_few_linear_images_wait(take, monkeypatch):
 @pytest.mark.skipif(os.name == "nt", reason="os.kill ends a Windows process at once")
 def test_a_disk_that_hangs_is_waited_for_and_the_folder_stays_locked(take, world, bench, monkeypatch):
     from lightopt.images import _set_writer
-    from lightopt.rig.capture import _session
+    from lightopt.rig.capture import _capture
 
-    monkeypatch.setattr(_session, "DISK_WARNING_S", 0.05)
+    monkeypatch.setattr(_capture, "DISK_WARNING_S", 0.05)
     inside, gate, said, plain = threading.Event(), threading.Event(), [], _set_writer.write_png
 
     def hang(*arguments, **options):

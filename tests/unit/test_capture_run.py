@@ -185,7 +185,7 @@ def test_a_light_waits_for_a_quick_disk(take, world):
 
 
 def test_the_light_is_out_before_anything_is_made_of_its_frames(take, world, monkeypatch):
-    from lightopt.rig.capture._merged_exposures import FrameMean
+    from lightopt.rig.capture._acquisition import FrameMean
 
     monkeypatch.setattr(CapturePlan, "relighting_s", 0.02)
     burning = burning_after(monkeypatch, world, FrameMean, "image", seconds=0.1)

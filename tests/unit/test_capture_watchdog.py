@@ -13,9 +13,9 @@ from capture_doubles import Lights, Stage, World
 
 from lightopt.config import load_lights, load_rig
 from lightopt.core.errors import HardwareError, InputError, error_text
-from lightopt.rig.capture import Devices, _lights_off, _watchdog, switch_off, wiring_of
+from lightopt.rig.capture import Devices, _lights_off, _safe_devices, switch_off, wiring_of
 from lightopt.rig.capture._lights_off import open_lights
-from lightopt.rig.capture._watchdog import LightWatchdog
+from lightopt.rig.capture._safe_devices import LightWatchdog
 
 LONGEST_S = 0.05
 
@@ -43,7 +43,7 @@ def of(errors):
 
 @pytest.fixture(autouse=True)
 def soon_again(monkeypatch):
-    monkeypatch.setattr(_watchdog, "_RETRY_S", 0.01)
+    monkeypatch.setattr(_safe_devices, "_RETRY_S", 0.01)
 
 
 @pytest.fixture

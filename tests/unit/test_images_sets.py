@@ -28,8 +28,7 @@ from lightopt.images import (
     write_exr,
     write_png,
 )
-from lightopt.images._file_names import exr_name, geometry_name
-from lightopt.images._manifest import parse_manifest
+from lightopt.images._manifest import exr_name, geometry_name, parse_manifest
 
 HEADER = Manifest(
     kind="simulated",

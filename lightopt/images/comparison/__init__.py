@@ -3,12 +3,10 @@
 from lightopt.images.comparison._channels import ComparisonThresholds as ComparisonThresholds
 from lightopt.images.comparison._files import (
     FileComparison as FileComparison,
-    compare_files as compare_files,
-    difference_picture as difference_picture,
-    diverging as diverging,
-)
-from lightopt.images.comparison._sets import (
     SetComparison as SetComparison,
+    compare_files as compare_files,
     compare_sets as compare_sets,
     comparison_provenance as comparison_provenance,
+    difference_picture as difference_picture,
+    diverging as diverging,
 )

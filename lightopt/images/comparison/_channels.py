@@ -105,10 +105,8 @@ def compare_arrays(
 
     reasons: list[str] = []
     if share > max_share:
-        reasons.append(
-            f"{name}: {share:.3%} of values ({differing} of {golden.size}) differ by more than "
-            f"{absolute:g} + {relative:.3g}·|golden|; allowed {max_share:.3%}"
-        )
+        some, limit = f"{share:.3%} of values ({differing} of {golden.size})", f"{absolute:g} + {relative:.3g}·|golden|"
+        reasons.append(f"{name}: {some} differ by more than {limit}; allowed {max_share:.3%}")
     if fresh := int((finite_a & ~finite_b).sum()):
         reasons.append(f"{name}: {fresh} values are NaN or infinite where the golden's are finite")
     masks: dict[str, Any] = {}

@@ -1,20 +1,140 @@
-"""Expose: switch lights, let them settle, take frames that began after the change, record how each was taken."""
+"""Expose: switch lights, let them settle, take frames that began after the change, record how; merge exposures."""
 
+import math
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from lightopt.core.errors import HardwareError, InputError, refuse
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.arrays import Bool, Float32, Float64
+from lightopt.core.errors import HardwareError, refuse
 from lightopt.core.transforms import Posture
 from lightopt.optics import Sensor
 from lightopt.rig.capture._capture_plan import CapturePlan
-from lightopt.rig.capture._merged_exposures import ExposureImage, FrameMean
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera
-from lightopt.rig.devices import Event, Frame, now
+from lightopt.rig.devices import Event, Frame, Levels, now
+
+LEAST_LEVEL = 1.5  # pixels count that should be at least so far above black in the shorter exposure [sensor level]
+LEAST_PIXELS = 30
+MOST_PIXELS = 200_000  # of larger images a grid of about so many pixels is compared: the next exposure waits for it
+TOLERANCE = 0.1  # share by which the exposures may differ: exposure times of cameras are not exact
+TOLERANCE_LEVELS = 0.4  # levels by which they may differ in addition: clipping at level 0, an inexact black level
+
+
+Dark = Mapping[float, Float32]  # frames without light of a posture by relative exposure [sensor level], each (H, W)
+
+
+@dataclass(frozen=True)
+class ExposureImage:
+    """An image at one exposure; arrays of shape (H, W)."""
+
+    exposure: float  # relative exposure, as the camera held it
+    mean: Float32  # mean of the frames [sensor level]
+    saturated: Bool  # where any frame reached the saturation level, so that the mean is too low
+    # [sensor level] the frame as delivered; of several the mean, rounded half to even (half up would add 1/(2N) on
+    # average), and the highest level of all where any was saturated
+    png: Levels
+
+
+class FrameMean:
+    """Mean of frames that come in one by one, each of shape (H, W) [sensor level]."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self._sensor = sensor
+        self._number = 0
+        self._highest: NDArray[Any] | None = None
+        self._sum: Float64 | None = None
+
+    def add(self, levels: Levels) -> None:
+        self._number += 1
+        if self._highest is None:
+            self._highest = levels
+            return
+        if self._sum is None:
+            self._sum = self._highest.astype(np.float64)
+        self._sum += levels
+        self._highest = np.maximum(self._highest, levels)
+
+    def image(self, exposure: float) -> ExposureImage:
+        """The image of the frames so far, at least one, at the relative exposure that the camera held."""
+        highest = self._highest
+        assert highest is not None
+        saturated = highest >= self._sensor.saturated_from
+        if self._sum is None:
+            return ExposureImage(exposure, highest.astype(np.float32), saturated, png=highest)
+        mean = self._sum / self._number
+        png = np.where(saturated, highest, np.rint(mean).astype(highest.dtype))
+        return ExposureImage(exposure, mean.astype(np.float32), saturated, png)
+
+
+def exposure_mismatch(
+    light: str, one: ExposureImage, other: ExposureImage, *, darks: Sequence[Float32 | float], sensor: Sensor
+) -> str | None:
+    """Message about how the brightness of a light differs between two exposures (H, W); None where it does not.
+
+    Pixels that are saturated in the longer exposure must be at least that bright in the shorter one.
+    `darks` are what each shows without the light [sensor level], (H, W) or one level.
+    """
+    pairs = [(image, np.asarray(dark, np.float32)) for image, dark in zip((one, other), darks, strict=True)]
+    (long, long_dark), (short, short_dark) = pairs if one.exposure >= other.exposure else pairs[::-1]
+    ratio = short.exposure / long.exposure
+    step = max(1, round(math.sqrt(long.mean.size / MOST_PIXELS)))
+    some = (slice(step // 2, None, step), slice(step // 2, None, step))
+    long_dark, short_dark = (dark[some] if dark.ndim else dark for dark in (long_dark, short_dark))
+    long_full, short_full = long.saturated[some], short.saturated[some]
+    expected = np.minimum(long.mean[some], sensor.saturated_from) - long_dark
+    expected = expected * np.float32(ratio)
+    seen = short.mean[some] - short_dark
+    bright = expected >= LEAST_LEVEL
+    both = bright & ~long_full & ~short_full
+    only_long = bright & long_full & ~short_full
+    for where, least in ((both, False), (only_long, True)):
+        count = int(np.count_nonzero(where))
+        if count < LEAST_PIXELS:
+            continue
+        should, found = (float(a[where].mean(dtype=np.float64)) for a in (expected, seen))
+        off = found - should
+        noise = sensor.noise_variance(should)
+        allowed = TOLERANCE * should + TOLERANCE_LEVELS + 6.0 * float(np.sqrt(2.0 * noise / count))
+        if off < -allowed or (off > allowed and not least):
+            share = max(found, 0.0) / should if one is short else should / max(found, 1e-3)
+            cause = "it failed, changed, or another light was switched on between the exposures"
+            return f"{light} is {share:.0%} as bright as at exposure {other.exposure:g}: {cause}"
+    return None
+
+
+def merge_exposures(
+    images: Sequence[ExposureImage], *, sensor: Sensor, full_scale: float, dark: Sequence[Float32] | None = None
+) -> dict[str, Float32]:
+    """The linear image of a light: every pixel from the longest exposure in which it is not saturated.
+
+    Level at exposure 1 = (sensor level − dark) · full scale / ((2^b − 1) · exposure).
+
+    images: The exposures, of one shape (H, W), the longest first.
+    full_scale: Grey level of a full-scale sensor level at exposure 1.
+    dark: Mean frame without light of each exposure [sensor level], shape (H, W); else the black level is removed.
+    Returns dict: EXR channels, float32 (H, W): ``Y`` [grey level at exposure 1]; ``valid``, 0 where every exposure was
+        saturated and `Y` is only a lower bound; ``exposure``, the relative exposure that the pixel came from.
+    """
+    level = np.zeros(images[0].mean.shape, np.float32)
+    exposure = np.zeros(level.shape, np.float32)
+    missing = np.ones(level.shape, np.bool_)
+    for i, image in enumerate(images):
+        last = i == len(images) - 1
+        take = missing if last else missing & ~image.saturated
+        black = sensor.black_level if dark is None else dark[i]
+        scale = full_scale / (sensor.max_level * image.exposure)
+        np.copyto(level, ((image.mean - black) * scale).astype(np.float32), where=take)
+        exposure[take] = image.exposure
+        missing = missing & image.saturated
+    return {"Y": level, "valid": (~missing).astype(np.float32), "exposure": exposure}
+
 
 # a camera whose exposure time differs from the requested one by more than this share is refused
 EXPOSURE_TOLERANCE = 0.005
@@ -219,26 +339,21 @@ class AcquisitionEngine:
         assert self._held_us is not None
         exposure_s = self._held_us / 1e6
         light = self._lit[0] if self._lit else None
-        left_s = self._remaining_on_s()
-        if left_s is not None and left_s <= exposure_s:
-            raise HardwareError(
-                f"{light} may be on for {max(0.0, left_s):.3g} s more (max_on_s) and the exposure "
-                "takes longer: frames came later than planned; take fewer or shorter exposures"
-            )
+        if (left_s := self._remaining_on_s()) is not None and left_s <= exposure_s:
+            longer = "and the exposure takes longer: frames came later than planned; take fewer or shorter exposures"
+            raise HardwareError(f"{light} may be on for {max(0.0, left_s):.3g} s more (max_on_s) {longer}")
         begun = time.monotonic()
         frame = self.devices.grab(self._held_us, light)
         taken_s = time.monotonic() - begun
         self._timing.exposing_s += min(exposure_s, taken_s)
         self._timing.transfer_s += max(0.0, taken_s - exposure_s)
-        width, height = self.devices.camera.resolution_px
-        if frame.levels.shape != (height, width) or int(frame.levels.max()) > self._sensor.max_level:
-            raise HardwareError(
-                f"the camera delivered a frame of {frame.levels.shape[1]} × {frame.levels.shape[0]} pixels with levels "
-                f"up to {frame.levels.max()}; expected {width} × {height} and at most {self._sensor.max_level}"
-            )
+        (width, height), most = self.devices.camera.resolution_px, self._sensor.max_level
+        rows, columns = frame.levels.shape
+        if (rows, columns) != (height, width) or int(frame.levels.max()) > most:
+            found = f"{columns} × {rows} pixels with levels up to {frame.levels.max()}"
+            raise HardwareError(f"the camera delivered {found}; expected {width} × {height} and at most {most}")
         if abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
-            name = "a frame" if frame.number is None else f"frame {frame.number}"
-            raise HardwareError(f"the camera took {name} at {frame.exposure_us:g} µs, but held {self._held_us:g} µs")
+            raise HardwareError(f"the camera took a frame at {frame.exposure_us:g} µs, but held {self._held_us:g} µs")
         return frame
 
     def _remaining_on_s(self) -> float | None:
@@ -258,20 +373,12 @@ def _holds(held_us: float, wanted_us: float) -> bool:
 def _check_exposures(devices: Devices, plan: CapturePlan) -> None:
     """Refuse a plan whose exposures the camera cannot hold; each that is in its range is set once."""
     low, high = devices.camera.exposure_range_us
-    for time_us in map(plan.exposure_us, plan.exposures):
-        if not low * (1 - EXPOSURE_TOLERANCE) <= time_us <= high * (1 + EXPOSURE_TOLERANCE):
-            raise InputError(
-                f"an exposure of {time_us:g} µs is outside the camera's {low:g} to {high:g} µs; choose others, "
-                "or another camera.exposure_us in the rig"
-            )
     problems: list[str] = []
     for exposure in plan.exposures:
         wanted = plan.exposure_us(exposure)
-        held = devices.camera.set_exposure(wanted)
-        if not _holds(held, wanted):
-            problems.append(
-                f"exposure {exposure:g} ({wanted:g} µs): the camera holds {held:g} µs instead, which is exposure "
-                f"{held / plan.wiring.exposure_us:.6g}; choose exposures that it can hold, or another "
-                "camera.exposure_us in the rig"
-            )
-    refuse(problems)
+        if not low * (1 - EXPOSURE_TOLERANCE) <= wanted <= high * (1 + EXPOSURE_TOLERANCE):
+            problems.append(f"an exposure of {wanted:g} µs is outside the camera's {low:g} to {high:g} µs")
+        elif not _holds(held := devices.camera.set_exposure(wanted), wanted):
+            instead = f"holds {held:g} µs instead, which is exposure {held / plan.wiring.exposure_us:.6g}"
+            problems.append(f"exposure {exposure:g} ({wanted:g} µs): the camera {instead}")
+    refuse(f"{problem}; choose others, or another camera.exposure_us in the rig" for problem in problems)

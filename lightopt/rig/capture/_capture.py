@@ -3,23 +3,279 @@
 import os
 import sys
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.errors import InputError
+from lightopt.core.arrays import Float32
+from lightopt.core.errors import HardwareError, InputError, Interrupted, LightoptError, counted
 from lightopt.core.run_context import RunContext
-from lightopt.images import make_folder
-from lightopt.rig.capture._acquisition import Timing
+from lightopt.core.transforms import Posture
+from lightopt.images import EVENTS_KEY, REPEATABILITY_KEY, make_folder
+from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine, Dark, ExposureImage, Timing
 from lightopt.rig.capture._capture_plan import CaptureOptions, CapturePlan, make_plan
-from lightopt.rig.capture._captured_set import open_set
+from lightopt.rig.capture._captured_set import BackgroundWriter, CapturedSet, open_set
 from lightopt.rig.capture._connect import connect_devices
+from lightopt.rig.capture._image_checks import ImageChecker, measure_repeatability
 from lightopt.rig.capture._safe_devices import Devices
-from lightopt.rig.capture._session import CaptureSession
-from lightopt.scene import build_scene
+from lightopt.rig.capture._signals import EndSignals
+from lightopt.scene import Scene, build_scene
+
+DISK_WARNING_S = 1.0  # longest silent wait for the disk at the end [s]; then a warning is given
+
+
+class CaptureSession:
+    """Takes the missing images of a plan (`taken` so far), and reports what an interrupted run has on disk."""
+
+    def __init__(self, plan: CapturePlan, scene: Scene, records: CapturedSet, timing: Timing, run: RunContext) -> None:
+        self._plan = plan
+        self._scene = scene
+        self._records = records
+        self._timing = timing
+        self._run = run
+        self._writer = BackgroundWriter(timing)
+        self._checker = ImageChecker(scene, check=plan.options.check, with_dark=plan.options.dark)
+        missing = sum(len(records.missing(light, posture)) for posture in plan.postures for light in plan.lights)
+        self._on_disk = len(plan.keys) - missing
+        self._devices: Devices | None = None
+        self._started: AcquisitionEngine | None = None
+        self._in_doubt: tuple[Posture, Sequence[str]] | None = None
+        self.taken = 0
+        self.warnings: tuple[str, ...] = ()
+
+    def __enter__(self) -> "CaptureSession":
+        return self
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        """Finish writing, and report what an interrupted run has on disk; its devices are closed already."""
+        stopped = isinstance(error, KeyboardInterrupt)
+        signalled = self._finish(failed=error is not None, lights="all lights are off; " if stopped else "")
+        if error is None and not signalled:
+            return
+        with suppress(LightoptError):  # the error that ends the run is reported, not a second one
+            if self._in_doubt is not None:
+                self._records.discard(*self._in_doubt)
+            self._record_events()
+        if (stopped or error is None) and self._devices is not None:
+            raise Interrupted(f"all lights are off; {self._progress_text()}") from error
+
+    @property
+    def _engine(self) -> AcquisitionEngine:
+        assert self._started is not None
+        return self._started
+
+    def _progress_text(self) -> str:
+        there, planned = len(self._records.writer.manifest.images), len(self._plan.keys)
+        on_disk = f"{there} of {counted(planned, 'image')} {'is' if planned == 1 else 'are'} on disk"
+        if not self.todo():
+            return f"{on_disk}; the set is complete"
+        again = self._records.in_doubt
+        some = f", which captures {again} of them again: no frame without light followed them" if again else ""
+        return f"{on_disk}; continue with option 'resume'{some}"
+
+    def warn(self, *texts: str) -> None:
+        """Issue a warning once, and record it for the manifest."""
+        for text in texts:
+            if text not in self.warnings:
+                self.warnings += (text,)
+        self._run.warn(*texts)
+
+    def todo(self) -> list[Posture]:
+        records, darks = self._records, self._plan.dark_exposures
+
+        def is_complete(posture: Posture) -> bool:
+            return not records.todo(posture) and all(records.has_dark(posture, exposure) for exposure in darks)
+
+        return [posture for posture in self._plan.postures if not is_complete(posture)]
+
+    def execute(self, devices: Devices) -> None:
+        self._devices = devices
+        with self._timing.spent("opening_s"):
+            sensor = self._scene.sensor
+            self._started = AcquisitionEngine(devices, self._plan, sensor=sensor, timing=self._timing)
+        if self._plan.home:
+            self._report_progress("homing the stage")
+            self._engine.home()
+        self._set_dark_references()
+        for posture in self.todo():
+            self._capture_posture(posture)
+        if self._plan.options.check_repeatability:
+            self._check_repeatability()
+        devices.step = "checking and writing the last images"
+        self._writer.wait()
+
+    def _check_repeatability(self) -> None:
+        """Take the first posture once more: a stage that lost steps since then shows another image."""
+        light, posture, exposure = self._plan.keys[0]
+        engine = self._engine
+        engine.devices.step = "checking and writing the previous image"
+        self._writer.wait()
+        first = self._records.read_levels(light, posture, exposure)
+        self._report_progress(f"returning to {posture}")
+        engine.move(posture)
+        engine.set_exposure(exposure)
+        engine.light_on(light)
+        acquired = self._expose(posture, exposure, light=light, rest=(exposure,))
+        engine.light_off()
+        engine.devices.step = f"comparing the images of {posture}"
+        found = measure_repeatability(first, acquired.image.mean, light=light, posture=posture, scene=self._scene)
+        prefix = f"repeated image at {posture}: "
+        if found is None:
+            self.warn(f"{prefix}{light} shows too little of the part to detect lost steps")
+            return
+        facts = {"light": light, "posture": posture.as_dict(), **found.as_dict()}
+        self._records.writer.add_extra(REPEATABILITY_KEY, facts)
+        if not found.converged:
+            text = "the comparison with the first image did not converge, so lost steps would not be detected"
+        elif found.deviation is not None:
+            moved = f"the part has rotated since the first image, {found.deviation}, unnoticed by the stage"
+            text = f"{moved}: it lost steps, or the part slipped; home the stage and capture again"
+        elif found.unobservable:
+            text = f"the images do not show whether the part's {found.unobservable} is unchanged"
+        else:
+            return
+        self.warn(prefix + text)
+
+    def flush(self) -> None:
+        """Write warnings and events to the manifest."""
+        try:
+            self._record_events()
+        except InputError as error:
+            if self._devices is None:
+                raise
+            first, *others = error.messages
+            raise HardwareError(f"while completing the manifest: {first}", *others, "all lights are off") from error
+
+    def _record_events(self) -> None:
+        """Write warnings, and irregularities on the links that are not in the entry of an image, to the manifest."""
+        writer = self._records.writer
+        writer.add_warnings(self.warnings)
+        source = self._started.events_since if self._started else self._devices and self._devices.events
+        if events := [asdict(event) for event in (source() if source else ())]:
+            writer.add_extra(EVENTS_KEY, [*writer.manifest.extra.get(EVENTS_KEY, ()), *events])
+
+    def _finish(self, *, failed: bool, lights: str) -> bool:
+        """Finish writing, whatever happens, while signals are held back; returns whether one came."""
+        with EndSignals() as signals, signals.shielded():
+            if failed:
+                self._writer.cancel_linears()
+            if not self._writer.wait_idle(DISK_WARNING_S):
+                self._run.warn(f"{lights}waiting until the disk has written the exposed images; Ctrl-C also waits")
+            self._writer.close()
+            if self._started is not None:
+                self._started.close()
+            self._checker.close()
+        return signals.pending is not None
+
+    def _capture_posture(self, posture: Posture) -> None:
+        self._checker.predict(posture)
+        self._report_progress(f"moving to {posture}")
+        self._engine.move(posture)
+        todo = self._records.todo(posture)
+        incomplete = [light for light, missing in todo.items() if missing]
+        if incomplete:
+            self._writer.submit_image(self._records.discard, posture, incomplete)
+        dark = self._capture_darks(posture)
+        for light, missing in todo.items():
+            self._capture_light(posture, light, missing, dark)
+        if incomplete:
+            elsewhere = f"the stage may have been elsewhere for images of {posture}: those captured in this run"
+            with self._doubting(posture, incomplete, elsewhere):
+                self._engine.confirm_stage()
+        if self._plan.options.check and incomplete:
+            acquired = self._expose(posture, self._plan.exposures[0])
+            self._writer.submit_image(self._check_final_dark, acquired, incomplete)
+
+    @contextmanager
+    def _doubting(self, posture: Posture, lights: Sequence[str], images: str) -> Generator[None]:
+        """Drop images of a posture where a check after them fails; the message names them."""
+        try:
+            yield
+        except HardwareError as error:
+            self._in_doubt = (posture, lights)
+            again = f"{images} were not kept; option 'resume' captures them again"
+            raise HardwareError(*error.messages, again) from error
+
+    def _set_dark_references(self) -> None:
+        """Compare frames without light with those of a previous run."""
+        for posture in self._plan.postures:
+            for exposure in self._plan.dark_exposures:
+                wanted = not self._checker.has_dark_reference(exposure)
+                if wanted and self._records.has_dark(posture, exposure):
+                    self._checker.set_dark_reference(self._records.read_dark(posture, exposure), exposure)
+
+    def _capture_darks(self, posture: Posture) -> Dark:
+        dark: dict[float, Float32] = {}
+        for exposure in self._plan.dark_exposures:
+            # of several frames only the rounded mean is on disk
+            if self._records.has_dark(posture, exposure) and self._plan.options.average == 1:
+                dark[exposure] = self._records.read_dark(posture, exposure)
+            else:
+                self._writer.submit_image(self._add_dark, self._expose(posture, exposure), dark)
+        for exposure in self._plan.exposures if self._plan.needs_dark_reference else ():
+            if not self._checker.has_dark_reference(exposure):
+                self._writer.submit_image(self._checker.check_dark, self._expose(posture, exposure), self.warn)
+        return dark
+
+    def _capture_light(self, posture: Posture, light: str, missing: Sequence[float], dark: Dark) -> None:
+        engine = self._engine
+        captured: dict[float, ExposureImage] = {}
+        if missing:
+            engine.set_exposure(missing[0])
+            engine.light_on(light)
+        for i, exposure in enumerate(missing):
+            acquired = self._expose(posture, exposure, light=light, rest=missing[i:])
+            if exposure == missing[-1]:
+                engine.light_off()  # before anything is done with the frames
+            self._writer.submit_image(self._add, acquired, dark, captured)
+            self.taken += 1
+        engine.devices.step = "checking and writing the previous images"
+        self._writer.submit_linear(self._records.add_linear, light, posture, captured, dark)
+
+    def _add(self, acquired: AcquiredImage, dark: Dark, captured: dict[float, ExposureImage]) -> None:
+        """Check that the image is lit by its light, as those of its other exposures were, and write it."""
+        acquired.facts["lit"] = self._checker.check(acquired, dark, captured, self.warn)
+        self._records.add(acquired)
+        captured[acquired.exposure] = acquired.image
+
+    def _add_dark(self, acquired: AcquiredImage, dark: dict[float, Float32]) -> None:
+        self._checker.check_dark(acquired, self.warn)
+        self._records.add_dark(acquired)
+        dark[acquired.exposure] = acquired.image.mean
+
+    def _check_final_dark(self, acquired: AcquiredImage, lights: Sequence[str]) -> None:
+        """Check that no light stayed on; otherwise the images of the posture are dropped."""
+        on = f"the light may have been on during images of {acquired.posture} as well"
+        with self._doubting(acquired.posture, lights, f"{on}: those captured since the previous frame without light"):
+            self._checker.check_dark(acquired, self.warn)
+        self._records.record_dark_check(acquired.posture)
+
+    def _expose(
+        self, posture: Posture, exposure: float, *, light: str | None = None, rest: Sequence[float] = ()
+    ) -> AcquiredImage:
+        """Take an image once all has settled and the previous one is on disk; a light that waits long goes dark."""
+        engine = self._engine
+        self._report_progress(f"{light or 'dark'} {posture} exposure {exposure:g}")
+        engine.set_exposure(exposure)
+        engine.settle()
+        engine.devices.step = "checking and writing the previous image"
+        if light is None:
+            self._writer.wait_for_image()
+        elif not self._writer.wait_for_image(engine.max_wait_s(rest)):
+            engine.light_off()
+            engine.devices.step = "checking and writing the previous image"
+            self._writer.wait_for_image()
+            engine.light_on(light)
+            engine.settle(counted="writing_s")
+        return engine.expose(posture, exposure)
+
+    def _report_progress(self, what: str) -> None:
+        if (report := self._run.stage(what)) is not None:
+            report((self._on_disk + self.taken) / len(self._plan.keys))
+
 
 Connect = Callable[[CapturePlan], Devices]  # opens the devices of a plan
 
@@ -82,13 +338,15 @@ def capture(
             else:
                 opened = connect_devices(rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, run=run)
             devices = safe.enter_context(opened)
-            camera, (width, height), bits = devices.camera, rig.camera.resolution_px, rig.camera.sensor.bit_depth
-            if camera.resolution_px != (width, height) or camera.bit_depth != bits:  # nothing is lit or moved yet
-                raise InputError(
-                    f"{rig.source.at('camera')}: the rig has {width} × {height} pixels of {bits} bits, the camera "
-                    f"delivers {camera.resolution_px[0]} × {camera.resolution_px[1]} of {camera.bit_depth}; set the "
-                    "camera or the rig"
+            expected, found = (
+                "{} × {} pixels of {} bits".format(*size, bits)
+                for size, bits in (
+                    (rig.camera.resolution_px, rig.camera.sensor.bit_depth),
+                    (devices.camera.resolution_px, devices.camera.bit_depth),
                 )
+            )
+            if found != expected:  # nothing is lit or moved yet
+                raise InputError(f"{rig.source.at('camera')}: the rig has {expected}, the camera delivers {found}")
             return devices
 
         with timing.spent("opening_s"):
@@ -148,9 +406,8 @@ def _open_locked(path: Path) -> IO[str]:
     try:
         file = path.open("a+", encoding="ascii")
     except OSError as error:
-        raise InputError(
-            f"{path.parent}: cannot be written: {error.strerror or error}; choose another output folder"
-        ) from error
+        why = error.strerror or error
+        raise InputError(f"{path.parent}: cannot be written: {why}; choose another output folder") from error
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -165,8 +422,6 @@ def _open_locked(path: Path) -> IO[str]:
         file.seek(0)
         owner = file.read(20).strip()
         file.close()
-        raise InputError(
-            f"{path.parent}: another capture writes into this folder{f' (process {owner})' if owner else ''}; wait for "
-            "it to end, or choose another output folder"
-        ) from error
+        other = f"another capture writes into this folder{f' (process {owner})' if owner else ''}"
+        raise InputError(f"{path.parent}: {other}; wait for it to end, or choose another output folder") from error
     return file

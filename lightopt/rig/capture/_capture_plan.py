@@ -47,11 +47,8 @@ class CaptureOptions:
         for exposure in self.exposures:
             if not (math.isfinite(exposure) and exposure > 0.0):
                 yield f"option 'exposures': expected numbers above 0, found {exposure:g}"
-        for name, values in (
-            ("exposures", self.exposures),
-            ("lights", self.lights or ()),
-            ("postures", self.postures or ()),
-        ):
+        for name in ("exposures", "lights", "postures"):
+            values = getattr(self, name) or ()
             if len(set(values)) < len(values):
                 yield f"option '{name}': the same one was given twice"
         if not 1 <= self.average <= MOST_FRAMES:
@@ -97,12 +94,8 @@ class CapturePlan:
     @property
     def keys(self) -> tuple[tuple[str, Posture, float], ...]:
         """Light, posture and exposure of every image, in the order of capture."""
-        return tuple(
-            (light, posture, exposure)
-            for posture in self.postures
-            for light in self.lights
-            for exposure in self.exposures_of[light]
-        )
+        images = [(light, exposure) for light in self.lights for exposure in self.exposures_of[light]]
+        return tuple((light, posture, exposure) for posture in self.postures for light, exposure in images)
 
     @property
     def dark_exposures(self) -> tuple[float, ...]:
@@ -116,11 +109,8 @@ class CapturePlan:
 
     def on_s(self, light: str) -> float:
         """How long a light is on at a stretch [s]: settling and all its exposures."""
-        return self._switch_s(light) + self._light_settle_s + sum(map(self.frames_s, self.exposures_of[light]))
-
-    def _switch_s(self, light: str) -> float:
-        """How long the screens of an image take to show it [s]."""
-        return sum(map(self.wiring.settle_s, self.wiring.levels(light)))
+        screens_s = sum(map(self.wiring.settle_s, self.wiring.levels(light)))
+        return screens_s + self._light_settle_s + sum(map(self.frames_s, self.exposures_of[light]))
 
     @property
     def _light_settle_s(self) -> float:
@@ -206,14 +196,11 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
     postures = options.postures or part_postures(part)
     known = [light.name for light in rig.lights]
     lights = options.lights or tuple(known)
-    problems = [
-        f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in lights if name not in known
-    ]
+    there = f"in {rig.source.path}; it has {', '.join(known)}"
+    problems = [f'no light "{name}" {there}' for name in lights if name not in known]
     problems += _posture_problems(rig, part, wiring, options.postures)
     if options.check_repeatability and (wiring.hardware.stage is None or len(postures) < 2):
-        problems.append(
-            "check of repeatability: expected a stage and two postures or more, so that it returns from another one"
-        )
+        problems.append("check of repeatability: expected a stage and two postures or more, to return from another")
     if options.seed is not None and not wiring.camera_is_virtual:
         problems.append("option 'seed': the rig's camera is a real one, whose noise has no seed; leave this out")
     exposures_of = {one: tuple(sorted(rig.exposures(one, options.exposures), reverse=True)) for one in known}
@@ -234,10 +221,9 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         longest_s, on_s = wiring.light(name).max_on_s, plan.on_s(image)
         taken = f"{counted(len(exposures_of[image]), 'exposure')} of {counted(options.average, 'frame')}"
         if longest_s is not None and on_s > longest_s:
-            problems.append(
-                f"{rig.source.at('hardware', 'lights', name)}: would be on for {on_s:.3g} s without a break "
-                f"(settling and {taken}), longer than max_on_s {longest_s:g}; take fewer or shorter exposures"
-            )
+            on = f"would be on for {on_s:.3g} s without a break (settling and {taken}), longer than max_on_s"
+            where = rig.source.at("hardware", "lights", name)
+            problems.append(f"{where}: {on} {longest_s:g}; take fewer or shorter exposures")
     refuse(problems)
     return plan
 
@@ -260,17 +246,12 @@ def cycle_time(rig: RigConfig, part: PartConfig, exposures: Mapping[Posture, tup
     groups: dict[tuple[float, ...], list[Posture]] = {}
     for posture, own in exposures.items():
         groups.setdefault(own, []).append(posture)
-    plans = [
-        make_plan(rig, part, CaptureOptions(postures=tuple(postures), exposures=own))
-        for own, postures in groups.items()
-    ]
+    options = [CaptureOptions(postures=tuple(postures), exposures=own) for own, postures in groups.items()]
+    plans = [make_plan(rig, part, one) for one in options]
     # lights are switched off and the stage is homed once, not for each part
     seconds = sum(step.seconds for plan in plans for step in plan.steps() if step.kind != "home")
-    return CycleTime(
-        images=sum(len(plan.keys) for plan in plans),
-        seconds=seconds,
-        virtual=any(not plan.wiring.given for plan in plans),
-    )
+    virtual = any(not plan.wiring.given for plan in plans)
+    return CycleTime(images=sum(len(plan.keys) for plan in plans), seconds=seconds, virtual=virtual)
 
 
 def _travel_s(wiring: Wiring, start: Posture, end: Posture) -> float:
@@ -288,29 +269,23 @@ def _posture_problems(
         named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
     stage = wiring.hardware.stage
     if stage is None and len(named) > 1:
-        yield (
-            f"{rig.source.at('hardware')}: this rig has no stage, so one run captures one posture; place the part by "
-            f"hand and choose that one; found {len(named)} postures"
-        )
+        one = "one run captures one posture; place the part by hand and choose that one"
+        yield f"{rig.source.at('hardware')}: this rig has no stage, so {one}; found {len(named)} postures"
     for posture, where in named:
         for name, angle in (("elevation", posture.elevation_deg), ("rotation", posture.rotation_deg)):
             if (problem := angle_outside_range(rig, name, angle)) is not None:
                 yield f"{where}: {problem}"
             elif stage is not None and getattr(stage, name) is None and angle != 0.0:
-                yield (
-                    f"{where}: {name} {angle:g}°, but the stage has no {name} axis, which is at 0° "
-                    f"({rig.source.at('hardware', 'stage')})"
-                )
+                place = rig.source.at("hardware", "stage")
+                yield f"{where}: {name} {angle:g}°, but the stage has no {name} axis, which is at 0° ({place})"
 
 
 def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ...]) -> Iterator[str]:
     if wiring.hardware.camera.driver != VIRTUAL:
         return  # the exposures of a folder are checked when it is read, before anything is opened
     low, high = EXPOSURE_RANGE_US
+    where = rig.source.at("camera", "exposure_us")
     for exposure in exposures:
         time_us = exposure * wiring.exposure_us
         if not low <= time_us <= high:
-            yield (
-                f"exposure {exposure:g} is {time_us:g} µs ({rig.source.at('camera', 'exposure_us')}), outside the "
-                f"camera's {low:g} to {high:g} µs"
-            )
+            yield f"exposure {exposure:g} is {time_us:g} µs ({where}), outside the camera's {low:g} to {high:g} µs"

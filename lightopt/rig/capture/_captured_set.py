@@ -1,6 +1,6 @@
 """The captured image set on disk: which images exist, which are missing, and how they are written in background."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,8 @@ from lightopt.core.arrays import Float32
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.rendering import set_manifest
-from lightopt.rig.capture._acquisition import AcquiredImage, Timing
+from lightopt.rig.capture._acquisition import AcquiredImage, ExposureImage, FrameMean, Timing, merge_exposures
 from lightopt.rig.capture._capture_plan import CapturePlan
-from lightopt.rig.capture._merged_exposures import ExposureImage, FrameMean, merge_exposures
 from lightopt.scene import Scene, build_scene
 
 
@@ -48,10 +47,8 @@ def check_folder(
 
 def _refuse_set(folder: Path, *, resume: bool, force: bool) -> None:
     if (folder / images.MANIFEST_NAME).exists() and not (resume or force or _lists_nothing(folder)):
-        raise InputError(
-            f"{folder}: holds an image set; use option 'resume' to capture the missing images, option 'force' to "
-            "replace the set, or choose another output folder"
-        )
+        advice = "use option 'resume' to complete it, option 'force' to replace it, or choose another output folder"
+        raise InputError(f"{folder}: holds an image set; {advice}")
 
 
 def _lists_nothing(folder: Path) -> bool:
@@ -70,10 +67,8 @@ class CapturedSet:
         self.writer = writer
         self._scene = scene
         self._plan = plan
-        self._angles = {
-            one.name: (round(float(np.degrees(one.elevation)), 9), round(float(np.degrees(one.azimuth)), 9))
-            for one in scene.lights
-        }
+        angles = ((light.name, np.degrees((light.elevation, light.azimuth)).tolist()) for light in scene.lights)
+        self._angles = {name: (round(elevation, 9), round(azimuth, 9)) for name, (elevation, azimuth) in angles}
 
     def missing(self, light: str, posture: Posture) -> tuple[float, ...]:
         """Exposures to take: all of them where one is missing, because the brightness of the lamp may have changed.
@@ -92,11 +87,7 @@ class CapturedSet:
     def todo(self, posture: Posture) -> dict[str, tuple[float, ...]]:
         """Incomplete lights of a posture, each with its exposures to take: none if only the linear image is missing."""
         missing = {light: self.missing(light, posture) for light in self._plan.lights}
-        return {
-            light: exposures
-            for light, exposures in missing.items()
-            if exposures or not self.writer.linear_done(light, posture)
-        }
+        return {light: some for light, some in missing.items() if some or not self.writer.linear_done(light, posture)}
 
     def dark_checked(self, posture: Posture) -> bool:
         return posture.as_dict() in self._dark_checks
@@ -129,14 +120,10 @@ class CapturedSet:
         return images.read_png(self.writer.folder / images.dark_name(posture, exposure)).astype(np.float32)
 
     def add_dark(self, acquired: AcquiredImage) -> None:
-        facts = {
-            "light": None,
-            "posture": acquired.posture.as_dict(),
-            "exposure": acquired.exposure,
-            "mean_level": float(acquired.image.mean.mean(dtype=np.float64)),
-            "capture": _facts(acquired),
-        }
-        name = images.dark_name(acquired.posture, acquired.exposure)
+        posture, exposure = acquired.posture, acquired.exposure
+        facts = {"light": None, "posture": posture.as_dict(), "exposure": exposure, "capture": _facts(acquired)}
+        facts["mean_level"] = float(acquired.image.mean.mean(dtype=np.float64))
+        name = images.dark_name(posture, exposure)
         self.writer.drop(files=[name])
         self.writer.add_levels(name, acquired.image.png, metadata=facts)
 
@@ -159,11 +146,9 @@ class CapturedSet:
         self, light: str, posture: Posture, captured: Mapping[float, ExposureImage], dark: Mapping[float, Float32]
     ) -> None:
         """Merge the exposures of a light, those of this run and those on disk, and write the linear image."""
-        taken = [
-            captured[exposure] if exposure in captured else self._read_exposure(light, posture, exposure)
-            for exposure in self._plan.exposures_of[light]
-        ]
-        frames: Sequence[Float32] | None = [dark[e] for e in self._plan.exposures_of[light]] if dark else None
+        exposures = self._plan.exposures_of[light]
+        taken = [captured.get(exposure) or self._read_exposure(light, posture, exposure) for exposure in exposures]
+        frames = [dark[exposure] for exposure in exposures] if dark else None
         sensor, full_scale = self._scene.sensor, self._scene.reflectance.full_scale
         channels = merge_exposures(taken, sensor=sensor, full_scale=full_scale, dark=frames)
         self.writer.add_linear(light, posture, channels)
@@ -206,9 +191,7 @@ class BackgroundWriter:
 
     def submit_linear(self, work: Callable[..., None], *arguments: object) -> None:
         """Write a linear image, once its exposures are written; waits while the queue is full."""
-        with self._timing.spent("writing_s"):
-            while len(self._unwritten()) >= MOST_LINEARS:
-                wait(self._queued, return_when=FIRST_COMPLETED)
+        self._wait_for_linears(MOST_LINEARS - 1)
         self._queued.append(self._linears.submit(_run_after, self._last, work, *arguments))
 
     def wait_for_image(self, longest_s: float | None = None) -> bool:
@@ -225,9 +208,7 @@ class BackgroundWriter:
     def wait(self) -> None:
         """Wait until all is on disk; the first error is raised here."""
         self.wait_for_image()
-        with self._timing.spent("writing_s"):
-            while self._unwritten():
-                wait(self._queued, return_when=FIRST_COMPLETED)
+        self._wait_for_linears(0)
 
     def cancel_linears(self) -> None:
         self._linears.shutdown(wait=False, cancel_futures=True)
@@ -242,13 +223,17 @@ class BackgroundWriter:
         self._images.shutdown(wait=True)
         self._linears.shutdown(wait=True)
 
-    def _unwritten(self) -> list[Future[None]]:
-        """Linear images that are not written yet; the first error of those that are done is raised."""
-        done = [future for future in self._queued if future.done()]
-        self._queued = [future for future in self._queued if future not in done]
-        for future in done:
-            _result(future)
-        return self._queued
+    def _wait_for_linears(self, most: int) -> None:
+        """Wait until at most so many linear images are not written yet; the first error of the others is raised."""
+        with self._timing.spent("writing_s"):
+            while True:
+                done = [future for future in self._queued if future.done()]
+                self._queued = [future for future in self._queued if future not in done]
+                for future in done:
+                    _result(future)
+                if len(self._queued) <= most:
+                    return
+                wait(self._queued, return_when=FIRST_COMPLETED)
 
 
 def _run_after(before: Future[None] | None, work: Callable[..., None], *arguments: object) -> None:

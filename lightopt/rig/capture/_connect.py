@@ -6,7 +6,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.errors import InputError, LightoptError, refuse
+from lightopt.core.errors import LightoptError, collected, refuse
 from lightopt.core.run_context import RunContext
 from lightopt.rig import devices
 from lightopt.rig.capture._capture_plan import CapturePlan
@@ -126,10 +126,10 @@ def check_devices(
     replay: FolderCamera | None = None
     driver = wiring.hardware.camera.driver
     if camera and driver in ("aravis", "genicam"):  # is its software installed?
-        with _collected(problems, where=rig.source.at("hardware", "camera")):
+        with collected(problems, where=rig.source.at("hardware", "camera")):
             devices.check_camera_driver(driver, _producer(rig, wiring))
     if camera and driver == "folder":
-        with _collected(problems):
+        with collected(problems):
             folder = rig.source.resolve(wiring.hardware.camera.folder or "")
             replay = FolderCamera(folder, resolution_px=rig.camera.resolution_px, exposure_us=wiring.exposure_us)
             if plan is not None:
@@ -143,25 +143,14 @@ def check_devices(
         if port not in (None, VIRTUAL) and (problem := devices.port_problem(port)) is not None:
             problems.append(f"{rig.source.at('hardware', *place, 'port')}: {problem}")
     for name, device in wiring.hardware.controllers.items():
-        with _collected(problems, where=rig.source.at("hardware", "controllers", name)):
-            if device.driver == "screen" and device.port is None:
-                devices.check_screen_library()
-            if device.command is not None and device.port is None:
-                devices.check_program(device.command[0], wiring.folder)
+        with collected(problems, where=rig.source.at("hardware", "controllers", name)):
+            if device.picture is not None and device.port is None:
+                devices.check_display(device.command, wiring.folder)
     if stage is not None:
-        with _collected(problems, where=rig.source.at("hardware", "stage")):
+        with collected(problems, where=rig.source.at("hardware", "stage")):
             devices.check_stage(stage.driver, stage_axes(rig, stage))
     refuse(problems)
     return replay
-
-
-@contextmanager
-def _collected(problems: list[str], *, where: str = "") -> Generator[None]:
-    """Collect the messages of an input error instead of raising it."""
-    try:
-        yield
-    except InputError as error:
-        problems += [f"{where}: {message}" if where else message for message in error.messages]
 
 
 def _open_rig_camera(

@@ -5,6 +5,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from lightopt.config import LightsOnly
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
@@ -98,12 +99,11 @@ def lights_on(wiring: Wiring, channels: Mapping[str, Iterable[int]]) -> list[str
     return [light for light, plug in wiring.hardware.lights.items() if (plug.controller, plug.channel) in wanted]
 
 
-@dataclass(frozen=True)
-class SwitchedOff:
+class SwitchedOff(NamedTuple):
     """Controllers all of whose channels were darkened, and those of them that cannot be read back."""
 
-    controllers: tuple[str, ...] = ()
-    unverified: tuple[str, ...] = ()
+    controllers: tuple[str, ...]
+    unverified: tuple[str, ...]
 
 
 def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunContext | None = None) -> SwitchedOff:
@@ -142,10 +142,8 @@ def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunCo
     if problems or lights.unreadable or lights.lights_unknown:
         messages = [message for problem in problems.values() for message in problem.messages]
         if lights.unreadable:
-            messages.append(
-                f"not switched off, because of errors in the file: controller {', '.join(lights.unreadable)}; "
-                "correct them and repeat, or switch it off by hand"
-            )
+            unread = f"because of errors in the file: controller {', '.join(lights.unreadable)}"
+            messages.append(f"not switched off, {unread}; correct them and repeat, or switch it off by hand")
         may_be_on += [name for name in lights.lights_unknown if name not in may_be_on]
         kind = HardwareError if problems else InputError
         raise kind(

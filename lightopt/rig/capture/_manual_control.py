@@ -54,10 +54,8 @@ def check_level(wiring: Wiring, rig: RigConfig, name: str, level: int | None) ->
     top = wiring.top_level(name)
     if not 1 <= requested <= top:
         where = f" ({rig.source.at('hardware', 'lights', name)})" if wiring.given else ""
-        raise InputError(
-            f"{name}: expected a level from 1 to {top}{where}, found {requested}; "
-            "to switch off, use: lightopt bench off RIG"
-        )
+        expected = f"{name}: expected a level from 1 to {top}{where}, found {requested}"
+        raise InputError(f"{expected}; to switch off, use: lightopt bench off RIG")
     return requested
 
 
@@ -72,21 +70,18 @@ def check_on_time(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> 
     """Refuse to keep a light on longer [s] than its `max_on_s` (InputError); nothing is opened."""
     longest = wiring.light(name).max_on_s
     if longest is not None and seconds > longest:
-        raise InputError(
-            f"{name} would be on for {seconds:.3g} s, longer than its max_on_s of {longest:g} s "
-            f"({rig.source.at('hardware', 'lights', name)}); nothing was opened"
-        )
+        longer = f"longer than its max_on_s of {longest:g} s ({rig.source.at('hardware', 'lights', name)})"
+        raise InputError(f"{name} would be on for {seconds:.3g} s, {longer}; nothing was opened")
 
 
-def check_exposure(wiring: Wiring, rig: RigConfig, exposure: float) -> None:
-    """Refuse a relative exposure that the camera is known not to have (InputError); nothing is opened."""
+def check_snap(wiring: Wiring, rig: RigConfig, exposure: float, light: str | None) -> None:
+    """Refuse a frame that camera or light are known not to allow (InputError); nothing is opened."""
     refuse(exposure_problems(rig, wiring, (exposure,)))
-
-
-def snap_on_s(wiring: Wiring, exposure: float) -> float:
-    """How long a light is on for one frame at a relative exposure [s]: settling, and the frames' exposures."""
-    timing = wiring.hardware.timing
-    return timing.light_ms / 1e3 + (1 + timing.discard_frames) * exposure * wiring.exposure_us / 1e6
+    if light is not None:
+        check_level(wiring, rig, light, None)
+        timing = wiring.hardware.timing
+        frames_s = (1 + timing.discard_frames) * exposure * wiring.exposure_us / 1e6
+        check_on_time(wiring, rig, light, timing.light_ms / 1e3 + frames_s)
 
 
 def hold_light(
@@ -104,13 +99,7 @@ def hold_light(
 
 
 def snap(
-    devices: Devices,
-    path: Path,
-    *,
-    light: str | None,
-    exposure: float,
-    posture: Posture | None = None,
-    overwrite: bool = False,
+    devices: Devices, path: Path, *, light: str | None, exposure: float, overwrite: bool = False
 ) -> tuple[int, int, float]:
     """Take one frame at a relative exposure and write it as PNG; returns lowest, highest and mean level."""
     timing = devices.wiring.hardware.timing
@@ -122,7 +111,7 @@ def snap(
         time.sleep(timing.light_ms / 1e3)
     devices.step = "capturing a frame"
     if isinstance(camera, FolderCamera):
-        camera.show(light, posture or Posture(0.0, 0.0), exposure)
+        camera.show(light, Posture(0.0, 0.0), exposure)
     if not camera.triggered:
         for _ in range(timing.discard_frames):
             devices.grab(held, light)
@@ -147,9 +136,7 @@ def _status(name: str, query: Callable[[], str], problem: LightoptError | None =
 def _controller_state(devices: Devices, name: str) -> str:
     config = devices.wiring.hardware.controllers[name]
     details = devices.controllers[name].identify().details
-    return f"{config.driver} on {controller_place(config)}" + "".join(
-        f", {key} {value}" for key, value in details.items()
-    )
+    return ", ".join([f"{config.driver} on {controller_place(config)}", *map(" ".join, details.items())])
 
 
 def controller_place(config: ControllerConfig) -> str:

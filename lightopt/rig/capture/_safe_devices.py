@@ -1,8 +1,12 @@
 """The opened devices of a rig, safe on every way out."""
 
 import atexit
+import threading
+import time
+from collections import defaultdict
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
@@ -10,7 +14,6 @@ from lightopt.core.transforms import Posture
 from lightopt.rig import devices
 from lightopt.rig.capture._lights_off import NONE_OF_THE_RIG, lights_on
 from lightopt.rig.capture._signals import EndSignals
-from lightopt.rig.capture._watchdog import LightWatchdog
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring
 
 
@@ -167,15 +170,12 @@ class Devices:
         if self.stage is None or config is None or config.port == VIRTUAL:
             return
         referenced = self.stage.state().referenced
+        how = "so it was not moved; home it (option 'home' of this command, or lightopt bench home RIG)"
         if referenced is False:
-            raise HardwareError(
-                "the stage has no reference position, so it was not moved; home it: lightopt bench home RIG, or "
-                "option 'home' of this command"
-            )
+            raise HardwareError(f"the stage has no reference position, {how}")
         if referenced is None and not config.assume_referenced:
             raise HardwareError(
-                f"a stage with driver {config.driver} cannot report whether it was homed since power-up, so it "
-                "was not moved; home it with this command (option 'home'), or home it (lightopt bench home RIG) and "
+                f"a stage with driver {config.driver} cannot report whether it was homed since power-up, {how}, or "
                 "write assume_referenced: true under hardware.stage if it is always homed by hand after power-up"
             )
 
@@ -204,10 +204,10 @@ class Devices:
         self._stage_may_move = False
 
     def identities(self) -> dict[str, Any]:
+        others = {"stage": self.stage, "camera": self._camera}
         return {
             "lights": {name: device.identify().as_dict() for name, device in self.controllers.items()},
-            "stage": self.stage.identify().as_dict() if self.stage is not None else None,
-            "camera": self._camera.identify().as_dict() if self._camera is not None else None,
+            **{name: device and device.identify().as_dict() for name, device in others.items()},
         }
 
     def _make_safe(self, *, failed: bool) -> tuple[list[str], str | None]:
@@ -244,15 +244,102 @@ class Devices:
                 problems.append(f"closing a device failed: {error_text(error)}")
         return problems
 
-    def _failure(
-        self, error: BaseException, lit: list[str], stage: str | None, unclosed: Sequence[str]
-    ) -> HardwareError:
+    def _failure(self, error: BaseException, lit: list[str], stage: str | None, unclosed: list[str]) -> HardwareError:
         messages = error.messages if isinstance(error, LightoptError) else ()
         cause = messages or (f"ended by {error_text(error)}",)
         # a failure of all_off at the start and again at the end is reported once
         lights = [line for line in lit if line not in cause]
         if self._touch_lights and not lit:
             lights = ["all lights are off"]
-        return HardwareError(
-            f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else []), *unclosed
-        )
+        states = [*lights, *([stage] if stage else []), *unclosed]
+        return HardwareError(f"while {self.step}: {cause[0]}", *cause[1:], *states)
+
+
+_RETRY_S = 0.5  # a light that did not go dark is tried again after
+
+
+@dataclass(eq=False)
+class _LitPeriod:
+    """A light that is on, until when [s, monotonic] it may be, and what ends the thread that watches it."""
+
+    longest_s: float
+    until: float
+    over: threading.Event = field(default_factory=threading.Event)
+
+
+class LightWatchdog:
+    """Darkens lights that have been on for their `max_on_s`, each from a thread of its own.
+
+    A light goes dark even if a camera hangs, a disk is slow or nobody is there. What was being done then fails at its
+    next step, because its images would be wrong. If switching off fails, it is tried again, and no light waits for
+    another whose controller hangs. `darken` switches a light off; a command under way on its link is broken off for it.
+    """
+
+    def __init__(self, darken: Callable[[str], None]) -> None:
+        self._darken = darken
+        self._lock = threading.Lock()
+        self._periods: dict[str, _LitPeriod] = {}
+        self._problems: dict[str, str] = {}
+        # held while a light is darkened, so that it is not lit again meanwhile
+        self._darkening: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
+
+    def start(self, light: str, longest_s: float) -> None:
+        """Allow a light to be on for so long [s] from now."""
+        self.stop(light)
+        period = _LitPeriod(longest_s, time.monotonic() + longest_s)
+        with self._lock:
+            self._problems.pop(light, None)
+            self._periods[light] = period
+        try:
+            threading.Thread(target=self._watch, args=(light, period), daemon=True).start()
+        except BaseException:  # the light is not lit then
+            self.stop(light)
+            raise
+
+    def remaining_s(self, light: str) -> float | None:
+        """Remaining time that a light may be on [s]; None where nothing limits it."""
+        with self._lock:
+            period = self._periods.get(light)
+            return None if period is None else period.until - time.monotonic()
+
+    def stop(self, light: str) -> None:
+        """Stop watching a light, which is dark; waits while it is being darkened."""
+        with self._darkening_of(light), self._lock:
+            if period := self._periods.pop(light, None):
+                period.over.set()
+
+    def stop_all(self) -> None:
+        """Stop watching all lights: they are dark, or switching them off was tried."""
+        for light in tuple(self._periods):
+            self.stop(light)
+
+    def pop_problem(self, light: str) -> str | None:
+        """Message about a light that had to be darkened, once; None where it had not."""
+        with self._lock:
+            return self._problems.pop(light, None)
+
+    def _watch(self, light: str, period: _LitPeriod) -> None:
+        """Darken a light when its time is up, and try again for as long as that fails."""
+        wait_s, longest = period.longest_s, f"its max_on_s of {period.longest_s:g} s"
+        while not period.over.wait(wait_s):
+            with self._darkening_of(light):
+                if period.over.is_set():
+                    return
+                problem: str | None = None
+                try:
+                    self._darken(light)
+                except BaseException as error:  # noqa: BLE001  (nothing that a driver raises may end the watch)
+                    problem = error_text(error)
+                with self._lock:
+                    if problem is None:
+                        self._periods.pop(light, None)
+                        period.over.set()
+                        outcome = "and was switched off, although it was still needed: something took too long"
+                        self._problems[light] = f"{light} was on for {longest} {outcome}"
+                    else:
+                        self._problems[light] = f"{light} is on for longer than {longest}: {problem}"
+            wait_s = _RETRY_S
+
+    def _darkening_of(self, light: str) -> threading.Lock:
+        with self._lock:
+            return self._darkening[light]

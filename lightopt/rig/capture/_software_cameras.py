@@ -41,10 +41,8 @@ class FolderCamera:
             return None if there else f"{self._set.folder}: no dark frame {name} to replay"
         if (light, posture, exposure) in self._entries:
             return None
-        return (
-            f"{self._set.folder}: no PNG of {light} {posture} at exposure {exposure:g} to replay; it has "
-            f"{len(self._entries)} images"
-        )
+        there = f"it has {len(self._entries)} images"
+        return f"{self._set.folder}: no PNG of {light} {posture} at exposure {exposure:g} to replay; {there}"
 
     def show(self, light: str | None, posture: Posture, exposure: float) -> None:
         """Select what the next frames show; None is the dark."""
@@ -69,8 +67,8 @@ class FolderCamera:
             if light is not None:
                 raise HardwareError(problem)
             # the set's black level, to check lit images against where it has no dark frames
-            shape, black = self.resolution_px[::-1], round(self._set.manifest.black_level)
-            levels = np.full(shape, black, np.uint8) if self.bit_depth <= 8 else np.full(shape, black, np.uint16)
+            black = np.full(self.resolution_px[::-1], round(self._set.manifest.black_level))
+            levels = black.astype(np.uint8) if self.bit_depth <= 8 else black.astype(np.uint16)
         else:
             name = dark_name(posture, exposure) if light is None else self._entries[light, posture, exposure].png
             try:
@@ -118,12 +116,8 @@ class VirtualCamera:
             head, data = self._bench.request("frame", timeout_s=timeout_s, exposure_us=self._exposure_us)
         except ValueError as error:
             raise HardwareError(f"virtual camera: {error}") from error
-        return Frame(
-            levels=np.frombuffer(data, dtype=head["dtype"]).reshape(head["shape"]),
-            exposure_us=float(head["exposure_us"]),
-            number=int(head["number"]),
-            timestamp_ns=int(head["timestamp_ns"]),
-        )
+        levels = np.frombuffer(data, dtype=head["dtype"]).reshape(head["shape"])
+        return Frame(levels, head["exposure_us"], head["number"], head["timestamp_ns"])
 
     def close(self) -> None:
         """Nothing is held open."""

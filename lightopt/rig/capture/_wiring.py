@@ -2,25 +2,15 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lightopt.config import (
-    AxisConfig,
-    CameraDeviceConfig,
-    ChannelConfig,
-    ControllerConfig,
-    HardwareConfig,
-    LightConfig,
-    PartConfig,
-    RigConfig,
-    StageDeviceConfig,
-    load_rig,
-)
+from lightopt import config
+from lightopt.config import HardwareConfig, PartConfig, RigConfig, load_rig
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, refuse
 from lightopt.rig.devices import Axis
@@ -34,8 +24,8 @@ VIRTUAL_EXPOSURE_US = 10_000.0  # exposure time of exposure 1 where all is virtu
 _CHANNELS_EACH = 4
 _VIRTUAL_LEVEL = 200
 _LEVEL_TOLERANCE = 0.005  # how far a whole level may be from the weight of an image, as a share
-_VIRTUAL_TILT = AxisConfig(axis="1", steps_per_deg=1000.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
-_VIRTUAL_ROTATION = AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
+_VIRTUAL_TILT = config.AxisConfig(axis="1", steps_per_deg=1000.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
+_VIRTUAL_ROTATION = config.AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
 
 
 @dataclass(frozen=True)
@@ -48,10 +38,10 @@ class Wiring:
     # levels of the lights of each image of the rig's programme; none where each image is of one light
     images: Mapping[str, Mapping[str, int]] = field(default_factory=dict[str, Mapping[str, int]])
     # lights of displays by name, for their pictures; none where the rig's file cannot be read as a whole
-    displays: Mapping[str, LightConfig] = field(default_factory=dict[str, LightConfig])
+    displays: Mapping[str, config.LightConfig] = field(default_factory=dict[str, config.LightConfig])
     folder: Path = Path()  # of the rig's file, where commands of displays are run
 
-    def light(self, name: str) -> ChannelConfig:
+    def light(self, name: str) -> config.ChannelConfig:
         return self.hardware.lights[name]
 
     def levels(self, image: str) -> Mapping[str, int]:
@@ -65,11 +55,13 @@ class Wiring:
 
     def pictures(self, controller: str) -> dict[int, Callable[[], Float64]]:
         """Picture of each channel of a display, made when it is needed."""
-        config = self.hardware.controllers[controller].picture
+        if (screen := self.hardware.controllers[controller].picture) is None:
+            return {}
+        own = {name: self.hardware.lights[name] for name in self.displays if name in self.hardware.lights}
         return {
-            channel.channel: partial(display_picture, self.displays[name], config.seen_px, folder=self.folder)
-            for name, channel in self.hardware.lights.items()
-            if config is not None and channel.controller == controller and name in self.displays
+            channel.channel: partial(display_picture, self.displays[name], screen.seen_px, folder=self.folder)
+            for name, channel in own.items()
+            if channel.controller == controller
         }
 
     def top_level(self, name: str) -> int:
@@ -100,30 +92,30 @@ class Wiring:
 
 def wiring_of(rig: RigConfig) -> Wiring:
     """The devices of a rig, or the virtual bench: CCS controllers of four channels, a SHOT stage, a virtual camera."""
-    hardware = rig.hardware
-    exposure_us = rig.camera.exposure_us or VIRTUAL_EXPOSURE_US
-    if hardware is not None:
-        wiring = Wiring(
-            hardware,
-            given=True,
-            exposure_us=exposure_us,
-            images=_image_levels(rig, hardware),
-            displays={light.name: light for light in rig.channels if light.kind == "display"},
-            folder=rig.source.resolve("."),
-        )
-        refuse(_too_bright(rig, wiring))
-        return wiring
-    controllers: dict[str, ControllerConfig] = {}
-    lights: dict[str, ChannelConfig] = {}
+    hardware = rig.hardware or _virtual_hardware(rig)
+    wiring = Wiring(
+        hardware,
+        given=rig.hardware is not None,
+        exposure_us=rig.camera.exposure_us or VIRTUAL_EXPOSURE_US,
+        images=_image_levels(rig, hardware),
+        displays={light.name: light for light in rig.channels if light.kind == "display"},
+        folder=rig.source.resolve("."),
+    )
+    refuse(_too_bright(rig, wiring))
+    return wiring
+
+
+def _virtual_hardware(rig: RigConfig) -> HardwareConfig:
+    controllers: dict[str, config.ControllerConfig] = {}
+    lights: dict[str, config.ChannelConfig] = {}
     for i, light in enumerate(rig.channels):
         name = f"bench{i // _CHANNELS_EACH + 1}"
-        controllers.setdefault(name, ControllerConfig(driver="ccs", port=VIRTUAL, channels=_CHANNELS_EACH))
+        controllers.setdefault(name, config.ControllerConfig(driver="ccs", port=VIRTUAL, channels=_CHANNELS_EACH))
         channel = i % _CHANNELS_EACH + 1
-        lights[light.name] = ChannelConfig(controller=name, channel=channel, level=_VIRTUAL_LEVEL)
-    stage = StageDeviceConfig(driver="shot", port=VIRTUAL, elevation=_VIRTUAL_TILT, rotation=_VIRTUAL_ROTATION)
-    camera = CameraDeviceConfig(driver="virtual")
-    hardware = HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
-    return Wiring(hardware, given=False, exposure_us=exposure_us, images=_image_levels(rig, hardware))
+        lights[light.name] = config.ChannelConfig(controller=name, channel=channel, level=_VIRTUAL_LEVEL)
+    stage = config.StageDeviceConfig(driver="shot", port=VIRTUAL, elevation=_VIRTUAL_TILT, rotation=_VIRTUAL_ROTATION)
+    camera = config.CameraDeviceConfig(driver="virtual")
+    return HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
 
 
 def _image_levels(rig: RigConfig, hardware: HardwareConfig) -> dict[str, dict[str, int]]:
@@ -135,10 +127,10 @@ def _image_levels(rig: RigConfig, hardware: HardwareConfig) -> dict[str, dict[st
             wanted = weight * hardware.lights[light].level
             own[light] = round(wanted)
             if abs(own[light] - wanted) > _LEVEL_TOLERANCE * wanted:
+                where, level = rig.source.at("programme", i, "lights", light), hardware.lights[light].level
                 problems.append(
-                    f"{rig.source.at('programme', i, 'lights', light)}: weight {weight:g} of level "
-                    f"{hardware.lights[light].level} is {wanted:g}, and the controller has whole levels; choose a "
-                    "weight that gives one, or another level of the light"
+                    f"{where}: weight {weight:g} of level {level} is {wanted:g}, and the controller has whole levels; "
+                    "choose a weight that gives one, or another level of the light"
                 )
     refuse(problems)
     return found
@@ -159,22 +151,18 @@ def _too_bright(rig: RigConfig, wiring: Wiring) -> Iterator[str]:
             pictures = wiring.pictures(controller)
             most = float(np.sum([share * pictures[channel]() for channel, share in own.items()], axis=0).max())
             if most > 1.0 + 1e-9:
-                yield (
-                    f"{rig.source.at('programme', i, 'lights')}: the pictures together need {most:.3g} times the full "
-                    f"radiance of the display {controller} at their brightest place; lower the weights, or the levels "
-                    "of the lights"
-                )
+                where, full = rig.source.at("programme", i, "lights"), f"the full radiance of the display {controller}"
+                yield f"{where}: the pictures together need {most:.3g} times {full}; lower the weights, or the levels"
 
 
-def stage_axes(rig: RigConfig, stage: StageDeviceConfig) -> list[Axis]:
+def stage_axes(rig: RigConfig, stage: config.StageDeviceConfig) -> list[Axis]:
+    axes = (
+        ("elevation", stage.elevation, rig.stage.elevation_range_deg),
+        ("rotation", stage.rotation, rig.stage.rotation_range_deg),
+    )
     return [
-        Axis(
-            name=name,
-            device=axis.axis,
-            range_deg=getattr(rig.stage, f"{name}_range_deg"),
-            **axis.model_dump(exclude={"axis"}),
-        )
-        for name, axis in (("elevation", stage.elevation), ("rotation", stage.rotation))
+        Axis(name, axis.axis, range_deg, **axis.model_dump(exclude={"axis"}))
+        for name, axis, range_deg in axes
         if axis is not None
     ]
 
@@ -197,24 +185,17 @@ def start_bench(
         devices[STAGE] = {"kind": hardware.stage.driver, "options": _stage_options(hardware.stage.driver, axes)}
     if part is None:
         return BenchProcess(devices)
+    lights: list[LightWire] = []
+    for name, plug in hardware.lights.items():
+        if plug.controller in devices:
+            share = plug.level / hardware.controllers[plug.controller].top_level
+            lights.append(LightWire(name, plug.controller, plug.channel, share))
     setup = CameraSetup(
         rig=str(true.source.path.resolve()),
         part=str(part.source.path.resolve()),
         exposure_us=wiring.exposure_us,
-        lights=tuple(
-            LightWire(
-                light=name,
-                device=channel.controller,
-                channel=channel.channel,
-                share=channel.level / hardware.controllers[channel.controller].top_level,
-            )
-            for name, channel in hardware.lights.items()
-            if channel.controller in devices
-        ),
-        axes={
-            axis.name: AxisWire(device=STAGE, axis=axis.device, steps_per_deg=axis.steps_per_deg, zero=axis.zero)
-            for axis in axes
-        },
+        lights=tuple(lights),
+        axes={axis.name: AxisWire(STAGE, axis.device, axis.steps_per_deg, axis.zero) for axis in axes},
         truth=truth or bench_truth(rig),
         gige=wiring.camera_is_gige,
     )
@@ -223,30 +204,30 @@ def start_bench(
 
 def bench_truth(rig: RigConfig, seed: int | None = None) -> BenchTruth:
     """How the virtual bench differs from a rig's file, apart from the rig that it follows; `seed` as in the file."""
-    own = rig.virtual_bench
-    if own is None:
-        return BenchTruth() if seed is None else BenchTruth(seed=seed)
-    x, y, z = map(math.radians, own.part_rotation_vector_deg)
-    seed = own.seed if seed is None else seed
-    return BenchTruth(
-        seed=seed, rays=own.rays, bounces=own.bounces, part_offset_mm=own.part_offset_mm, part_rotation=(x, y, z)
-    )
+    truth = BenchTruth()
+    if (own := rig.virtual_bench) is not None:
+        x, y, z = map(math.radians, own.part_rotation_vector_deg)
+        same = own.model_dump(include={"seed", "rays", "bounces", "part_offset_mm"})
+        truth = BenchTruth(**same, part_rotation=(x, y, z))
+    return truth if seed is None else replace(truth, seed=seed)
 
 
 def _true_rig(rig: RigConfig) -> RigConfig:
     if rig.virtual_bench is None or rig.virtual_bench.rig is None:
         return rig
     true = load_rig(rig.source.resolve(rig.virtual_bench.rig))
-    for what, own, there in (
-        ("lights", {light.name for light in rig.channels}, {light.name for light in true.channels}),
-        ("resolution_px", rig.camera.resolution_px, true.camera.resolution_px),
-        ("bit_depth", rig.camera.sensor.bit_depth, true.camera.sensor.bit_depth),
-    ):
-        if own != there:
-            raise InputError(
-                f"{rig.source.at('virtual_bench', 'rig')}: {true.source.path} has other {what} than this file; "
-                "the bench's true rig must have the same"
-            )
+    own, there = (
+        {
+            "lights": {light.name for light in one.channels},
+            "resolution_px": one.camera.resolution_px,
+            "bit_depth": one.camera.sensor.bit_depth,
+        }
+        for one in (rig, true)
+    )
+    for what in own:
+        if own[what] != there[what]:
+            where = f"{rig.source.at('virtual_bench', 'rig')}: {true.source.path}"
+            raise InputError(f"{where} has other {what} than this file; the bench's true rig must have the same")
     return true
 
 
@@ -258,14 +239,14 @@ def start_lights(wiring: Wiring) -> BenchProcess:
 def _controllers(wiring: Wiring, true: RigConfig | None = None) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     there = {} if true is None or true.hardware is None else true.hardware.controllers
-    for name, config in wiring.hardware.controllers.items():
-        if config.port != VIRTUAL:
+    for name, controller in wiring.hardware.controllers.items():
+        if controller.port != VIRTUAL:
             continue
-        if config.picture is None:
-            options = config.model_dump(include={"channels", "top_level", "template"}, exclude_none=True)
-            found[name] = {"kind": config.driver, "options": options}
+        if controller.picture is None:
+            options = controller.model_dump(include={"channels", "top_level", "template"}, exclude_none=True)
+            found[name] = {"kind": controller.driver, "options": options}
         else:  # mounted as in the true rig
-            picture = (there[name].picture if name in there else None) or config.picture
+            picture = (there[name].picture if name in there else None) or controller.picture
             options = picture.model_dump(mode="json", exclude={"settle_ms"})
             found[name] = {"kind": "screen", "tcp": True, "options": options}
     return found

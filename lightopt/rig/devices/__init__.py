@@ -3,7 +3,7 @@
 A new driver is a module ``_light_NAME.py``, ``_stage_NAME.py`` or ``_camera_NAME.py``, and a line in ``_drivers.py``:
 
 - light: derives from ``LightController`` (``_light.py``);
-- stage: a ``Dialogue`` (``_stage_dialogue.py``), with which ``Stage`` (``_stage.py``) moves, watches and verifies;
+- stage: a ``Dialogue``, with which ``Stage`` (both in ``_stage.py``) moves, watches and verifies;
 - camera: a ``CameraSdk`` (``_camera_sdk.py``), with which ``MachineCamera`` (``_camera.py``) sets, triggers and checks.
 
 Its simulated counterpart is the module of the same name in ``lightopt.rig.simulated``. Drivers have a ``SerialLink``
@@ -35,11 +35,7 @@ from lightopt.rig.devices._light import (
     all_off as all_off,
     run_in_parallel as run_in_parallel,
 )
-from lightopt.rig.devices._light_display import (
-    check_program as check_program,
-    check_screen_library as check_screen_library,
-)
-from lightopt.rig.devices._serial_log import SerialLog as SerialLog
+from lightopt.rig.devices._light_display import check_display as check_display
+from lightopt.rig.devices._serial_link import SerialLog as SerialLog
 from lightopt.rig.devices._serial_ports import port_problem as port_problem, serial_ports as serial_ports
-from lightopt.rig.devices._stage import Stage as Stage, StageState as StageState
-from lightopt.rig.devices._stage_dialogue import Axis as Axis
+from lightopt.rig.devices._stage import Axis as Axis, Stage as Stage, StageState as StageState

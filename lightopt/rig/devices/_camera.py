@@ -65,10 +65,8 @@ class FrameOrder:
             if step < 0:
                 raise ReplyError(f"{frame.name} came after {last.name}")
             if frame.timestamp_ns and last.timestamp_ns and frame.timestamp_ns <= last.timestamp_ns:
-                raise ReplyError(
-                    f"{frame.name} is stale: it was taken {(last.timestamp_ns - frame.timestamp_ns) / 1e6:.3g} "
-                    f"ms before {last.name}"
-                )
+                early_ms = (last.timestamp_ns - frame.timestamp_ns) / 1e6
+                raise ReplyError(f"{frame.name} is stale: it was taken {early_ms:.3g} ms before {last.name}")
             self.lost += step - 1
         self.last = frame
 
@@ -98,15 +96,15 @@ class MachineCamera:
         settings: CameraSettings,
         *,
         on_event: Callable[[Event], None] | None = None,
-        wait_ready: Callable[[], object]
-        | None = None,  # returns when a frame can be taken: one may have to be rendered
+        wait_ready: Callable[[], object] | None = None,  # returns when a frame can be taken
     ) -> None:
         self.events: list[Event] = []
         self.resolution_px = settings.resolution_px
         self.bit_depth = settings.bit_depth
         self._driver = driver
         self._sdk = sdk
-        self._settings = settings
+        self._where = settings.where
+        self._port = settings.port
         self._on_event = on_event
         self._wait_ready = wait_ready
         self._order = FrameOrder()
@@ -131,7 +129,7 @@ class MachineCamera:
         details["trigger"] = "software" if self.triggered else "none"
         if self._gain is not None:
             details["gain"] = f"{self._sdk.read(self._gain, float):g}"
-        return Identity(driver=self._driver, port=self._settings.port or "the only one", details=details)
+        return Identity(driver=self._driver, port=self._port or "the only one", details=details)
 
     def set_exposure(self, exposure_us: float) -> float:
         return self._exposure.set_us(exposure_us)
@@ -149,13 +147,8 @@ class MachineCamera:
         each_s = timeout_s / min(max(1, fit), ATTEMPTS)  # an attempt without time for its exposure is none
         raw = self._retry.run(lambda: self._take(min(end, time.monotonic() + each_s)))
         levels = features.levels_of(raw.data, self._format, width=raw.width, height=raw.height)
-        return Frame(
-            levels=levels,
-            exposure_us=self._exposure.read_us(),
-            number=raw.number,
-            timestamp_ns=raw.timestamp_ns,
-            details={"pixel_format": self._format.name, "frames_lost": self._order.lost},
-        )
+        details = {"pixel_format": self._format.name, "frames_lost": self._order.lost}
+        return Frame(levels, self._exposure.read_us(), raw.number, raw.timestamp_ns, details)
 
     def close(self) -> None:
         with suppress(LightoptError):  # it is given up in any case
@@ -169,7 +162,7 @@ class MachineCamera:
             self._sdk.stop()
 
     def note(self, what: str, *, retry: bool = False) -> None:
-        event = Event(now(), f"camera {self._settings.port or self._driver}", what, retry)
+        event = Event(now(), f"camera {self._port or self._driver}", what, retry)
         self.events.append(event)
         if self._on_event is not None:
             self._on_event(event)
@@ -185,15 +178,13 @@ class MachineCamera:
             self._sdk.execute("TriggerSoftware")
         raw = self._sdk.pop(max(0.0, end - time.monotonic()))
         if raw is None:
-            raise ReplyError(
-                f"{self._settings.where}: no frame came within {time.monotonic() - begun:.3g} s at an exposure of "
-                f"{self._exposure.held_us:g} µs"
-            )
+            waited = f"no frame came within {time.monotonic() - begun:.3g} s"
+            raise ReplyError(f"{self._where}: {waited} at an exposure of {self._exposure.held_us:g} µs")
         lost = self._order.lost
         try:
             self._order.check(raw)
         except ReplyError as error:
-            raise ReplyError(f"{self._settings.where}: {error}") from None
+            raise ReplyError(f"{self._where}: {error}") from None
         if self.triggered and self._order.lost > lost:
             self.note(f"{raw.name} came, and {self._order.lost - lost} before it never did")
         self._check_form(raw)
@@ -206,20 +197,15 @@ class MachineCamera:
             if self.triggered:
                 self.note(f"{raw.name} came without a trigger and was discarded")
             if time.monotonic() > end:
-                raise ReplyError(
-                    f"{self._settings.where}: frames come faster than they can be thrown away; lower the camera's "
-                    "frame rate"
-                )
+                fast = "frames come faster than they can be thrown away; lower the camera's frame rate"
+                raise ReplyError(f"{self._where}: {fast}")
 
     def _check_form(self, raw: RawFrame) -> None:
-        width, height = self.resolution_px
+        (width, height), wanted = self.resolution_px, self._format
         if (raw.width, raw.height) != (width, height):
-            raise HardwareError(
-                f"{self._settings.where}: the camera was set to {width} × {height} pixels, and {raw.name} has "
-                f"{raw.width} × {raw.height}"
-            )
-        if raw.code is not None and raw.code != self._format.code:
-            raise HardwareError(
-                f"{self._settings.where}: the camera was set to {self._format.name} ({self._format.code:#x}), and "
-                f"{raw.name} is in another pixel format ({raw.code:#x})"
-            )
+            found = f"{width} × {height} pixels, and {raw.name} has {raw.width} × {raw.height}"
+        elif raw.code is not None and raw.code != wanted.code:
+            found = f"{wanted.name} ({wanted.code:#x}), and {raw.name} is in another pixel format ({raw.code:#x})"
+        else:
+            return
+        raise HardwareError(f"{self._where}: the camera was set to {found}")

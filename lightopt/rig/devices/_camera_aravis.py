@@ -30,16 +30,14 @@ def find_aravis_cameras() -> list[CameraInfo]:
     """Cameras on the networks and USB ports of this computer; none is opened."""
     library = load_aravis()
     library.update_device_list()
-    return [
-        CameraInfo(
-            driver="aravis",
-            identifier=library.get_device_id(i) or "",
-            serial=library.get_device_serial_nbr(i) or "",
-            address=library.get_device_address(i) or "",
-            model=f"{library.get_device_vendor(i) or ''} {library.get_device_model(i) or ''}".strip(),
+    found: list[CameraInfo] = []
+    for i in range(library.get_n_devices()):
+        identifier, serial, address, vendor, model = (
+            getattr(library, f"get_device_{name}")(i) or ""
+            for name in ("id", "serial_nbr", "address", "vendor", "model")
         )
-        for i in range(library.get_n_devices())
-    ]
+        found.append(CameraInfo("aravis", identifier, serial, address, f"{vendor} {model}".strip()))
+    return found
 
 
 class AravisSdk(CameraLibrary):
@@ -58,9 +56,8 @@ class AravisSdk(CameraLibrary):
         if self._camera.is_gv_device():
             self._set_packets(settings)
         elif settings.packet_size is not None or settings.packet_delay_ns is not None:
-            raise InputError(
-                f"{self._where}: only cameras on a network have packets; leave out packet_size and packet_delay_ns"
-            )
+            only = "only cameras on a network have packets; leave out packet_size and packet_delay_ns"
+            raise InputError(f"{self._where}: {only}")
 
     def has(self, feature: str) -> bool:
         return self._try(feature, lambda: bool(self._camera.is_feature_available(feature)))
@@ -86,10 +83,8 @@ class AravisSdk(CameraLibrary):
         return str(self._try(f"asking for the unit of {feature}", ask) or "").strip()
 
     def entries(self, feature: str) -> tuple[str, ...]:
-        return self._try(
-            f"asking for the entries of {feature}",
-            lambda: tuple(self._camera.dup_available_enumerations_as_strings(feature)),
-        )
+        ask = self._camera.dup_available_enumerations_as_strings
+        return self._try(f"asking for the entries of {feature}", lambda: tuple(ask(feature)))
 
     def execute(self, feature: str) -> None:
         self._try(f"executing {feature}", lambda: self._camera.execute_command(feature))

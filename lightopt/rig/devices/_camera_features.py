@@ -38,10 +38,8 @@ def levels_of(data: UInt8, pixel_format: PixelFormat, *, width: int, height: int
     pixels = width * height
     needed = pixel_format.size(pixels)
     if len(data) < needed:
-        raise HardwareError(
-            f"a frame of {width} × {height} pixels in {pixel_format.name} takes {needed} bytes, "
-            f"and the camera delivered {len(data)}"
-        )
+        frame = f"a frame of {width} × {height} pixels in {pixel_format.name}"
+        raise HardwareError(f"{frame} takes {needed} bytes, and the camera delivered {len(data)}")
     return pixel_format.unpack(data[:needed], pixels).reshape(height, width)
 
 
@@ -53,29 +51,21 @@ def choose_format(available: Sequence[str], *, bit_depth: int, wanted: str | Non
         if wanted not in available:
             raise InputError(f"{where}: no pixel format {wanted}; {has}")
         if found is None:
-            raise InputError(
-                f"{where}: {wanted} is no format of grey levels; lightopt measures light with monochrome "
-                f"cameras, in {', '.join(PIXEL_FORMATS)}"
-            )
+            raise InputError(f"{where}: {wanted} is no format of grey levels; choose of {', '.join(PIXEL_FORMATS)}")
         if found.bits != bit_depth:
-            raise InputError(
-                f"{where}: {wanted} has {found.bits} bits and the rig's sensor has bit_depth {bit_depth}; "
-                "change pixel_format or bit_depth"
-            )
+            both = f"{wanted} has {found.bits} bits and the rig's sensor has bit_depth {bit_depth}"
+            raise InputError(f"{where}: {both}; change pixel_format or bit_depth")
         return found
     for name, found in PIXEL_FORMATS.items():
         if name in available and found.bits == bit_depth:
             return found
     grey = [name for name in available if name in PIXEL_FORMATS]
     if not grey:
-        raise InputError(
-            f"{where}: this is a camera of colour, {has}; filters before the pixels and what is interpolated "
-            "between them are no measure of light: use the monochrome model"
-        )
+        advice = "colours are no measure of light: use the monochrome model"
+        raise InputError(f"{where}: this is a camera of colour, {has}; {advice}")
     depths = " or ".join(str(bits) for bits in sorted({PIXEL_FORMATS[name].bits for name in grey}))
-    raise InputError(
-        f"{where}: no pixel format of {bit_depth} bits, the rig's sensor.bit_depth; {has}: write bit_depth: {depths}"
-    )
+    missing = f"no pixel format of {bit_depth} bits, the rig's sensor.bit_depth"
+    raise InputError(f"{where}: {missing}; {has}: write bit_depth: {depths}")
 
 
 def _bytes(data: UInt8, pixels: int) -> Levels:
@@ -138,8 +128,7 @@ _WITHOUT_CORRECTIONS: dict[str, str | bool | float] = {
     **dict.fromkeys(("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical"), 1),
     "Gamma": 1.0,
 }
-_PATTERNS = ("TestPattern", "TestImageSelector")
-_GAIN = ("Gain", "GainAbs", "GainRaw")
+_OTHER_SIZE = "change camera.resolution_px"
 
 
 def switch_off_corrections(sdk: CameraSdk, settings: CameraSettings) -> None:
@@ -148,17 +137,15 @@ def switch_off_corrections(sdk: CameraSdk, settings: CameraSettings) -> None:
     for name, value in _WITHOUT_CORRECTIONS.items():
         if sdk.has(name):
             _choose(sdk, where, name, value)
-    for name in _PATTERNS:
+    for name in ("TestPattern", "TestImageSelector"):
         if sdk.has(name) and "Off" in sdk.entries(name):
             _choose(sdk, where, name, "Off")
 
 
 def set_image(sdk: CameraSdk, settings: CameraSettings) -> PixelFormat:
     """Set the pixel format, and size and place of the image on the sensor; returns the format."""
-    where = settings.where
-    chosen = choose_format(
-        sdk.entries("PixelFormat"), bit_depth=settings.bit_depth, wanted=settings.pixel_format, where=where
-    )
+    where, available = settings.where, sdk.entries("PixelFormat")
+    chosen = choose_format(available, bit_depth=settings.bit_depth, wanted=settings.pixel_format, where=where)
     _choose(sdk, where, "PixelFormat", chosen.name)
     moves = sdk.has("OffsetX") and sdk.has("OffsetY")
     if moves:  # the image could not be as large as the sensor otherwise
@@ -170,10 +157,8 @@ def set_image(sdk: CameraSdk, settings: CameraSettings) -> PixelFormat:
     for name, size in zip(("Width", "Height"), settings.resolution_px, strict=True):
         low, _, step = sdk.bounds(name)
         if size < low or (step > 1 and (size - low) % step):
-            raise InputError(
-                f"{where}: the rig's image is {size} pixels in {name}, and this camera can do {low:g} "
-                f"and more in steps of {max(1, step):g}; change camera.resolution_px"
-            )
+            can = f"this camera can do {low:g} and more in steps of {max(1, step):g}"
+            raise InputError(f"{where}: the rig's image is {size} pixels in {name}, and {can}; {_OTHER_SIZE}")
         _choose(sdk, where, name, size)
     if moves:
         for name, at in zip(("OffsetX", "OffsetY"), offset, strict=True):
@@ -187,31 +172,25 @@ def _offset_of(settings: CameraSettings, *, sensor_px: tuple[int, int], steps_px
     """Corner of the rig's image on the sensor [pixels], from the left and from the top, in multiples of `steps_px`."""
     size, where = settings.resolution_px, settings.where
     if size[0] > sensor_px[0] or size[1] > sensor_px[1]:
-        raise InputError(
-            f"{where}: the rig's image of {size[0]} × {size[1]} pixels is larger than the camera's sensor of "
-            f"{sensor_px[0]} × {sensor_px[1]}; change camera.resolution_px"
-        )
+        image, sensor = ("{} × {}".format(*one) for one in (size, sensor_px))
+        larger = f"the rig's image of {image} pixels is larger than the camera's sensor of {sensor}"
+        raise InputError(f"{where}: {larger}; {_OTHER_SIZE}")
     if settings.offset_px is None:
         x, y = ((sensor_px[i] - size[i]) // 2 // steps_px[i] * steps_px[i] for i in (0, 1))
         return x, y
-    for name, offset, length, whole, step in zip(
-        ("left", "top"), settings.offset_px, size, sensor_px, steps_px, strict=True
-    ):
+    sides = zip(("left", "top"), settings.offset_px, size, sensor_px, steps_px, strict=True)
+    for name, offset, length, whole, step in sides:
+        begins = f"{where}: the image begins {offset} pixels from the {name}"
         if offset + length > whole:
-            raise InputError(
-                f"{where}: {offset} pixels from the {name} and {length} of the image are more than the sensor's {whole}"
-            )
+            raise InputError(f"{begins} and has {length}, which are more than the sensor's {whole}")
         if offset % step:
-            raise InputError(
-                f"{where}: the image begins {offset} pixels from the {name}, and this camera can do multiples "
-                f"of {step} only"
-            )
+            raise InputError(f"{begins}, and this camera can do multiples of {step} only")
     return settings.offset_px
 
 
 def set_gain(sdk: CameraSdk, settings: CameraSettings) -> str | None:
     """Set the gain where the rig gives one; returns the feature that has it."""
-    feature, gain = _first_of(sdk, *_GAIN), settings.gain
+    feature, gain = _first_of(sdk, "Gain", "GainAbs", "GainRaw"), settings.gain
     if gain is None:
         return feature
     if feature is None:
@@ -261,7 +240,6 @@ def _verify(where: str, feature: str, wanted: object, held: object) -> None:
         raise HardwareError(f"{where}: {feature} was set to {wanted}, and the camera holds {held}")
 
 
-_FEATURES = ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
 _RAW = "ExposureTimeRaw"
 _BASE = "ExposureTimeBaseAbs"
 _MICROSECONDS = {"us": 1.0, "µs": 1.0, "\u03bcs": 1.0, "usec": 1.0, "ns": 1e-3, "ms": 1e3, "s": 1e6}
@@ -279,22 +257,19 @@ class ExposureTime:
     def __init__(self, sdk: CameraSdk, settings: CameraSettings) -> None:
         self._sdk = sdk
         self._where = settings.where
-        feature = _first_of(sdk, *_FEATURES)
+        feature = _first_of(sdk, "ExposureTime", "ExposureTimeAbs", _RAW)
         unit_us = None if feature is None else _unit_us(sdk, feature)
         self._feature = None if unit_us is None else feature
         self._unit_us = unit_us or 1.0
         fixed = settings.fixed_exposure_us
         if self._feature is None and fixed is None:
-            why = (
-                "has no exposure time that can be set"
-                if feature is None
-                else f"counts its exposure time ({feature}) in units of unknown length"
-            )
+            why = "has no exposure time that can be set"
+            if feature is not None:
+                why = f"counts its exposure time ({feature}) in units of unknown length"
             raise InputError(f"{self._where}: this camera {why}; write fixed_exposure_us, the time it is set to")
         if self._feature is not None and fixed is not None:
-            raise InputError(
-                f"{self._where}: this camera's exposure time can be set ({self._feature}); leave out fixed_exposure_us"
-            )
+            can = f"this camera's exposure time can be set ({self._feature})"
+            raise InputError(f"{self._where}: {can}; leave out fixed_exposure_us")
         self.held_us = fixed if fixed is not None else self.read_us()
         """What the camera held when it was last set or read [µs]."""
 

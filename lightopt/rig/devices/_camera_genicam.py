@@ -23,9 +23,8 @@ def load_harvester() -> Any:
     try:
         return import_module("harvesters.core").Harvester
     except ImportError as error:
-        raise InputError(
-            f"camera driver genicam: the library is not there ({error}); pip install 'lightopt[genicam]'"
-        ) from None
+        how = f"the library is not there ({error}); pip install 'lightopt[genicam]'"
+        raise InputError(f"camera driver genicam: {how}") from None
 
 
 def find_producers() -> list[Path]:
@@ -72,16 +71,16 @@ class GenicamSdk(CameraLibrary):
 
     def write(self, feature: str, value: Any) -> None:
         node = self._node(feature)
-        whole = type(node).__name__ == "IInteger"
-        self._try(f"setting {feature}", lambda: setattr(node, "value", round(value) if whole else value))
+        rounded = round(value) if _is_whole(node) else value
+        self._try(f"setting {feature}", lambda: setattr(node, "value", rounded))
 
     def bounds(self, feature: str) -> tuple[float, float, float]:
         node = self._node(feature)
-        whole = type(node).__name__ == "IInteger"
-        return self._try(
-            f"asking for the bounds of {feature}",
-            lambda: (float(node.min), float(node.max), float(node.inc) if whole else 0.0),
-        )
+
+        def ask() -> tuple[float, float, float]:
+            return float(node.min), float(node.max), float(node.inc) if _is_whole(node) else 0.0
+
+        return self._try(f"asking for the bounds of {feature}", ask)
 
     def unit(self, feature: str) -> str:
         node = self._node(feature)
@@ -139,10 +138,8 @@ class GenicamSdk(CameraLibrary):
             return RawFrame.unusable(number, "it has no image")
         part = payload.components[0]
         if padding := _known(lambda: int(module.padding_x), 0):
-            raise HardwareError(
-                f"{self._where}: the lines of its frames end with {padding} bytes that are no pixels; choose a "
-                "width or a pixel format without"
-            )
+            end = f"the lines of its frames end with {padding} bytes that are no pixels"
+            raise HardwareError(f"{self._where}: {end}; choose a width or a pixel format without")
         # the library would expand packed pixels itself; the bytes are read by the tables of this package
         offset = _known(lambda: int(part.data_offset), 0)
         stamp = _known(lambda: int(module.timestamp_ns), 0) or _known(lambda: int(module.timestamp), 0)
@@ -190,12 +187,13 @@ def _harvester(producer: Path | str, where: str) -> Any:
 
 
 def _cameras(harvester: Any) -> list[CameraInfo]:
-    return [
-        CameraInfo(
-            driver="genicam",
-            identifier=str(info.get("id_") or ""),
-            serial=str(info.get("serial_number") or ""),
-            model=f"{info.get('vendor') or ''} {info.get('model') or ''}".strip(),
-        )
-        for info in (found.property_dict for found in harvester.device_info_list)
-    ]
+    cameras: list[CameraInfo] = []
+    for found in harvester.device_info_list:
+        keys = ("id_", "serial_number", "vendor", "model")
+        identifier, serial, vendor, model = (str(found.property_dict.get(key) or "") for key in keys)
+        cameras.append(CameraInfo("genicam", identifier, serial, model=f"{vendor} {model}".strip()))
+    return cameras
+
+
+def _is_whole(node: Any) -> bool:
+    return type(node).__name__ == "IInteger"

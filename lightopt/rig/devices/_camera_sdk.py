@@ -35,7 +35,7 @@ class CameraSettings:
     packet_delay_ns: int | None = None  # GigE: pause between packets [ns]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CameraInfo:
     """A camera that answered; `identifier`, `serial` or `address` name it in a rig file, empty where it has none."""
 

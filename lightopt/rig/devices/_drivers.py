@@ -15,10 +15,8 @@ from lightopt.rig.devices._light_ccs import CcsController
 from lightopt.rig.devices._light_display import CommandController, ScreenController
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
-from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._serial_log import SerialLog
-from lightopt.rig.devices._stage import Clock, Stage
-from lightopt.rig.devices._stage_dialogue import Axis, Dialogue
+from lightopt.rig.devices._serial_link import SerialLink, SerialLog
+from lightopt.rig.devices._stage import Axis, Clock, Stage
 from lightopt.rig.devices._stage_grbl import GrblDialogue
 from lightopt.rig.devices._stage_sigmakoki import GscDialogue, ShotDialogue
 from lightopt.rig.devices._stage_zaber import ZaberDialogue
@@ -27,12 +25,7 @@ LIGHT_DRIVERS: dict[str, Callable[[LightSettings, SerialLog | None], LightContro
     driver.NAME: driver.open
     for driver in (CcsController, SaController, TemplateController, ScreenController, CommandController)
 }
-STAGE_DRIVERS: dict[str, type[Dialogue]] = {
-    "shot": ShotDialogue,
-    "gsc": GscDialogue,
-    "grbl": GrblDialogue,
-    "zaber": ZaberDialogue,
-}
+STAGE_DRIVERS = {"shot": ShotDialogue, "gsc": GscDialogue, "grbl": GrblDialogue, "zaber": ZaberDialogue}
 CAMERA_DRIVERS: dict[str, Callable[[CameraSettings], CameraSdk]] = {"aravis": AravisSdk, "genicam": GenicamSdk}
 
 
@@ -55,14 +48,8 @@ def open_stage(
     """Open a stage; nothing moves. InputError for wrong axes or port, HardwareError when it does not answer."""
     check_stage(driver, axes)
     kind = STAGE_DRIVERS[driver]
-    link = SerialLink(
-        port,
-        device=f"stage ({driver})",
-        baud=kind.BAUD if baud is None else baud,
-        rtscts=kind.RTSCTS,
-        timeout_s=timeout_s,
-        log=log,
-    )
+    rate = kind.BAUD if baud is None else baud
+    link = SerialLink(port, device=f"stage ({driver})", baud=rate, rtscts=kind.RTSCTS, timeout_s=timeout_s, log=log)
     try:
         dialogue = kind(link, axes, home_timeout_s=home_timeout_s)
     except LightoptError:

@@ -5,6 +5,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -12,8 +13,7 @@ from typing import Any, ClassVar, TypeVar
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.rig.devices._device import Identity, RefusedError, Retry
-from lightopt.rig.devices._serial_link import Link, SerialLink
-from lightopt.rig.devices._serial_log import SerialLog
+from lightopt.rig.devices._serial_link import Link, SerialLink, SerialLog
 
 T = TypeVar("T")
 
@@ -68,22 +68,16 @@ def all_off(controllers: Mapping[str, "LightController"], *, lit: Mapping[str, C
     Raises LightsStillOnError once all were tried, with a message per controller and reason.
     """
     first = lit or {}
-    reasons = run_in_parallel(
-        {
-            name: lambda name=name, controller=controller: _darken_all(controller, first.get(name, ()))
-            for name, controller in controllers.items()
-        }
-    )
-    if any(reasons.values()):
-        raise LightsStillOnError(
-            *(
-                f"controller {name}, channel{'s' if len(channels) > 1 else ''} {', '.join(map(str, channels))}: "
-                f"not switched off, may still be lit: {reason}"
-                for name, found in reasons.items()
-                for reason, channels in found.items()
-            ),
-            channels={name: sorted(chain(*found.values())) for name, found in reasons.items() if found},
-        )
+    work = {name: partial(_darken_all, one, first.get(name, ())) for name, one in controllers.items()}
+    reasons = run_in_parallel(work)
+    messages: list[str] = []
+    for name, found in reasons.items():
+        for reason, channels in found.items():
+            which = f"controller {name}, channel{'s' * (len(channels) > 1)} {', '.join(map(str, channels))}"
+            messages.append(f"{which}: not switched off, may still be lit: {reason}")
+    if messages:
+        still_on = {name: sorted(chain(*found.values())) for name, found in reasons.items() if found}
+        raise LightsStillOnError(*messages, channels=still_on)
 
 
 def _darken_all(controller: "LightController", first: Collection[int]) -> dict[str, list[int]]:
@@ -136,14 +130,9 @@ class LightController(ABC):
     @classmethod
     def open(cls, settings: LightSettings, log: SerialLog | None = None) -> "LightController":
         """Open the link of a controller and let its driver talk first; a link on which that fails is closed."""
-        link = SerialLink(
-            settings.port,
-            device=f"light controller {settings.name} ({cls.NAME})",
-            baud=settings.baud or cls.BAUD,
-            timeout_s=settings.timeout_s,
-            gap_s=cls.GAP_S,
-            log=log,
-        )
+        device, baud = f"light controller {settings.name} ({cls.NAME})", settings.baud or cls.BAUD
+        port, timeout_s, gap_s = settings.port, settings.timeout_s, cls.GAP_S
+        link = SerialLink(port, device=device, baud=baud, timeout_s=timeout_s, gap_s=gap_s, log=log)
         try:
             return cls(link, settings)
         except BaseException:
@@ -213,11 +202,9 @@ class LightController(ABC):
             raise InputError(f"{device}: expected a channel from 1 to {self.channels}, found {channel}")
         if not 0 <= level <= self.top_level:
             raise InputError(f"{device}: expected an intensity from 0 to {self.top_level}, found {level}")
-        if level > self._max_levels.get(channel, level):
-            raise InputError(
-                f"{device}: channel {channel} may have an intensity of {self._max_levels[channel]} at most "
-                f"(max_level), found {level}; nothing was sent"
-            )
+        if level > (most := self._max_levels.get(channel, level)):
+            allowed = f"channel {channel} may have an intensity of {most} at most (max_level)"
+            raise InputError(f"{device}: {allowed}, found {level}; nothing was sent")
 
 
 def run_in_parallel(work: Mapping[str, Callable[[], T]]) -> dict[str, T]:

@@ -13,9 +13,9 @@ from lightopt.rig.devices._serial_link import SerialLink
 
 _DAMAGED = "02"
 _REFUSALS = {
-    "01": "it does not know the command (NG 01)",
-    _DAMAGED: "the command reached it damaged: checksum error (NG 02)",
-    "03": "the value or channel is out of its range (NG 03)",
+    "01": "it does not know the command",
+    _DAMAGED: "the command reached it damaged: checksum error",
+    "03": "the value or channel is out of its range",
 }
 
 
@@ -58,11 +58,9 @@ class CcsController(LightController):
     def _verify(self, channel: int, level: int) -> None:
         held, mode, on = self._settings(channel)
         if mode != 0 and level > 0:
-            frame = printable(self._frame(channel, "S00"))
-            raise self._link.failure(
-                f"channel {channel} is in strobe mode S{mode:02d}, in which it waits for triggers; if no machine needs "
-                f"that, set it to S00 (on/off) with the maker's tool, or by sending {frame}"
-            )
+            strobe = f"channel {channel} is in strobe mode S{mode:02d}, in which it waits for triggers"
+            advice = "set it to S00 (on/off) with the maker's tool, or by sending"
+            raise self._link.failure(f"{strobe}; {advice} {printable(self._frame(channel, 'S00'))}")
         if held != level or on != (level > 0):
             state = f"{held} and is switched {'on' if on else 'off'}"
             raise self._link.failure(f"channel {channel} was set to {level} but holds {state}")
@@ -94,7 +92,7 @@ class CcsController(LightController):
             problem = "the reply is for another channel"
         elif match[3] == b"N":
             code = match[4][:2].decode("ascii")
-            problem = _REFUSALS.get(code, f"it refuses (NG {match[4].decode('ascii')})")
+            problem = f"{_REFUSALS.get(code, 'it refuses')} (NG {match[4].decode('ascii')})"
             kind = ReplyError if code == _DAMAGED else RefusedError
         elif re.fullmatch(expected, data := match[4].decode("ascii")) is None:
             problem = "the reply is to another command"

@@ -16,22 +16,23 @@ import threading
 import time
 import zlib
 from abc import abstractmethod
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from lightopt.core.arrays import Float64, UInt8
 from lightopt.core.errors import HardwareError, InputError
+from lightopt.core.interrupts import start_apart
 from lightopt.images import write_png
 from lightopt.rig.devices._device import RefusedError, ReplyError
 from lightopt.rig.devices._light import LightController, LightSettings, PictureSettings
-from lightopt.rig.devices._serial_link import Link, SerialLink
-from lightopt.rig.devices._serial_log import SerialLog
+from lightopt.rig.devices._serial_link import Link, SerialLink, SerialLog
 
 _START_S = 30.0
 _END_S = 5.0
@@ -42,10 +43,14 @@ _MOST_STDERR = 500  # characters of what a command printed that a message has
 _ROUNDING = 1e-9
 
 
-def check_screen_library() -> None:
-    """Check that the library of the windows is installed, or raise an InputError with how to install it."""
-    if find_spec("pygame") is None:
-        raise InputError("driver: screen needs pygame-ce; install it: pip install 'lightopt[screen]'")
+def check_display(command: Sequence[str] | None, folder: Path) -> None:
+    """Check that the program of a command, or without one the library of windows, is there, or raise an InputError."""
+    if command is None:
+        if find_spec("pygame") is None:
+            raise InputError("driver: screen needs pygame-ce; install it: pip install 'lightopt[screen]'")
+    elif program_path(command[0], folder) is None:
+        where = "on the PATH" if Path(command[0]).name == command[0] else f"in {folder}"
+        raise InputError(f"no program {command[0]} {where} that can be run; expected a program's name or path")
 
 
 class ScreenProcess:
@@ -56,11 +61,11 @@ class ScreenProcess:
     """
 
     def __init__(self, monitor: int, size: tuple[int, int], *, device: str) -> None:
-        check_screen_library()
+        check_display(None, Path())
         with tempfile.TemporaryFile() as errors:
             # this interpreter, a file of this package
             arguments = [sys.executable, str(_WINDOW), *map(str, (monitor, *size))]
-            self._process = start_apart(arguments, stdout=subprocess.PIPE, stderr=errors)
+            self._process = start_apart(arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors)
             watchdog = threading.Timer(_START_S, self._process.kill)
             watchdog.start()
             assert self._process.stdout is not None
@@ -69,14 +74,15 @@ class ScreenProcess:
             watchdog.cancel()
             errors.seek(0)
             words = errors.read().decode("utf-8", "replace").strip().splitlines()[-1:]
-        answer: dict[str, Any] = json.loads(line) if line else {}
-        if "port" not in answer:
-            self._process.kill()
-            self.close()
-            if "problem" in answer:
-                raise InputError(f"{device}: {answer['problem']}")
-            raise HardwareError(f"{device}: the window's process did not start; its output: {''.join(words) or 'none'}")
-        self.port = f"socket://127.0.0.1:{answer['port']}"
+        answer: dict[str, Any] = json.loads(line or "{}")
+        if "port" in answer:
+            self.port = f"socket://127.0.0.1:{answer['port']}"
+            return
+        self._process.kill()
+        self.close()
+        if "problem" in answer:
+            raise InputError(f"{device}: {answer['problem']}")
+        raise HardwareError(f"{device}: the window's process did not start; its output: {''.join(words) or 'none'}")
 
     def close(self) -> None:
         """Wait until the window is closed, which it is once its client has gone; never raises."""
@@ -85,21 +91,6 @@ class ScreenProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-
-
-def start_apart(
-    arguments: list[str], *, stdout: int, stderr: IO[bytes], cwd: Path | None = None
-) -> subprocess.Popen[bytes]:
-    """Start a program without input that Ctrl-C does not reach: it is for this one, which still has to show black."""
-    return subprocess.Popen(  # noqa: S603  (without a shell)
-        arguments,
-        stdin=subprocess.DEVNULL,
-        start_new_session=sys.platform != "win32",
-        creationflags=0x00000200 if sys.platform == "win32" else 0,  # CREATE_NEW_PROCESS_GROUP
-        stdout=stdout,
-        stderr=stderr,
-        cwd=cwd,
-    )
 
 
 def screen_levels(picture: Float64, settings: PictureSettings) -> UInt8:
@@ -149,11 +140,9 @@ class DisplayController(LightController):
                 raise InputError(f"{self._link.device}: no light of the rig is on channel {channel}; nothing was shown")
             total += level / self.top_level * self._picture.pictures[channel]()
         if total.max() > 1.0 + _ROUNDING:
-            channels = ", ".join(map(str, sorted(lit)))
-            raise InputError(
-                f"{self._link.device}: channels {channels} together need {total.max():.3g} times the full radiance of "
-                "the screen; lower their levels, or the weights of the programme"
-            )
+            need = f"channels {', '.join(map(str, sorted(lit)))} together need {total.max():.3g} times"
+            advice = "lower their levels, or the weights of the programme"
+            raise InputError(f"{self._link.device}: {need} the full radiance of the screen; {advice}")
         return total
 
 
@@ -232,7 +221,8 @@ class CommandLink(Link):
         arguments[0] = program_path(arguments[0], self._folder) or arguments[0]
         with tempfile.TemporaryFile() as errors:
             try:
-                process = start_apart(arguments, cwd=self._folder, stdout=subprocess.DEVNULL, stderr=errors)
+                nothing = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+                process = start_apart(arguments, cwd=self._folder, **nothing, stderr=errors)
             except OSError as error:
                 raise self.failure(f"the command cannot be run: {error.strerror or error}") from error
             try:
@@ -256,8 +246,7 @@ class CommandLink(Link):
                 return f"the command did not end within {self.timeout_s:g} s (timeout_s) and was ended"
             with suppress(subprocess.TimeoutExpired):
                 process.wait(_SLICE_S)
-        status = process.returncode
-        return None if status == 0 else f"the command failed with exit status {status}"
+        return f"the command failed with exit status {process.returncode}" if process.returncode else None
 
     def close(self) -> None:
         """Remove the pictures."""
@@ -285,10 +274,3 @@ class CommandController(ScreenController):
 def program_path(program: str, folder: Path) -> str | None:
     """Path of a program: relative to `folder` where it has a folder, else found as a shell would; None: none."""
     return which(program if Path(program).name == program else str((folder / program).resolve()))
-
-
-def check_program(program: str, folder: Path) -> None:
-    """Check that a program is there, or raise an InputError; it is not run."""
-    if program_path(program, folder) is None:
-        where = "on the PATH" if Path(program).name == program else f"in {folder}"
-        raise InputError(f"no program {program} {where} that can be run; expected a program's name or path")

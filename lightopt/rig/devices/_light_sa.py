@@ -28,25 +28,18 @@ class SaController(LightController):
 
     def _send_level(self, channel: int, level: int) -> None:
         letter = _LETTERS[channel - 1]
-        self._retry.run(lambda: self._set_once(f"S{letter}{level:04d}#".encode("ascii"), letter))
+        self._retry.run(lambda: self._query(f"S{letter}{level:04d}#", _ACK, f"(?i:[A{letter}!])"))
 
     def _query_level(self, channel: int) -> int:
-        return self._retry.run(lambda: self._read_once(_LETTERS[channel - 1]))
+        letter = _LETTERS[channel - 1]
+        return int(self._retry.run(lambda: self._query(f"S{letter}#", _VALUE, rf"(?i:{letter})\d{{4}}"))[1:])
 
-    def _set_once(self, frame: bytes, letter: str) -> None:
-        reply = self._query(frame, _ACK)
-        if reply.decode("ascii", "replace").upper() not in (letter, "A", "!"):
-            raise self._link.failure("the reply is no acknowledgement", sent=frame, reply=reply, kind=ReplyError)
-
-    def _read_once(self, letter: str) -> int:
-        frame = f"S{letter}#".encode("ascii")
-        reply = self._query(frame, _VALUE)
-        if re.fullmatch(rb"[A-F]\d{4}", reply.upper()) is None or chr(reply[0]).upper() != letter:
-            raise self._link.failure("it is not this channel's intensity", sent=frame, reply=reply, kind=ReplyError)
-        return int(reply[1:])
-
-    def _query(self, frame: bytes, end: re.Pattern[bytes]) -> bytes:
+    def _query(self, command: str, end: re.Pattern[bytes], expected: str) -> str:
+        frame = command.encode("ascii")
         reply = self._link.query(frame, end=end)
         if reply == b"NG":
             raise self._link.failure("it refuses the command (NG)", sent=frame, reply=reply, kind=RefusedError)
-        return reply
+        text = reply.decode("ascii", "replace")
+        if re.fullmatch(expected, text) is None:
+            raise self._link.failure("no acknowledgement or intensity", sent=frame, reply=reply, kind=ReplyError)
+        return text

@@ -27,11 +27,8 @@ class TemplateController(LightController):
         assert settings.template is not None
         self._words = {key: text for key, text in settings.template.items() if text is not None}
         self._end = self._words.get("end", "").encode("latin-1")
-        self._patterns = {
-            verb: re.compile(self._words[f"{verb}_reply"].encode("latin-1"), re.DOTALL)
-            for verb in ("set", "off", "read")
-            if f"{verb}_reply" in self._words
-        }
+        replies = {key: text for key, text in self._words.items() if key.endswith("_reply")}
+        self._patterns = {key: re.compile(text.encode("latin-1"), re.DOTALL) for key, text in replies.items()}
         self._reads = "read" in self._words
         self._query_identity()
 
@@ -44,9 +41,8 @@ class TemplateController(LightController):
         return self._retry.run(lambda: self._read_once(channel))
 
     def _command(self, verb: str, channel: int, level: int) -> bytes:
-        text = self._words[verb].format(
-            channel=channel, channel0=channel - 1, letter=chr(ord("A") + channel - 1), level=level
-        )
+        letter = chr(ord("A") + channel - 1)
+        text = self._words[verb].format(channel=channel, channel0=channel - 1, letter=letter, level=level)
         return text.encode("latin-1")
 
     def _read_once(self, channel: int) -> int:
@@ -59,7 +55,7 @@ class TemplateController(LightController):
     def _exchange(self, verb: str, channel: int, level: int) -> dict[str, bytes]:
         """Send a command and match its reply; the pattern's groups."""
         frame = self._command(verb, channel, level)
-        pattern = self._patterns.get(verb)
+        pattern = self._patterns.get(f"{verb}_reply")
         if pattern is None:
             self._link.send(frame)
             return {}

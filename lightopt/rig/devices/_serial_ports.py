@@ -7,8 +7,6 @@ from pathlib import Path
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError
 
-_NETWORK = ("socket://", "rfc2217://")
-
 
 @dataclass(frozen=True)
 class Port:
@@ -55,16 +53,12 @@ def cannot_open(port: str, device: str, error: BaseException) -> LightoptError:
     if "exclusively lock" in reason or number == errno.EBUSY or "Access is denied" in reason:
         return HardwareError(f"{head} is in use by another program; close it, or wait for it to end")
     if number == errno.EACCES or "Permission denied" in reason:
-        return InputError(
-            f"{head} may not be opened by this user; on Linux add the user to the group that owns it (dialout)"
-        )
-    if port.startswith(_NETWORK):
+        return InputError(f"{head} may not be opened by this user; on Linux: add the user to its group (dialout)")
+    if port.startswith(("socket://", "rfc2217://")):
         if re.fullmatch(r"\w+://[^/]+:\d+.*", port) is None:
             return InputError(f"{head} names no host and number; expected {port.partition(':')[0]}://host:number")
-        return HardwareError(
-            f"{head} cannot be reached: {_short(reason)}; check address and network, that the device is on, "
-            "and that no other program holds its one connection"
-        )
+        advice = "check address and network, that the device is on, and that no other program holds its one connection"
+        return HardwareError(f"{head} cannot be reached: {_short(reason)}; {advice}")
     if isinstance(error, ValueError):
         return InputError(f"{head} is not a port or URL that can be opened: {_short(reason)}")
     if (problem := port_problem(port)) is not None and "is not a serial port" in problem:

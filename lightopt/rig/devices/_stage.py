@@ -1,14 +1,120 @@
 """A stage: moves that are checked, watched and verified, whatever language the device speaks."""
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from lightopt.core.errors import HardwareError, refuse
 from lightopt.core.transforms import Posture
-from lightopt.rig.devices._device import Identity, ReplyError
-from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
+from lightopt.rig.devices._device import Identity, ReplyError, Retry
+from lightopt.rig.devices._serial_link import SerialLink
+
+_ROUNDING = 1e-9  # relative; angles that differ by less are the same
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis of the stage: how the rig's angle becomes the device's count, and how far and fast it may go."""
+
+    name: str  # elevation or rotation
+    device: str  # the axis as the device calls it
+    range_deg: tuple[float, float]  # lowest and highest allowed angle [°]
+    steps_per_deg: float = 1.0  # device units per degree; negative where the device counts against the rig's sense
+    zero: float = 0.0  # device units at which the rig's angle is 0
+    speed_deg_per_s: float = 20.0
+    home_sense: int = -1  # sense of the count in which the GSC-02 seeks its origin, +1 or -1
+
+    def angle_of(self, units: float) -> float:
+        """The rig's angle [°] at a position of the device."""
+        return (units - self.zero) / self.steps_per_deg + 0.0  # never -0
+
+    def units_of(self, angle_deg: float) -> float:
+        """The device's position at an angle [°] of the rig, not rounded."""
+        return self.zero + angle_deg * self.steps_per_deg
+
+    def target(self, angle_deg: float, *, step: float) -> float:
+        """Nearest multiple of a `step` [device units] to an angle [°]; an InputError for one outside the range."""
+        refuse(self.problems(angle_deg))
+        return step * round(self.units_of(angle_deg) / step)
+
+    def problems(self, angle_deg: float) -> list[str]:
+        """Messages about what is wrong with an angle [°]; empty where it is allowed."""
+        low, high = self.range_deg
+        slack = _ROUNDING * max(1.0, abs(low), abs(high))
+        if low - slack <= angle_deg <= high + slack:
+            return []
+        span = f"{low:g}° … {high:g}°"
+        return [f"stage axis {self.name}: {angle_deg:g}° lies outside the rig's range {span}; nothing was moved"]
+
+    def speed_units(self) -> float:
+        return self.speed_deg_per_s * abs(self.steps_per_deg)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """State of a stage's device at one moment."""
+
+    units: Mapping[str, float]  # position of each axis by the device's name of it [device units]
+    moving: bool
+    referenced: bool | None = None  # whether it knows its origin; None where that is unknown
+    alarm: str | None = None  # message about the alarm
+
+
+class Dialogue(ABC):
+    """Protocol of a stage, in the device's units and names; HardwareError where it refuses or does not answer."""
+
+    BAUD: ClassVar[int]  # the protocol's usual baud rate
+    RTSCTS: ClassVar[bool] = False  # whether the device paces the line by RTS/CTS
+    HOMES_TO_END: ClassVar[bool] = False
+    """Whether `home` returns when the origins are found, rather than when the search has begun."""
+
+    def __init__(self, link: SerialLink, axes: Sequence[Axis], *, home_timeout_s: float = 180.0) -> None:
+        self.link = link
+        self._retry = Retry(link)
+        self._axes = tuple(axes)
+        self.home_timeout_s = home_timeout_s
+
+    @classmethod  # noqa: B027  (some devices tell their speeds only when they are open)
+    def check_axes(cls, axes: Sequence[Axis]) -> None:
+        """Refuse speeds, and axes together, that the device cannot have, as far as is known without it (InputError)."""
+
+    @abstractmethod
+    def identify(self) -> dict[str, str]:
+        """What the device reports about itself."""
+
+    @abstractmethod
+    def read(self) -> Reading:
+        """Query positions and state; may be repeated."""
+
+    def step(self, axis: Axis) -> float:  # noqa: ARG002  (a device that counts in steps)
+        """Smallest distance [device units] between two positions of an axis."""
+        return 1.0
+
+    def check(self, targets: Mapping[str, float]) -> None:  # noqa: B027  (not all devices have limits)
+        """Raise an InputError for targets that the device is known to refuse; sends nothing that moves."""
+
+    def prepare(self) -> None:  # noqa: B027  (not all devices keep speeds)
+        """Set speeds; once, before the first move. Nothing where each move carries its speed."""
+
+    @abstractmethod
+    def go(self, targets: Mapping[str, float]) -> None:
+        """Start a move; never sent twice. A ReplyError means that it is unknown whether the device took it."""
+
+    @abstractmethod
+    def home(self) -> None:
+        """Start to seek the origins, or seek them to the end, as the protocol has it; never sent twice."""
+
+    def homed(self, reading: Reading) -> str | None:
+        """What is wrong with a reading after homing; None when all is well."""
+        return reading.alarm
+
+    @abstractmethod
+    def halt(self) -> None:
+        """Stop all axes at once."""
+
 
 HOME_FIRST = "home it first: lightopt bench home RIG"
 
@@ -39,7 +145,7 @@ class StageState:
 
 
 class Stage:
-    """The tilt and rotation axes that hold the part, over any :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
+    """The tilt and rotation axes that hold the part, over any :class:`~lightopt.rig.devices._stage.Dialogue`.
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the device does not answer, or answers no.
     Alarms are reported and never cleared.
@@ -71,17 +177,14 @@ class Stage:
 
     def check(self, posture: Posture) -> None:
         """Raise what :meth:`move_to` would raise for a posture that it cannot take; sends nothing."""
-        angles = _angles(posture)
         axes = {axis.name: axis for axis in self._axes}
         wrong: list[str] = []
-        for name, angle in angles.items():
+        for name, angle in _angles(posture).items():
             if name in axes:
                 wrong += axes[name].problems(angle)
             elif abs(angle) > 1e-9:
-                wrong.append(
-                    f"stage axis {name}: {angle:g}° was requested, but hardware.stage has no {name} axis, "
-                    "so it stands at 0°; nothing was moved"
-                )
+                fixed = f"but hardware.stage has no {name} axis, so it stands at 0°"
+                wrong.append(f"stage axis {name}: {angle:g}° was requested, {fixed}; nothing was moved")
         refuse(wrong)
 
     def move_to(self, posture: Posture) -> StageState:
@@ -95,15 +198,13 @@ class Stage:
             if (problem := self._problem(reading)) is not None:
                 raise self._link.failure(f"was not moved: {problem}")
             angles = _angles(posture)
-            targets = {
-                axis.device: axis.target(angles[axis.name], step=self._dialogue.step(axis)) for axis in self._axes
-            }
+            steps = {axis.name: self._dialogue.step(axis) for axis in self._axes}
+            targets = {axis.device: axis.target(angles[axis.name], step=steps[axis.name]) for axis in self._axes}
             self._dialogue.check(targets)
             if far := self._off(reading, targets, steps=0.5):
                 self._note_rounding(angles, targets)
-                travel_s = max(
-                    abs(targets[axis.device] - reading.units[axis.device]) / axis.speed_units() for axis in self._axes
-                )
+                ways = {axis: abs(targets[axis.device] - reading.units[axis.device]) for axis in self._axes}
+                travel_s = max(way / axis.speed_units() for axis, way in ways.items())
                 with self._stopped_on_failure():
                     if not self._prepared:
                         self._dialogue.prepare()
@@ -162,20 +263,15 @@ class Stage:
 
     def _note_rounding(self, angles: Mapping[str, float], targets: Mapping[str, float]) -> None:
         for axis in self._axes:
-            rounded = axis.angle_of(targets[axis.device])
-            if abs(rounded - angles[axis.name]) > 1e-6:
-                self._link.note(
-                    f"{self._link.device}: {axis.name}: {angles[axis.name]:g}° lies between two steps, "
-                    f"goes to {rounded:.6g}°"
-                )
+            angle, rounded = angles[axis.name], axis.angle_of(targets[axis.device])
+            if abs(rounded - angle) > 1e-6:
+                between = f"{axis.name}: {angle:g}° lies between two steps, goes to {rounded:.6g}°"
+                self._link.note(f"{self._link.device}: {between}")
 
     def _off(self, reading: Reading, targets: Mapping[str, float], *, steps: float = _ONE_STEP) -> list[Axis]:
         """Axes that stand more than so many steps from their targets."""
-        return [
-            axis
-            for axis in self._axes
-            if abs(reading.units[axis.device] - targets[axis.device]) > steps * self._dialogue.step(axis)
-        ]
+        off = {axis: abs(reading.units[axis.device] - targets[axis.device]) for axis in self._axes}
+        return [axis for axis, units in off.items() if units > steps * self._dialogue.step(axis)]
 
     def _problem(self, reading: Reading) -> str | None:
         """Why it is not where it was left, or must not be moved; None where nothing is wrong."""
@@ -191,11 +287,9 @@ class Stage:
         if left is None or not (moved := self._off(reading, left)):
             return None
         axis = moved[0]
-        self._lost = (
-            f"{axis.name} was left at {axis.angle_of(left[axis.device]):.6g}° and stands at "
-            f"{axis.angle_of(reading.units[axis.device]):.6g}° now: moved by hand, by another program, or switched off "
-            "between"
-        )
+        was, is_now = (axis.angle_of(units[axis.device]) for units in (left, reading.units))
+        why = "moved by hand, by another program, or switched off between"
+        self._lost = f"{axis.name} was left at {was:.6g}° and stands at {is_now:.6g}° now: {why}"
         return f"{self._lost}; {HOME_FIRST}"
 
     def _await_arrival(self, targets: Mapping[str, float], travel_s: float) -> Reading:
@@ -211,28 +305,25 @@ class Stage:
             if reading.moving:
                 still_since = None
                 if now - started > limit_s:
-                    raise self._link.failure(
-                        f"still moves after {limit_s:.1f} s, twice the time of the way and {_MARGIN_S:g} s: "
-                        f"jammed, or slower than speed_deg_per_s says{self._where(reading, targets)}"
-                    )
+                    late = f"still moves after {limit_s:.1f} s, twice the time of the way and {_MARGIN_S:g} s"
+                    why = f"jammed, or slower than speed_deg_per_s says{self._where(reading, targets)}"
+                    raise self._link.failure(f"{late}: {why}")
             elif not self._off(reading, targets):
                 return reading
             else:
                 still_since = now if still_since is None else still_since
                 if now - still_since > _SETTLE_S:
-                    raise self._link.failure(
-                        "stands still and is not where it should be: stalled, at a limit switch, or the command was "
-                        f"not taken{self._where(reading, targets)}"
-                    )
+                    why = f"stalled, at a limit switch, or the command was not taken{self._where(reading, targets)}"
+                    raise self._link.failure(f"stands still and is not where it should be: {why}")
             self._clock.sleep(_POLL_S if now - started < travel_s - _POLL_S else _NEAR_S)
 
     def _where(self, reading: Reading, targets: Mapping[str, float]) -> str:
         """Where axes stand that are not at their targets, as the end of a message."""
-        parts = [
-            f"{axis.name} should be at {axis.angle_of(targets[axis.device]):.6g}° and stands at "
-            f"{axis.angle_of(reading.units[axis.device]):.6g}° ({reading.units[axis.device]:.10g} units)"
-            for axis in self._off(reading, targets)
-        ]
+        parts: list[str] = []
+        for axis in self._off(reading, targets):
+            wanted, units = axis.angle_of(targets[axis.device]), reading.units[axis.device]
+            stands = f"stands at {axis.angle_of(units):.6g}° ({units:.10g} units)"
+            parts.append(f"{axis.name} should be at {wanted:.6g}° and {stands}")
         return "; " + ", ".join(parts) if parts else ""
 
     def _await_homing(self) -> Reading:
@@ -289,17 +380,9 @@ class Stage:
 
     def _state(self, reading: Reading) -> StageState:
         angles = {axis.name: axis.angle_of(reading.units[axis.device]) for axis in self._axes}
-        referenced = reading.referenced
-        if self._lost is not None:
-            referenced = False
-        elif referenced is None and self._homed:
-            referenced = True
-        return StageState(
-            posture=Posture(elevation_deg=angles.get("elevation", 0.0), rotation_deg=angles.get("rotation", 0.0)),
-            moving=reading.moving,
-            referenced=referenced,
-            alarm=reading.alarm,
-        )
+        posture = Posture(elevation_deg=angles.get("elevation", 0.0), rotation_deg=angles.get("rotation", 0.0))
+        known = True if reading.referenced is None and self._homed else reading.referenced
+        return StageState(posture, reading.moving, False if self._lost is not None else known, reading.alarm)
 
 
 def _angles(posture: Posture) -> dict[str, float]:

@@ -21,7 +21,7 @@ from typing import Any
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices._device import LinkLostError, ReplyError
 from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading, describe_range
+from lightopt.rig.devices._stage import Axis, Dialogue, Reading
 
 _AXES = ("X", "Y", "Z")
 _RESET = b"\x18"
@@ -37,49 +37,24 @@ _HELD = {
     "Sleep": "asleep; reset it",
     "Alarm": "locked; home it (lightopt bench home RIG), or find out why and unlock it with $X",
 }
-
-
 _CRITICAL = ("ALARM:1 ", "ALARM:2 ")  # Grbl then answers nothing, not even '?', until it is reset
-
+_RESET_IT = "look what it hit, reset it, and home it"
 _ALARMS = {
     1: "hard limit: a limit switch was hit, the position is lost",
     2: "soft limit: the target lies outside the travel; the position is kept",
     3: "reset in motion: steps may be lost",
-    4: "probe fail: the probe was in another state than expected",
-    5: "probe fail: the probe met nothing",
     6: "homing fail: reset during homing",
     7: "homing fail: the door was opened during homing",
     8: "homing fail: pulling off did not release the limit switch",
     9: "homing fail: no limit switch was found within the search distance",
     10: "homing fail: the second limit switch of an axis was not found",
 }
-_ERRORS = {
-    1: "a letter was expected",
-    2: "a number is missing or not one",
-    3: "unknown $ command",
-    4: "a negative value where none may be",
+_ERRORS = {  # that a line of this driver can cause as it was sent; others mean that it was damaged on its way
     5: "homing is not enabled ($22=0)",
-    6: "step pulse shorter than 3 µs",
-    7: "the settings could not be read from memory and were reset",
     8: "not possible while the machine is not idle",
     9: "locked by an alarm, or while jogging",
-    10: "soft limits need homing ($22=1)",
-    11: "the line is too long",
-    12: "the step rate is too high",
     13: "the door is open",
-    14: "the startup line is too long",
-    15: "the jog target lies outside the travel",
-    16: "wrong jog command",
-    17: "laser mode needs a PWM output",
     20: "unsupported command",
-    21: "two commands of one group in a line",
-    22: "the feed rate is missing",
-    23: "a whole number was expected",
-    24: "two commands that use the axis words",
-    25: "a word twice in a line",
-    26: "no axis words",
-    31: "axis words without a command that uses them",
-    33: "the target of the move is invalid",
 }
 _REPORT = re.compile(rb"<(?P<state>[A-Za-z]+(?::\d+)?)\|(?P<fields>[^<>]*)>\r?\n")
 _NUMBERS = re.compile(r"-?\d+(?:\.\d+)?(?:,-?\d+(?:\.\d+)?)*")
@@ -134,17 +109,10 @@ class GrblDialogue(Dialogue):
                 return self._retry.run(self._report)
             except ReplyError as error:
                 if self._critical is None:
-                    raise ReplyError(
-                        *error.messages,
-                        "Grbl answers nothing, not even to '?', after a hard or soft limit alarm (ALARM:1, ALARM:2); "
-                        "if that is the cause, look what it hit, reset it, and home it",
-                    ) from None
-        return Reading(
-            units={axis.device: self._here.get(axis.device, math.nan) for axis in self._axes},
-            moving=False,
-            referenced=False,
-            alarm=f"{self._critical}; Grbl answers nothing until it is reset: look what it hit, reset it, home it",
-        )
+                    silent = f"Grbl answers nothing, not even to '?', after ALARM:1 or ALARM:2; if so, {_RESET_IT}"
+                    raise ReplyError(*error.messages, silent) from None
+        alarm = f"{self._critical}; Grbl answers nothing until it is reset: {_RESET_IT}"
+        return Reading(self._units(), moving=False, referenced=False, alarm=alarm)
 
     def step(self, axis: Axis) -> float:
         """A motor step, but no finer than reports resolve."""
@@ -157,19 +125,17 @@ class GrblDialogue(Dialogue):
             index = _AXES.index(axis.device)
             travel = self._setting(130 + index)
             if self._setting(20) and not -travel <= targets[axis.device] <= 0:
+                low, high = map(axis.units_of, axis.range_deg)
                 raise InputError(
                     f"stage axis {axis.name}: {axis.device}{targets[axis.device]:.3f} lies outside Grbl's travel "
-                    f"-{travel:g} … 0 (${130 + index}, soft limits on), and the rig's range "
-                    f"{describe_range(axis.range_deg)} is {axis.device}{axis.units_of(axis.range_deg[0]):g} … "
-                    f"{axis.units_of(axis.range_deg[1]):g}; set zero in the rig's hardware.stage, or the travel in "
-                    "Grbl; nothing was moved"
+                    f"-{travel:g} … 0 (${130 + index}, soft limits on), and the rig's range is {axis.device}{low:g} … "
+                    f"{high:g}; set zero in the rig's hardware.stage, or the travel in Grbl; nothing was moved"
                 )
             fastest = self._setting(110 + index) / 60
             if axis.speed_units() > fastest * (1 + 1e-6):
-                raise InputError(
-                    f"stage axis {axis.name}: {axis.speed_deg_per_s:g}°/s is faster than Grbl's axis goes "
-                    f"(${110 + index} allows {fastest / abs(axis.steps_per_deg):g}°/s); nothing was moved"
-                )
+                allowed = f"(${110 + index} allows {fastest / abs(axis.steps_per_deg):g}°/s)"
+                faster = f"{axis.speed_deg_per_s:g}°/s is faster than Grbl's axis goes {allowed}"
+                raise InputError(f"stage axis {axis.name}: {faster}; nothing was moved")
 
     def go(self, targets: Mapping[str, float]) -> None:
         """Plan a straight move in machine coordinates, fast enough for the axis that takes longest."""
@@ -185,9 +151,7 @@ class GrblDialogue(Dialogue):
         if self._critical is not None:
             raise self.link.failure(f"{self._critical}; it must be reset before it can be homed")
         if not self._setting(22):
-            raise self.link.failure(
-                "homing is not enabled ($22=0): with limit switches, set $22=1 in Grbl", sent=b"$H\n"
-            )
+            raise self.link.failure("homing is not enabled ($22=0); with limit switches, set $22=1", sent=b"$H\n")
         self._restarted = False
         self._homing = True  # until it answers ok: while it seeks, it reports nothing and ignores a hold
         self._line("$H", deadline_s=self.home_timeout_s)
@@ -239,11 +203,8 @@ class GrblDialogue(Dialogue):
                     heard = self.link.read(end=b"\n", deadline_s=_LISTEN_S)
             except ReplyError:
                 if time.monotonic() > until:
-                    raise self.link.failure(
-                        "no Grbl answers: wrong port or baud rate, or it stands in a hard or soft limit alarm and "
-                        "waits for a reset (its reset button; then home it)",
-                        sent=b"?",
-                    ) from None
+                    why = "wrong port or baud rate, or a limit alarm (press its reset button; then home it)"
+                    raise self.link.failure(f"no Grbl answers: {why}", sent=b"?") from None
                 continue
             self.link.drain()
             return
@@ -255,9 +216,8 @@ class GrblDialogue(Dialogue):
             settings = {int(match[1]): float(match[2]) for match in matches}
             needed = {20, 22, *(base + i for base in (100, 110, 130) for i in range(3))}
             if missing := needed - set(settings):
-                raise self.link.failure(
-                    f"settings are missing: {sorted(missing)}", sent=b"$$\n", reply=b"".join(lines), kind=ReplyError
-                )
+                lacks = f"settings are missing: {sorted(missing)}"
+                raise self.link.failure(lacks, sent=b"$$\n", reply=b"".join(lines), kind=ReplyError)
             if settings.get(13, 0):
                 raise self.link.failure("reports inches; set $13=0", sent=b"$$\n")
             self._settings = settings
@@ -283,12 +243,11 @@ class GrblDialogue(Dialogue):
             held = _HELD.get(state) or ("the door is open" if state.startswith("Door") else None)
             if held is None and state != "Idle" and state not in _MOVING:
                 raise self.link.failure("an unknown state", sent=b"?", reply=line, kind=ReplyError)
-            return Reading(
-                units={axis.device: self._here.get(axis.device, math.nan) for axis in self._axes},
-                moving=state in _MOVING,
-                referenced=False if state == "Alarm" or self._restarted else None,
-                alarm=held,
-            )
+            referenced = False if state == "Alarm" or self._restarted else None
+            return Reading(self._units(), moving=state in _MOVING, referenced=referenced, alarm=held)
+
+    def _units(self) -> dict[str, float]:
+        return {axis.device: self._here.get(axis.device, math.nan) for axis in self._axes}
 
     def _line(self, text: str, *, deadline_s: float | None = None) -> list[bytes]:
         """Send a line; returns the lines that came before its ok."""
@@ -325,4 +284,4 @@ class GrblDialogue(Dialogue):
         kind, _, number = line.decode("ascii", "replace").strip().partition(":")
         if not number.isdigit():
             raise self.link.failure("a broken reply", reply=line, kind=ReplyError)
-        return f"{kind}:{number} ({meanings.get(int(number), 'unknown')})"
+        return f"{kind}:{number} ({meanings.get(int(number), 'see the lists of Grbl')})"

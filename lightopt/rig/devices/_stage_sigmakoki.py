@@ -22,7 +22,7 @@ from typing import ClassVar
 
 from lightopt.core.errors import InputError, refuse
 from lightopt.rig.devices._device import ReplyError, printable
-from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
+from lightopt.rig.devices._stage import Axis, Dialogue, Reading
 
 END = b"\r\n"
 RAMP_MS = 200  # acceleration and deceleration; the controllers' own value at power-up
@@ -31,6 +31,7 @@ _POSITION = re.compile(r"\s*([+-]?)\s*(\d+)\s*")
 _LIMITS = {"L": "axis 1", "M": "axis 2", "W": "both axes"}
 _GSC_SPEEDS = {1: (1, 200), 2: (50, 20_000)}  # speed ranges of D: [pulses/s]
 _GSC_FARTHEST = 16_777_214  # longest relative move [pulses]
+_REFUSED = "the command is wrong, or the stage is moving"
 
 
 @dataclass(frozen=True)
@@ -93,13 +94,9 @@ class _SigmakokiDialogue(Dialogue):
     @classmethod
     def check_axes(cls, axes: Sequence[Axis]) -> None:
         slowest, fastest = cls.SPEEDS
-        wrong = [
-            f"stage axis {axis.name}: {axis.speed_deg_per_s:g}°/s are {axis.speed_units():g} pulses/s; "
-            f"the controller takes {slowest} to {fastest}"
-            for axis in axes
-            if not slowest <= round(axis.speed_units()) <= fastest
-        ]
-        refuse(wrong)
+        wrong = [axis for axis in axes if not slowest <= round(axis.speed_units()) <= fastest]
+        speeds = [f"{axis.name}: {axis.speed_deg_per_s:g}°/s are {axis.speed_units():g} pulses/s" for axis in wrong]
+        refuse(f"stage axis {speed}; the controller takes {slowest} to {fastest}" for speed in speeds)
 
     def identify(self) -> dict[str, str]:
         line = self._retry.run(lambda: self.link.query(command("?:V"), end=END))
@@ -162,9 +159,7 @@ class ShotDialogue(_SigmakokiDialogue):
     def _command(self, text: str) -> None:
         reply = self.link.query(command(text), end=END)
         if reply == b"NG\r\n":
-            raise self.link.failure(
-                "refused (NG): the command is wrong, or the stage is moving", sent=command(text), reply=reply
-            )
+            raise self.link.failure(f"refused (NG): {_REFUSED}", sent=command(text), reply=reply)
         if reply != b"OK\r\n":
             raise self.link.failure("expected OK or NG", sent=command(text), reply=reply, kind=ReplyError)
 
@@ -183,11 +178,9 @@ class GscDialogue(_SigmakokiDialogue):
         """Raise an InputError for a way that is longer than the command can express."""
         here = self.read().units
         for axis, target in targets.items():
-            if abs(target - here[axis]) > _GSC_FARTHEST:
-                raise InputError(
-                    f"stage axis {axis}: {abs(target - here[axis]):.0f} pulses in one move are more than the "
-                    f"{_GSC_FARTHEST} that the controller takes; nothing was moved"
-                )
+            if (way := abs(target - here[axis])) > _GSC_FARTHEST:
+                more = f"{way:.0f} pulses in one move are more than the {_GSC_FARTHEST} that the controller takes"
+                raise InputError(f"stage axis {axis}: {more}; nothing was moved")
 
     def prepare(self) -> None:
         self._command(_speed_command(self._axes))
@@ -211,9 +204,7 @@ class GscDialogue(_SigmakokiDialogue):
         self.link.send(command(text))
         status, _ = self._retry.run(self._status)
         if not status.accepted:
-            raise self.link.failure(
-                "refused (ACK1 is X): the command is wrong, or the stage is moving", sent=command(text)
-            )
+            raise self.link.failure(f"refused (ACK1 is X): {_REFUSED}", sent=command(text))
 
     def _status_line(self, frame: bytes) -> bytes:
         line = super()._status_line(frame)
@@ -231,7 +222,5 @@ def _speed_command(axes: Sequence[Axis]) -> str:
         if all(slowest <= speed <= fastest for speed in both):
             words = "".join(f"S{max(slowest, speed // 10)}F{speed}R{RAMP_MS}" for speed in both)
             return f"D:{number}{words}"
-    raise InputError(
-        f"stage: the speeds {both[0]} and {both[1]} pulses/s are in different ranges of the controller "
-        "(1 to 200, 50 to 20000), and it takes both from one; change speed_deg_per_s"
-    )
+    ranges = "in different ranges of the controller (1 to 200, 50 to 20000), and it takes both from one"
+    raise InputError(f"stage: the speeds {both[0]} and {both[1]} pulses/s are {ranges}; change speed_deg_per_s")

@@ -16,7 +16,7 @@ from typing import Any
 from lightopt.core.errors import InputError
 from lightopt.rig.devices._device import ReplyError, printable
 from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
+from lightopt.rig.devices._stage import Axis, Dialogue, Reading
 
 NOT_HOMED = frozenset({"WR", "WH"})
 
@@ -33,8 +33,6 @@ _WARNINGS = {
     "FQ": "encoder error: the position may be wrong",
     "FS": "stalled and stopped",
     "FT": "the lockstep axes twist too much",
-    "FB": "a streamed motion left its bounds",
-    "FP": "a streamed motion left its path",
     "FE": "a limit sensor cannot be reached or is faulty",
     "WH": "not homed",
     "WL": "a limit sensor ended a move that should not have met it: the axis may have slipped",
@@ -45,18 +43,13 @@ _WARNINGS = {
     "WR": "no reference position",
     "NC": "moved by hand with the knob",
     "NI": "a move was interrupted by another",
-    "ND": "a stream ran out of motions",
     "NU": "a setting waits for a restart",
-    "NJ": "the joystick is being calibrated",
 }
 _REJECTIONS = {
     "AGAIN": "not now; send again",
     "BADAXIS": "the device has no such axis",
     "BADCOMMAND": "unknown command or setting",
     "BADDATA": "the value is wrong or out of range",
-    "BADMESSAGEID": "the message number is wrong",
-    "DEVICEONLY": "a command for the device, not for an axis",
-    "FULL": "no more room",
     "LOCKSTEP": "the axis is part of a lockstep group",
     "NOACCESS": "not allowed at this access level",
     "PARKED": "the device is parked",
@@ -87,7 +80,7 @@ def checksum(body: bytes) -> bytes:
 
 
 def frame(device: int, axis: int, number: int, command: str) -> bytes:
-    body = " ".join(part for part in (str(device), str(axis), f"{number:02d}", command) if part).encode("ascii")
+    body = f"{device} {axis} {number:02d} {command}".rstrip().encode("ascii")
     return b"/" + body + b":" + checksum(body) + b"\n"
 
 
@@ -158,10 +151,9 @@ class ZaberDialogue(Dialogue):
             moving = moving or reply.busy
             homed = homed and reply.warning not in NOT_HOMED
             if reply.warning.startswith("F") or reply.warning in _STOPS:
-                alarms.append(
-                    f"axis {axis.device}: {_described(reply.warning, _WARNINGS)}; when the cause is found, clear it "
-                    f"with /{self._addresses[axis.device][0]} warnings clear, and home it"
-                )
+                advice = f"clear it with /{self._addresses[axis.device][0]} warnings clear, and home it"
+                cause = f"axis {axis.device}: {_described(reply.warning, _WARNINGS)}"
+                alarms.append(f"{cause}; when the cause is found, {advice}")
             elif reply.warning and reply.warning not in NOT_HOMED and reply.warning not in self._noted:
                 self._noted.add(reply.warning)
                 self.link.note(f"axis {axis.device} warns {_described(reply.warning, _WARNINGS)}")
@@ -172,11 +164,9 @@ class ZaberDialogue(Dialogue):
         for axis in self._axes:
             low, high = self._limits_of(axis.device)
             if not low <= targets[axis.device] <= high:
-                raise InputError(
-                    f"stage axis {axis.name}: position {targets[axis.device]:.0f} lies outside the device's limits "
-                    f"{low} … {high} (limit.min, limit.max); set zero and steps_per_deg in the rig's "
-                    "hardware.stage, or the limits of the device; nothing was moved"
-                )
+                outside = f"position {targets[axis.device]:.0f} lies outside the device's limits {low} … {high}"
+                advice = "set zero and steps_per_deg in hardware.stage, or limit.min and limit.max in the device"
+                raise InputError(f"stage axis {axis.name}: {outside}; {advice}; nothing was moved")
 
     def prepare(self) -> None:
         """Set the speed of each axis where it is another; the device keeps it."""
@@ -218,27 +208,23 @@ class ZaberDialogue(Dialogue):
 
     def _limits_of(self, axis: str) -> tuple[int, int]:
         if axis not in self._limits:
-            low, high = (
-                self._retry.run(lambda s=setting: self._number_of(axis, f"get {s}"))[1]
-                for setting in ("limit.min", "limit.max")
-            )
+            _, low = self._retry.run(lambda: self._number_of(axis, "get limit.min"))
+            _, high = self._retry.run(lambda: self._number_of(axis, "get limit.max"))
             self._limits[axis] = (low, high)
         return self._limits[axis]
 
     def _number_of(self, axis: str, command: str) -> tuple[Reply, int]:
         reply = self._accepted(axis, command)
         if re.fullmatch(r"-?\d+", reply.data) is None:
-            raise self.link.failure(
-                "expected a whole number", sent=command.encode(), reply=reply.data.encode(), kind=ReplyError
-            )
+            frames = {"sent": command.encode(), "reply": reply.data.encode()}
+            raise self.link.failure("expected a whole number", **frames, kind=ReplyError)
         return reply, int(reply.data)
 
     def _accepted(self, axis: str, command: str) -> Reply:
         reply = self._exchange(*self._addresses[axis], command)
         if not reply.accepted:
-            raise self.link.failure(
-                f"axis {axis} rejected it: {_described(reply.data, _REJECTIONS)}", sent=command.encode("ascii")
-            )
+            why = f"axis {axis} rejected it: {_described(reply.data, _REJECTIONS)}"
+            raise self.link.failure(why, sent=command.encode("ascii"))
         return reply
 
     def _exchange(self, device: int, axis: int, command: str) -> Reply:

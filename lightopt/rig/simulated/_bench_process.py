@@ -1,7 +1,6 @@
 """The virtual bench from outside: its process, its ports, the requests to it, and what its camera looks at."""
 
 import json
-import os
 import queue
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from lightopt.core.errors import HardwareError, InputError
+from lightopt.core.interrupts import start_apart
 
 _START_S = 120.0
 _REQUEST_S = 120.0
@@ -48,7 +48,7 @@ class BenchTruth:
     bounces: int = 0  # how often light goes from the part to the part
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LightWire:
     """Where a light is plugged in, and the share of the highest intensity at which it is as the rig describes."""
 
@@ -58,7 +58,7 @@ class LightWire:
     share: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class AxisWire:
     """Which axis of a device is the tilt or the rotation, its units per degree, and where 0° is."""
 
@@ -85,27 +85,17 @@ class CameraSetup:
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> "CameraSetup":
-        parts: dict[str, Any] = {
-            "lights": tuple(LightWire(**wire) for wire in data["lights"]),
-            "axes": {name: AxisWire(**wire) for name, wire in data["axes"].items()},
-            "truth": BenchTruth(**data["truth"]),
-        }
+        lights = tuple(LightWire(**wire) for wire in data["lights"])
+        axes = {name: AxisWire(**wire) for name, wire in data["axes"].items()}
+        parts: dict[str, Any] = {"lights": lights, "axes": axes, "truth": BenchTruth(**data["truth"])}
         return cls(**{**data, **parts})
 
 
 def start_process(spec: str, errors: BinaryIO) -> subprocess.Popen[bytes]:
     """Start the process of a bench, with pipes to its standard input and output."""
     places = "\n".join(place or str(Path.cwd()) for place in sys.path)
-    # A group of its own: Ctrl-C is for the client, which still has lights to switch off.
-    flags = 0x00000200 if os.name == "nt" else 0  # CREATE_NEW_PROCESS_GROUP
-    return subprocess.Popen(  # noqa: S603  (this interpreter, this package)
-        [sys.executable, "-c", _START, places, spec],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=errors,
-        start_new_session=os.name != "nt",
-        creationflags=flags,
-    )
+    command = [sys.executable, "-c", _START, places, spec]
+    return start_apart(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
 
 
 class BenchProcess:
@@ -123,14 +113,13 @@ class BenchProcess:
         self._lock = threading.Lock()
         self._answers: queue.Queue[tuple[dict[str, Any], bytes]] = queue.Queue()
         self._usable = True
-        self._reader: threading.Thread | None = None
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process)
         self._process = start_process(json.dumps(spec), self._errors)
         self.pid = self._process.pid
+        self._reader = threading.Thread(target=self._read_answers, daemon=True)
         try:
-            self.ports = self._await_ports()
-            self._reader = threading.Thread(target=self._read_answers, daemon=True)
             self._reader.start()
+            self.ports: dict[str, str] = self._await_ports()
         except BaseException:
             self.close()
             raise
@@ -148,9 +137,8 @@ class BenchProcess:
                 answer, data = self._answers.get(timeout=max(1e-3, timeout_s))
                 self._usable = True
             except queue.Empty:
-                raise self._gone(
-                    f"did not answer the request {do} within {timeout_s:.3g} s: its process hangs"
-                ) from None
+                late = f"did not answer the request {do} within {timeout_s:.3g} s: its process hangs"
+                raise self._gone(late) from None
             except (OSError, ValueError) as error:
                 raise self._gone(f"cannot take the request {do} ({error})") from None
         if not answer:
@@ -195,8 +183,7 @@ class BenchProcess:
             self._process.wait(5)
         except subprocess.TimeoutExpired:
             self.kill()
-        if self._reader is not None:
-            self._reader.join()
+        self._reader.join()
         self._process.stdout.close()
         self._errors.close()
 
@@ -219,18 +206,15 @@ class BenchProcess:
         self._answers.put(({}, b""))
 
     def _await_ports(self) -> dict[str, str]:
-        watchdog = threading.Timer(_START_S, self._process.kill)
-        watchdog.start()
-        try:
-            assert self._process.stdout is not None
-            line = self._process.stdout.readline()
-        finally:
-            watchdog.cancel()
-        if not line:
-            if self._process.wait(_START_S) == WRONG:
-                raise InputError(*self._gone("cannot be as described").messages)
+        answer: dict[str, Any] = {}
+        with suppress(queue.Empty):
+            answer, _ = self._answers.get(timeout=_START_S)
+        if not answer:
+            with suppress(subprocess.TimeoutExpired):
+                if self._process.wait(_ANSWER_S) == WRONG:
+                    raise InputError(*self._gone("cannot be as described").messages)
             raise self._gone("did not start")
-        return json.loads(line)
+        return answer["ports"]
 
     def _gone(self, what: str) -> HardwareError:
         output = ""

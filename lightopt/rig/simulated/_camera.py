@@ -110,13 +110,9 @@ class BenchCamera:
         self._seen = self._state()
         self._number += 1
         little = pixels.dtype.newbyteorder("<")
-        return {
-            "number": self._number,
-            "timestamp_ns": begun_ns,
-            "exposure_us": exposure_us,
-            "shape": list(pixels.shape),
-            "dtype": little.str,
-        }, pixels.astype(little, copy=False).tobytes()
+        head = {"number": self._number, "timestamp_ns": begun_ns, "exposure_us": exposure_us}
+        form = {"shape": list(pixels.shape), "dtype": little.str}
+        return {**head, **form}, pixels.astype(little, copy=False).tobytes()
 
     def _state(self) -> tuple[dict[str, float], Posture]:
         levels, pictures, wires = self._devices.levels(), self._devices.pictures(), self._setup.lights

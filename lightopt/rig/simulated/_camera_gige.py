@@ -8,7 +8,6 @@ import ctypes.util
 import re
 import socket
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from importlib import import_module
@@ -19,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.integer[Any]]
+
+_DENSE = {0x010A0046: 10, 0x010C0047: 12}  # bits of a pixel in formats without anything between pixels
+_PAIRED = {0x010C0004: 2, 0x010C0006: 4}  # lower bits of each of two pixels in three bytes
 
 # number and bits by name
 FORMATS: dict[str, tuple[int, int]] = {
@@ -31,9 +33,6 @@ FORMATS: dict[str, tuple[int, int]] = {
     "Mono12Packed": (0x010C0006, 12),
     "Mono16": (0x01100007, 16),
 }
-
-_DENSE = {0x010A0046: 10, 0x010C0047: 12}
-_PAIRED = {0x010C0004: 2, 0x010C0006: 4}
 
 
 def packed(levels: Image, code: int) -> bytes:
@@ -86,19 +85,14 @@ class GigeCamera:
         described.write_text(self._description(formats), encoding="utf-8")
         self._server: Any = self._library.GvFakeCamera.new_full(_ADDRESS, self.serial, str(described))
         self._device: Any = self._server.get_fake_camera()
-        for register, value in (
-            ("SENSOR_WIDTH", resolution_px[0]),
-            ("SENSOR_HEIGHT", resolution_px[1]),
-            ("WIDTH", resolution_px[0]),
-            ("HEIGHT", resolution_px[1]),
-            ("PIXEL_FORMAT", FORMATS[formats[0]][0]),
-            ("ACQUISITION_FRAME_PERIOD_US", _PERIOD_US),
-        ):
+        width, height = resolution_px
+        sizes = {"SENSOR_WIDTH": width, "SENSOR_HEIGHT": height, "WIDTH": width, "HEIGHT": height}
+        others = {"PIXEL_FORMAT": FORMATS[formats[0]][0], "ACQUISITION_FRAME_PERIOD_US": _PERIOD_US}
+        for register, value in {**sizes, **others}.items():
             self._device.write_register(self._register(register), value)
         self._device.set_trigger_frequency(1e6 / _TRIGGER_US)
-        kind = ctypes.CFUNCTYPE(
-            None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32
-        )
+        number, pointer = ctypes.c_uint32, ctypes.c_void_p
+        kind = ctypes.CFUNCTYPE(None, pointer, pointer, number, number, number)
         self._fill_c = kind(self._fill)  # kept: the library calls it for as long as the camera runs
         self.c.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, kind, ctypes.c_void_p]
         self.c.arv_buffer_get_data.restype = ctypes.c_void_p
@@ -135,25 +129,17 @@ class GigeCamera:
         device = self._device
         if device is None:
             return 0, 0, 0, 0
-        top, left, height, width = (
-            int(device.read_register(self._register(name))[1]) for name in ("Y_OFFSET", "X_OFFSET", "HEIGHT", "WIDTH")
-        )
+        registers = map(self._register, ("Y_OFFSET", "X_OFFSET", "HEIGHT", "WIDTH"))
+        top, left, height, width = (int(device.read_register(register)[1]) for register in registers)
         return top, left, height, width
 
     def _description(self, formats: list[str]) -> str:
         """The description that Aravis' camera has of itself, with our pixel formats and our longest exposure."""
         text = str(self._library.FakeCamera.new("description").get_genicam_xml()[0])
-        entries = "".join(
-            f'<EnumEntry Name="{name}" NameSpace="Standard"><Value>{FORMATS[name][0]}</Value></EnumEntry>'
-            for name in formats
-        )
-        text = re.sub(
-            r'(<Enumeration Name="PixelFormat".*?</DisplayName>).*?(<pValue>)',
-            rf"\g<1>{entries}\g<2>",
-            text,
-            count=1,
-            flags=re.DOTALL,
-        )
+        entry = '<EnumEntry Name="{}" NameSpace="Standard"><Value>{}</Value></EnumEntry>'
+        entries = "".join(entry.format(name, FORMATS[name][0]) for name in formats)
+        old = r'(?s)(<Enumeration Name="PixelFormat".*?</DisplayName>).*?(<pValue>)'
+        text = re.sub(old, rf"\g<1>{entries}\g<2>", text, count=1)
         return text.replace("<Max>10000000.0</Max>", f"<Max>{_LONGEST_US}.0</Max>")
 
 
@@ -175,10 +161,7 @@ def _reserve_port() -> socket.socket:
         except OSError:
             taken.close()
             if time.monotonic() > end:
-                raise ValueError(
-                    f"another simulated GigE camera runs on this computer, for more than {_FREE_S:g} s; there is room "
-                    f"for one at {_ADDRESS}"
-                ) from None
-            threading.Event().wait(0.1)
+                raise ValueError("another simulated GigE camera runs on this computer, where one can") from None
+            time.sleep(0.1)
         else:
             return taken

@@ -13,9 +13,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
-from lightopt.rig.simulated._firmware import SeenPicture, build
+from lightopt.rig.simulated._firmware import Firmware, SeenPicture, build
+
+T = TypeVar("T")
 
 Response = tuple[dict[str, Any], bytes]  # a JSON object, and bytes that follow it; often none
 
@@ -143,14 +145,11 @@ class Device:
         self.wire = wire
         self._out = b""
         self._received_at = -math.inf
-        self._polled_at = -math.inf
+        self.polled_at = -math.inf
 
     def is_awake(self, now: float) -> bool:
         """Whether it has something to send, or was sent something a moment ago."""
         return bool(self._out) or now - self._received_at < _AWAKE_S
-
-    def is_due(self, now: float) -> bool:
-        return self.is_awake(now) or now - self._polled_at >= _ASLEEP_S
 
     def receive(self, now: float) -> None:
         if data := self.wire.receive():
@@ -158,7 +157,7 @@ class Device:
             self._out += self.firmware.feed(data, now)
 
     def send(self, now: float) -> None:
-        self._polled_at = now
+        self.polled_at = now
         self._out += self.firmware.poll(now)
         if self._out:
             self._out = self._out[self.wire.send(self._out) :]
@@ -196,26 +195,26 @@ class SimulatedDevices:
                 called = any(fd in ready for fd in device.wire.waiting)
                 if called:
                     device.receive(now)
-                if called or device.is_due(now):
+                if called or device.is_awake(now) or now - device.polled_at >= _ASLEEP_S:
                     device.send(now)
 
     def levels(self) -> dict[str, dict[int, float]]:
         """Brightness of each channel of each light controller, as a share of the highest."""
-        with self.lock:
-            found = {name: device.firmware.levels() for name, device in self.devices.items()}
-        return {name: levels for name, levels in found.items() if levels is not None}
+        return self._of_each(lambda firmware: firmware.levels())
 
     def pictures(self) -> dict[str, SeenPicture]:
         """What each screen shows."""
-        with self.lock:
-            found = {name: device.firmware.picture() for name, device in self.devices.items()}
-        return {name: picture for name, picture in found.items() if picture is not None}
+        return self._of_each(lambda firmware: firmware.picture())
 
     def positions(self, now: float) -> dict[str, dict[str, float]]:
         """Where each axis of each stage really stands, in device units."""
+        return self._of_each(lambda firmware: firmware.positions(now))
+
+    def _of_each(self, ask: Callable[[Firmware], T | None]) -> dict[str, T]:
+        # what the devices have that have it
         with self.lock:
-            found = {name: device.firmware.positions(now) for name, device in self.devices.items()}
-        return {name: positions for name, positions in found.items() if positions is not None}
+            found = {name: ask(device.firmware) for name, device in self.devices.items()}
+        return {name: value for name, value in found.items() if value is not None}
 
     def _state(self, _: Mapping[str, Any]) -> Response:
         with self.lock:

@@ -4,10 +4,10 @@ Firmware is written from the tables of its protocol, not from the driver: the tw
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 from lightopt.core.arrays import Float64
 
@@ -62,16 +62,11 @@ class Firmware:
         return None
 
 
-# Imported when needed: a bench of two devices does not load the others.
+# Module of each protocol's firmware, imported when needed: a bench of two devices does not load the others.
 FIRMWARE = {
-    "ccs": ("_light_ccs", "CcsFirmware"),
-    "sa": ("_light_sa", "SaFirmware"),
-    "template": ("_light_template", "TemplateFirmware"),
-    "screen": ("_light_screen", "ScreenFirmware"),
-    "shot": ("_stage_sigmakoki", "ShotFirmware"),
-    "gsc": ("_stage_sigmakoki", "GscFirmware"),
-    "grbl": ("_stage_grbl", "GrblFirmware"),
-    "zaber": ("_stage_zaber", "ZaberFirmware"),
+    **{kind: f"_light_{kind}" for kind in ("ccs", "sa", "template", "screen")},
+    **dict.fromkeys(("shot", "gsc"), "_stage_sigmakoki"),
+    **{kind: f"_stage_{kind}" for kind in ("grbl", "zaber")},
 }
 
 
@@ -79,10 +74,9 @@ def build(kind: str, options: dict[str, Any]) -> Firmware:
     """Power up the firmware of a protocol; a ValueError for an unknown one, or options that it refuses."""
     if kind not in FIRMWARE:
         raise ValueError(f'no firmware called "{kind}"; there is {", ".join(FIRMWARE)}')
-    module, name = FIRMWARE[kind]
-    make = cast("Callable[..., Firmware]", getattr(import_module(f"{__package__}.{module}"), name))
+    module: Any = import_module(f"{__package__}.{FIRMWARE[kind]}")
     try:
-        return make(**options)
+        return getattr(module, f"{kind.capitalize()}Firmware")(**options)
     except TypeError as error:
         raise ValueError(f"firmware {kind}: {error}") from None
 

@@ -22,20 +22,20 @@ from lightopt.rig.simulated._devices import Handler, Response, SimulatedDevices
 
 
 def run(spec: Mapping[str, Any]) -> None:
-    """Serve devices and camera of a :class:`BenchProcess`: print their ports as JSON; end with standard input."""
+    """Serve devices and camera of a :class:`BenchProcess`: first answer their ports; end with standard input."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
     devices = SimulatedDevices(spec["devices"])
-    camera: BenchCamera | None = None
+    requests, ports = devices.requests(), devices.ports()
     gige: GigeCamera | None = None
     if "camera" in spec:
         camera = BenchCamera(CameraSetup.of(spec["camera"]), devices)
+        requests |= camera.requests()
         if spec["camera"].get("gige"):
             resolution_px, bit_depth = camera.sensor()
             gige = GigeCamera(camera.expose, resolution_px=resolution_px, bit_depth=bit_depth)
-    requests = {**devices.requests(), **(camera.requests() if camera is not None else {})}
-    ports = devices.ports() | ({} if gige is None else {CAMERA: gige.serial})
-    answers.write(json.dumps(ports).encode() + b"\n")
+            ports[CAMERA] = gige.serial
+    answers.write(json.dumps({"ports": ports, "bytes": 0}).encode() + b"\n")
     answers.flush()
     ours, theirs = socket.socketpair()
     threading.Thread(target=_answer_requests, args=(requests, answers, theirs), daemon=True).start()

@@ -1,9 +1,4 @@
-r"""Simulated firmware of a controller that speaks CCS ``@`` frames (CCS PD2, PD3, PSB; VS Technology VLP).
-
-A frame is ``@``, two digits of the channel from 00, an instruction with its data, in the RS-232C dialect two digits of
-the unit, two upper-case hexadecimal digits of the sum of all bytes before them, CR and LF. Both dialects are
-understood, mixed.
-"""
+"""Simulated firmware of a controller that speaks CCS ``@`` frames; both dialects are understood, mixed."""
 
 import re
 from typing import Any

@@ -1,8 +1,4 @@
-"""Simulated firmware of a controller of the ``SA0255#`` family (HIKROBOT MV-LE, Rseelight, KDC and others).
-
-``SA0255#`` sets channel A, ``SA#`` reads it and is answered ``a0255``; makers differ in how they acknowledge a set.
-There is no terminator but ``#``, and no checksum.
-"""
+"""Simulated firmware of a controller of the ``SA0255#`` family."""
 
 import re
 from typing import Any

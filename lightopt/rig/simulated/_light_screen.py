@@ -1,7 +1,6 @@
 """Simulated screen of a display: it shows the pictures that it is sent, and knows nothing of channels.
 
-``SHOW width height bytes`` CR LF is followed by so many bytes, the levels row by row as zlib packs them, and answered
-``OK`` or ``NG`` and why. What is seen from the part depends on how the screen is mounted and responds.
+What is seen from the part depends on how the screen is mounted and responds.
 """
 
 import re

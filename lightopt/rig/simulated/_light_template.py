@@ -17,12 +17,9 @@ class TemplateFirmware(LampFirmware):
         super().__init__(**lamps)
         self._template = {key: value for key, value in template.items() if value is not None}
         self._end = self._template.get("end", "")
-        self._commands = [
-            (verb, channel, re.compile(_understood(self._template[verb], channel), re.DOTALL))
-            for verb in ("off", "set", "read")
-            if verb in self._template
-            for channel in self._level
-        ]
+        verbs = [verb for verb in ("off", "set", "read") if verb in self._template]
+        patterns = [(verb, n, _understood(self._template[verb], n)) for verb in verbs for n in self._level]
+        self._commands = [(verb, n, re.compile(pattern, re.DOTALL)) for verb, n, pattern in patterns]
         self._text = ""
         for verb in ("set", "off", "read"):
             self._reply(verb, self._top_level)
@@ -48,9 +45,8 @@ class TemplateFirmware(LampFirmware):
 
     def _first(self) -> tuple[str, int, re.Match[str]] | None:
         """The earliest command in the buffer, with what lies before it thrown away."""
-        found = [(verb, channel, pattern.search(self._text)) for verb, channel, pattern in self._commands]
-        hits = [(verb, channel, match) for verb, channel, match in found if match is not None]
-        return min(hits, key=lambda hit: hit[2].start()) if hits else None
+        found = [(verb, n, match) for verb, n, one in self._commands if (match := one.search(self._text))]
+        return min(found, key=lambda hit: hit[2].start(), default=None)
 
     def _reply(self, verb: str, level: int) -> str:
         """Reply to a command; its pattern describes it without the end."""

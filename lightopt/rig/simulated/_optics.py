@@ -53,13 +53,6 @@ def as_channels(
     return {light.name: float(share) for light, share in zip(lights, found, strict=True) if share > LEAST_SHARE}
 
 
-def as_light(name: str, picture: SeenPicture, display: PanelLight) -> PanelLight:
-    """A display of the scene with a picture on it."""
-    assert isinstance(display, SurfaceLight)
-    [pattern] = picture_patterns([picture.radiance], display.size)
-    return replace(display, name=name, pattern=pattern)
-
-
 def _block_means(picture: Float64, shape: tuple[int, int]) -> Float64:
     # means over so many rows and columns of blocks of whole pixels
     for axis, count in enumerate(shape):
@@ -75,15 +68,10 @@ class BenchOptics:
     def __init__(
         self, scene: Scene, truth: BenchTruth, displays: Sequence[LightConfig] = (), *, folder: Path = Path()
     ) -> None:
-        self.scene = replace(
-            move_part(
-                scene,
-                rotation_from_vector(np.array(truth.part_rotation, np.float64)),
-                np.array(truth.part_offset_mm, np.float64),
-            ),
-            bounces=truth.bounces,
-            sensor=replace(scene.sensor, black_level=scene.sensor.black_level + truth.dark_level),
-        )
+        rotation = rotation_from_vector(np.array(truth.part_rotation, np.float64))
+        moved = move_part(scene, rotation, np.array(truth.part_offset_mm, np.float64))
+        sensor = replace(scene.sensor, black_level=scene.sensor.black_level + truth.dark_level)
+        self.scene = replace(moved, bounces=truth.bounces, sensor=sensor)
         self._truth = truth
         self._caster: RayCaster = cast_rays_at(self.scene)
         self._layers: OrderedDict[tuple[Posture, str], Float32] = OrderedDict()
@@ -114,7 +102,9 @@ class BenchOptics:
             if found is None:
                 name = f"{device} picture {picture.number}"
                 display = next(light for light in self.scene.lights if light.name == lights[0].name)
-                self._pictures[name] = as_light(name, picture, display)
+                assert isinstance(display, SurfaceLight)
+                [pattern] = picture_patterns([picture.radiance], display.size)
+                self._pictures[name] = replace(display, name=name, pattern=pattern)
                 if len(self._pictures) > _MOST_PICTURES:
                     self._pictures.popitem(last=False)
                 shares = {name: 1.0 / wires[0].share}
@@ -135,26 +125,17 @@ class BenchOptics:
 
         The noise depends on the seed, on what is seen, and on how many frames of it were taken before.
         """
-        gain = 10.0 ** (gain_db / 20.0)
-        electrons = self.scene.sensor.electrons_per_level
-        sensor = replace(
-            self.scene.sensor,
-            electrons_per_level=None if electrons is None else electrons / gain,
-            read_noise_levels=self.scene.sensor.read_noise_levels * gain,
-            dsnu_levels=self.scene.sensor.dsnu_levels * gain,
-        )
+        gain, sensor = 10.0 ** (gain_db / 20.0), self.scene.sensor
+        electrons = None if sensor.electrons_per_level is None else sensor.electrons_per_level / gain
+        noises = {"read_noise_levels": sensor.read_noise_levels * gain, "dsnu_levels": sensor.dsnu_levels * gain}
+        sensor = replace(sensor, electrons_per_level=electrons, **noises)
         level = np.full((self.scene.camera.height, self.scene.camera.width), self._truth.ambient_level, np.float32)
         lit = {name: share for name, share in sorted(shares.items()) if share > 0.0}
         for name, share in lit.items():
             factor = self._truth.gains.get(name, 1.0)
             level += np.float32(share * factor) * self._layer(posture, name)
-        return expose(
-            level,
-            sensor=sensor,
-            exposure=exposure * gain,
-            full_scale=self.scene.reflectance.full_scale,
-            rng=self._noise(lit, posture, exposure),
-        )
+        full_scale, rng = self.scene.reflectance.full_scale, self._noise(lit, posture, exposure)
+        return expose(level, sensor=sensor, exposure=exposure * gain, full_scale=full_scale, rng=rng)
 
     def _noise(self, lit: Mapping[str, float], posture: Posture, exposure: float) -> np.random.Generator:
         numbers = (*lit.values(), posture.elevation_deg, posture.rotation_deg, exposure)

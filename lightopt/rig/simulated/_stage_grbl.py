@@ -28,11 +28,10 @@ def parse_line(text: str) -> tuple[dict[str, float], float]:
     line = re.sub(r"\s", "", text).upper()
     words: dict[str, float] = {}
     commands: set[float] = set()
-    at = 0
-    while at < len(line):
-        match = _WORD.match(line, at)
+    while line:
+        match = _WORD.match(line)
         if match is None:
-            raise GcodeError(_NUMBER if line[at].isalpha() else _LETTER)
+            raise GcodeError(_NUMBER if line[0].isalpha() else _LETTER)
         letter, number = match[1], float(match[2])
         if letter == "G" and number in _KNOWN:
             commands.add(number)
@@ -40,7 +39,7 @@ def parse_line(text: str) -> tuple[dict[str, float], float]:
             words[letter] = number
         else:
             raise GcodeError(_UNSUPPORTED)
-        at = match.end()
+        line = line[match.end() :]
     feed = words.pop("F", 0.0)
     if words and 1 not in commands:
         raise GcodeError(_UNSUPPORTED)

@@ -1,18 +1,16 @@
 """Simulated firmware of SIGMA KOKI / OptoSigma controllers: the SHOT family (MAIN mode) and the GSC-02.
 
-SHOT answers OK or NG to each command; while an axis moves, only stop and status are taken. GSC-02 answers questions
-only, and knows relative moves only; ACK1 of the next ``Q:`` shows whether a command was taken. The count starts at 0 at
-power-up, wherever the axes stand.
+While an axis moves, only stop and status are taken. The count starts at 0 at power-up, wherever the axes stand.
 """
 
 import re
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import ClassVar
 
 from lightopt.rig.simulated._firmware import StageFirmware
 
-_SHOT_TOP_SPEED = 500_000  # [pulses/s]
+_SHOT_SPEEDS = (1, 500_000)  # [pulses/s]
 _GSC_FARTHEST = 16_777_214  # longest relative move [pulses]
 _GSC_SPEEDS = {"1": (1, 200), "2": (50, 20_000)}  # ranges of D: [pulses/s]
 
@@ -23,6 +21,8 @@ class _SigmakokiFirmware(StageFirmware):
     VERSION: ClassVar[str]
     MOVES: ClassVar[tuple[str, ...]]
     SPEED: ClassVar[float]  # speed at power-up [pulses/s]
+    HOME: ClassVar[str]  # pattern of the words of ``H:``; its group is the axis, none for all
+    ANSWERS: ClassVar[bool] = True  # whether commands other than questions are answered
     DETACHED: ClassVar[bool] = False
     """Whether a sign stands at the left edge of its column rather than before the digits."""
 
@@ -41,16 +41,10 @@ class _SigmakokiFirmware(StageFirmware):
         answer = self._question(line, now)
         if answer is None:
             self._accepted = self._obey(line, now)
-            answer = self._acknowledgement()
-        return b"" if answer is None else answer.encode() + self.END
-
-    @abstractmethod
-    def _acknowledgement(self) -> str | None:
-        """Reply to a command other than a question."""
-
-    @abstractmethod
-    def _homed_axes(self, words: str) -> list[str]:
-        """Axes of ``H:``; empty or unknown ones where its words are wrong."""
+            if not self.ANSWERS:
+                return b""
+            answer = "OK" if self._accepted else "NG"
+        return answer.encode() + self.END
 
     @abstractmethod
     def _set_speeds(self, words: str) -> bool:
@@ -77,7 +71,7 @@ class _SigmakokiFirmware(StageFirmware):
         if verb == "G":
             return not words and self._start(now)
         if verb == "H":
-            return self._home(self._homed_axes(words), now)
+            return self._home(words, now)
         return verb == "D" and self._set_speeds(words)
 
     def _status(self, now: float) -> str:
@@ -95,7 +89,7 @@ class _SigmakokiFirmware(StageFirmware):
         match = re.fullmatch(r"([12W])((?:[+-]P\d+)+)", words)
         if match is None:
             return False
-        names = self._named(match[1])
+        names = list(self._axes) if match[1] == "W" else [match[1]]
         numbers = [int(number) for number in re.findall(r"[+-]\d+", match[2].replace("P", ""))]
         if len(numbers) != len(names) or not set(names) <= set(self._axes):
             return False
@@ -112,16 +106,21 @@ class _SigmakokiFirmware(StageFirmware):
         self._planned = {}
         return True
 
-    def _home(self, names: list[str], now: float) -> bool:
-        if not names or not set(names) <= set(self._axes):
+    def _home(self, words: str, now: float) -> bool:
+        match = re.fullmatch(self.HOME, words)
+        if match is None or (match[1] and match[1] not in self._axes):
             return False
         self._planned = {}
-        for name in names:
+        for name in [match[1]] if match[1] else self._axes:
             self._axes[name].home(self._home_speed, now)
         return True
 
-    def _named(self, word: str) -> list[str]:
-        return list(self._axes) if word == "W" else [word]
+    def _set_speed(self, name: str, words: Iterable[str], limits: tuple[int, int]) -> bool:
+        slow, fast, ramp = map(int, words)
+        if name not in self._axes or not (limits[0] <= slow <= fast <= limits[1] and ramp <= 1000):
+            return False
+        self._speed[name] = float(fast)
+        return True
 
 
 class ShotFirmware(_SigmakokiFirmware):
@@ -130,9 +129,7 @@ class ShotFirmware(_SigmakokiFirmware):
     VERSION = "V1.30"
     MOVES = ("A", "M")
     SPEED = 10_000.0
-
-    def _acknowledgement(self) -> str:
-        return "OK" if self._accepted else "NG"
+    HOME = "([12])|W"
 
     def _question(self, line: str, now: float) -> str | None:
         if line == "?:SW":  # divisions of a full step
@@ -142,18 +139,9 @@ class ShotFirmware(_SigmakokiFirmware):
     def _obey(self, line: str, now: float) -> bool:
         return ":" in line and super()._obey(line, now)
 
-    def _homed_axes(self, words: str) -> list[str]:
-        return self._named(words)
-
     def _set_speeds(self, words: str) -> bool:
         match = re.fullmatch(r"([12])S(\d+)F(\d+)R(\d+)", words)
-        if match is None or match[1] not in self._axes:
-            return False
-        slow, fast, ramp = map(int, match.groups()[1:])
-        if not (1 <= slow <= fast <= _SHOT_TOP_SPEED and ramp <= 1000):
-            return False
-        self._speed[match[1]] = float(fast)
-        return True
+        return match is not None and self._set_speed(match[1], match.groups()[1:], _SHOT_SPEEDS)
 
 
 class GscFirmware(_SigmakokiFirmware):
@@ -162,28 +150,18 @@ class GscFirmware(_SigmakokiFirmware):
     VERSION = "V2.00"
     MOVES = ("M",)
     SPEED = 5000.0
+    HOME = r"([12])[+-]|W[+-][+-]"
+    ANSWERS = False
     DETACHED = True
-
-    def _acknowledgement(self) -> None:
-        return None
 
     def _plan(self, kind: str, words: str) -> bool:
         if any(int(way) > _GSC_FARTHEST for way in re.findall(r"\d+", words[1:])):
             return False
         return super()._plan(kind, words)
 
-    def _homed_axes(self, words: str) -> list[str]:
-        match = re.fullmatch(r"([12])[+-]|W[+-][+-]", words)
-        return [] if match is None else [match[1]] if match[1] else list(self._axes)
-
     def _set_speeds(self, words: str) -> bool:
         match = re.fullmatch(r"([12])S(\d+)F(\d+)R(\d+)S(\d+)F(\d+)R(\d+)", words)
         if match is None:
             return False
-        slowest, fastest = _GSC_SPEEDS[match[1]]
-        numbers = [int(number) for number in match.groups()[1:]]
-        for name, (slow, fast, ramp) in zip(self._axes, (numbers[:3], numbers[3:]), strict=False):
-            if not (slowest <= slow <= fast <= fastest and ramp <= 1000):
-                return False
-            self._speed[name] = float(fast)
-        return True
+        words_of_axes = zip(self._axes, (match.groups()[1:4], match.groups()[4:]), strict=False)
+        return all(self._set_speed(name, its_words, _GSC_SPEEDS[match[1]]) for name, its_words in words_of_axes)

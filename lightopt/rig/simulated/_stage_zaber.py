@@ -1,7 +1,6 @@
 """Simulated firmware of Zaber controllers in the ASCII protocol.
 
-A command is ``/``, device, axis, optionally a message number, words, optionally ``:`` and a checksum, and a line feed.
-A command with a wrong checksum is not answered. Each reply reports whether the axis moves, and its gravest warning.
+Message number and checksum of a command are optional; a command with a wrong checksum is not answered.
 """
 
 import re
