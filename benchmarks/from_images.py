@@ -27,7 +27,7 @@ from lightopt.core.arrays import Float64
 from lightopt.design import FromImagesOptions, optimize_from_images
 from lightopt.design.from_images._choice import choose_lights, score
 from lightopt.design.from_images._evidence import Evidence
-from lightopt.design.from_images._mixing import mix_lights
+from lightopt.design.from_images._choice import mix_lights
 from lightopt.design.from_images._samples import read_samples
 from lightopt.design.from_images._synthesis import ChosenImage, compare_captured
 from lightopt.images import read_image_set

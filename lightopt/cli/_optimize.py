@@ -241,13 +241,7 @@ def _given(**options: object) -> dict[str, Any]:
 
 def _show_reachable(error: TargetNotReached) -> None:
     # what each number of postures shows
-    from lightopt.design import share_text
-
-    text = partial(share_text, grain=error.grain, short_of=error.target)
-    rows = [
-        (f"{number}", str(step.posture), text(step.share), text(step.bound))
-        for number, step in enumerate(error.steps, start=1)
-    ]
+    rows = [(f"{number}", *map(str, step)) for number, step in enumerate(error.steps, start=1)]
     show_table(("postures", "posture added", "share shown at least", "at most with these lights"), rows)
     echo(
         "at least: share that these postures show, chosen one after the other for one set of lights; "

@@ -25,19 +25,23 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture, vector_of_rotation
+from lightopt.design._blind_spots import BLIND_NAMES, BLIND_PNG, blind_files
 from lightopt.design._candidates import Place, panels_of, place_dict, place_of
 from lightopt.design._commands import PLANNED_PART_NAME, RIG_NAME, decimal_text
 from lightopt.design._result import DesignResult, places_of
 from lightopt.design._result_json import ranking_csv, result_document
-from lightopt.design.blind_spots._files import BLIND_NAMES, BLIND_PNG, blind_files
 from lightopt.images import (
     Overlap,
     find_overlaps,
     make_folder,
     overlap_map_name,
+    paths_inside,
     posture_folder,
     read_image_set,
+    read_listing,
+    remove_file,
     remove_image_set,
+    remove_listed,
     write_bytes_atomic,
     write_overlap_map,
     write_png,
@@ -51,10 +55,11 @@ RANKING_NAME = "ranking.csv"
 IMAGES_NAME = "images"
 UNFINISHED_NAME = "unfinished.json"
 
-# files that a result may list beside rigs, images and maps; with option `force` no others are removed
-_FURTHER_NAMES = (REPORT_NAME, PLANNED_PART_NAME, *BLIND_NAMES)
+# files that a result may list beside images; with option `force` no others are removed
+_OWN_NAMES = (REPORT_NAME, PLANNED_PART_NAME, RIG_NAME, "overlap*.png", *BLIND_NAMES)
 
-_FORMATS = {RESULT_NAME: "lightopt-optimum/", UNFINISHED_NAME: "lightopt-unfinished/"}
+# the files that list what a run writes, and their formats
+_KINDS = {RESULT_NAME: "lightopt-optimum", UNFINISHED_NAME: "lightopt-unfinished"}
 
 # a rig file with the new places, relative to the output folder; the postures that it is for, and its text
 RigFile = tuple[Path, tuple[Posture, ...], str]
@@ -69,7 +74,7 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
     path = folder / RESULT_NAME
     if not path.exists():
         return
-    found = _read(path)
+    found = read_listing(path, _KINDS[RESULT_NAME])
     advice = "use option 'force' to replace it, or choose another output folder"
     if found is None:
         raise InputError(f"{path}: exists and is not a result of lightopt optimize; {advice}")
@@ -81,48 +86,26 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
 def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bool:
     """List the files to come and, with `force`, remove result.json and then all that previous runs list.
 
-    Removed are rigs, overlap maps, reports and further files by their names, and image sets by their manifests, inside
-    the folder only; captured images, kept matrices and what no list names stay. `listed` is as in result.json.
+    Removed are files inside the folder only, and image sets by their manifests; captured images, kept matrices and what
+    no list names stay. `listed` is as in result.json.
 
-    Returns whether a report that is there is of a previous run.
+    Returns whether there was a previous run.
     """
-    previous = [found for name in _FORMATS if (found := _read(folder / name)) is not None]
-    lists = {key: [one for doc in (listed, *previous) for one in _entries(doc, key)] for key in listed}
-    document = {"format": "lightopt-unfinished/1", **lists}
-    write_text_atomic(folder / UNFINISHED_NAME, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    ours = any({"file": REPORT_NAME} in _entries(document, "files") for document in previous)
-    if not force:
-        return ours
-    _unlink(folder / RESULT_NAME)
-    for document in previous:
-        maps = [path for path in _paths(folder, document, "overlaps", "map") if path.match("overlap*.png")]
-        files = [path for path in _paths(folder, document, "files", "file") if path.name in _FURTHER_NAMES]
-        rigs = [path for path in _paths(folder, document, "rigs", "file") if path.name == RIG_NAME]
-        for path in (*maps, *files, *rigs):
-            _unlink(path)
-            _remove_if_empty(path.parent, folder)
-        for path in _paths(folder, document, "images", "folder"):
-            remove_image_set(path)
-            _remove_if_empty(path, folder)
-            _remove_if_empty(path.parent, folder)
-    return ours
-
-
-def end_writing(folder: Path) -> None:
-    """Remove the list of files to come: all files are complete, result.json too."""
-    _unlink(folder / UNFINISHED_NAME)
-
-
-def _paths(folder: Path, document: Mapping[str, Any], key: str, name: str) -> Iterator[Path]:
-    # what a list names, as far as it is inside the folder; a list can be damaged in any way
-    for entry in _entries(document, key):
-        given = entry.get(name)
-        if not isinstance(given, str):
-            continue
-        with suppress(OSError, ValueError, RuntimeError):  # NUL, loops of links
-            path = (folder / given).resolve()
-            if path.is_relative_to(folder.resolve()) and path != folder.resolve():
-                yield path
+    previous = [found for name, kind in _KINDS.items() if (found := read_listing(folder / name, kind)) is not None]
+    lists = {key: [one for document in (listed, *previous) for one in _entries(document, key)] for key in listed}
+    _write_json(folder / UNFINISHED_NAME, {"format": "lightopt-unfinished/1", **lists})
+    if force:
+        remove_file(folder / RESULT_NAME)
+        for document in previous:
+            keys = (("overlaps", "map"), ("files", "file"), ("rigs", "file"))
+            names = [str(entry.get(name)) for key, name in keys for entry in _entries(document, key)]
+            remove_listed(folder, [name for name in names if any(map(Path(name).match, _OWN_NAMES))])
+            for home in paths_inside(folder, [entry.get("folder") for entry in _entries(document, "images")]):
+                remove_image_set(home)
+                for emptied in (home, home.parent):
+                    with suppress(OSError):  # something else is in it, or it is gone
+                        emptied.rmdir()
+    return bool(previous)
 
 
 def _entries(document: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
@@ -130,28 +113,8 @@ def _entries(document: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
     return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
 
 
-def _unlink(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be removed: {error.strerror or error}; remove it, or choose another output folder"
-        ) from error
-
-
-def _remove_if_empty(path: Path, folder: Path) -> None:
-    if path != folder.resolve():
-        with suppress(OSError):  # something else is in it, or it is gone
-            path.rmdir()
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    right = isinstance(found, dict) and str(found.get("format", "")).startswith(_FORMATS[path.name])
-    return found if right else None
+def _write_json(path: Path, document: Mapping[str, Any], *, overwrite: bool = True) -> None:
+    write_text_atomic(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n", overwrite=overwrite)
 
 
 def check_editable(rig: RigConfig) -> None:
@@ -254,7 +217,7 @@ def write_design(
     listed = _listed(rigs, sets, overlaps=len(result.candidates.names) > 1)
     report = [REPORT_NAME] if result.options.report else []
     listed["files"] = [{"file": name} for name in (*files, *report)]
-    report_is_ours = begin_writing(folder, listed, force=force)
+    replaces = begin_writing(folder, listed, force=force)
     ranking = ranking_csv(result.results, result.candidates)
     for name, content in ((RANKING_NAME, ranking), *((path, text) for path, _, text in rigs), *files.items()):
         _write(folder / name, content, force)
@@ -269,7 +232,7 @@ def write_design(
         warnings=tuple(dict.fromkeys((*result.warnings, *run.warnings))),
         paths=tuple(folder / name for name in names),
         force=force,
-        replace_report=force or report_is_ours,
+        replace_report=force or replaces,
     )
 
 
@@ -280,9 +243,8 @@ def finish_design(output: DesignOutput, report: str | None = None) -> None:
         raise ValueError("a report is given where, and only where, the options ask for one")
     if report is not None:
         write_text_atomic(folder / REPORT_NAME, report, overwrite=output.replace_report)
-    text = json.dumps(output.document, indent=1, ensure_ascii=False) + "\n"
-    write_text_atomic(folder / RESULT_NAME, text, overwrite=output.force)
-    end_writing(folder)
+    _write_json(folder / RESULT_NAME, output.document, overwrite=output.force)
+    remove_file(folder / UNFINISHED_NAME)
 
 
 def _further_files(result: DesignResult, blind_pictures: _Pictures) -> Iterator[tuple[str, str | bytes | UInt8]]:

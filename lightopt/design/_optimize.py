@@ -13,6 +13,7 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.run_context import RunContext
+from lightopt.design._blind_spots import BlindSpotSummary, PostureVisibility, planned_visibility
 from lightopt.design._candidates import Candidates, bodies_of, can_move
 from lightopt.design._commands import HOME, command_text, plan_commands
 from lightopt.design._files import check_editable, planned_part_text, refuse_other_result
@@ -30,11 +31,17 @@ from lightopt.design._problem import (
     run_provenance,
 )
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, places_of
-from lightopt.design._tolerances import Tolerances, analyse_tolerances, check_body_count
-from lightopt.design.blind_spots._blind_spots import BlindSpotSummary, PostureVisibility, planned_visibility
+from lightopt.design._tolerances import (
+    DEFAULT_TOLERANCE_TARGET,
+    JointTolerances,
+    Tolerances,
+    analyse_tolerances,
+    check_body_count,
+    joint_tolerances,
+)
+from lightopt.design.objectives import OBJECTIVES, objectives_named
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.objectives._registry import OBJECTIVES, objectives_named
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._plan_postures import plan_postures, planned_answers, with_chosen
 from lightopt.design.postures._posture_grid import posture_grid
@@ -45,6 +52,8 @@ from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
 from lightopt.scene import build_catalogue, build_scene, coarse_warnings
+
+JOINT_TOLERANCE_PATCHES = 2_000  # of all postures together, that represent the others
 
 
 def optimize(
@@ -135,23 +144,19 @@ def _decided(
 
 
 def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
-    # no defect can be seen in more images than there are
+    # no defect can be seen in more images than there are; further exposures of a light do not count
     if plan.chooses:
         available = len(posture_grid(rig, part, step_deg=plan.posture_step_deg))
-        most = min(available, plan.choose_postures or available)
-        images = len(rig.lights) * most
-        what = f"images of the plan: {counted(len(rig.lights), 'light')} × {counted(most, 'posture')} at most"
+        postures = min(available, plan.choose_postures or available)
     elif plan.exposures:
-        postures = options.postures or part.postures
-        images = len(rig.lights) * len(postures)
-        of = f"{counted(len(rig.lights), 'light')} × {counted(len(postures), 'posture')}"
-        what = f"images of the plan: {of}, further exposures of the same light do not count"
+        postures = len(options.postures or part.postures)
     else:
         return
+    images = len(rig.lights) * postures
     if options.min_images > images:
         raise InputError(
-            f"option 'min_images': expected at most {images}, the number of {what}; found {options.min_images}; "
-            "lower it"
+            f"option 'min_images': expected at most {images}, the number of images of the plan: "
+            f"{counted(len(rig.lights), 'light')} × {counted(postures, 'posture')} at most; found {options.min_images}"
         )
 
 
@@ -159,11 +164,9 @@ def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: Pl
     refusals = [OBJECTIVES[name].refusal(len(rig.lights)) for name in options.objectives if name in OBJECTIVES]
     problems = [text for text in refusals if text is not None]
     if options.postures is not None:
-        names = [name for name in ("choose_postures", "target") if getattr(plan, name) is not None]
-        given = " and ".join(f"option '{name}'" for name in names)
         problems.append(
-            f"option 'postures': cannot be combined with {given}: postures are chosen from the stage's range; omit "
-            "one or the other"
+            "option 'postures': cannot be combined with option 'choose_postures' or option 'target', which choose them "
+            "from the stage's range"
         )
     if not options.common_lights:
         problems.append(
@@ -317,3 +320,29 @@ def _placed_tolerances(
         patches, grain = len(drawn.patches), drawn.table.grain
         found.append(ToleranceResult(group.postures, robustness, objective.unit, patches=patches, grain=grain))
     return tuple(found)
+
+
+def design_tolerances(
+    result: DesignResult, *, target: float = DEFAULT_TOLERANCE_TARGET, run: RunContext | None = None
+) -> JointTolerances | None:
+    """The tolerances of a design's first lights with which `target` of the share of defects is kept; None for none."""
+    run, best = run or RunContext(), result.results[0]
+    if result.defects is None or best.answers[0].nothing is not None:
+        return None
+    plan, postures = result.plan, best.postures
+    places = (places_of(result.candidates, best.answers[0].found.best),) * len(postures)
+    exposures = tuple(map(plan.exposures_of, postures))
+    setup = Setup(result.rig, postures, places, exposures, points=result.options.points)
+    if plan.chosen is not None:
+        evaluator = plan.chosen.evaluator
+    else:
+        table = result.patches or result.cut_patches(edges=False, threads=run.threads)
+        detection = detection_model_of(result.scene, result.part, result.options)
+        shadows = result.options.shadows
+        evaluator = ImageEvaluator(result.scene, table, result.caster, detection, shadows=shadows, threads=run.threads)
+    few = max(1, JOINT_TOLERANCE_PATCHES // len(postures))
+    drawn = replace(evaluator, table=drawn_patches(evaluator.table, few), images=None)
+    # as the share is counted
+    together = plan.chosen is not None or plan.brackets is not None
+    score = PairAssessment(drawn, setup, together=together)
+    return joint_tolerances(score, len(setup.bodies), target, progress=run.stage("tolerances"))

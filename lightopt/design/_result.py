@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from lightopt.core.transforms import Posture
-from lightopt.design._candidates import Candidates, Place
+from lightopt.design._blind_spots import BlindSpotSummary
+from lightopt.design._candidates import Candidates, Curve, Place
 from lightopt.design._commands import Command, Way
 from lightopt.design._problem import PlanOptions, Problem
 from lightopt.design._tolerances import ToleranceAnalysis
-from lightopt.design.blind_spots._blind_spots import BlindSpotSummary
 from lightopt.design.objectives._objective import Objective, share_text
 from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._posture_grid import ExcludedPosture
@@ -18,7 +18,6 @@ from lightopt.design.postures._posture_search import PostureChoice
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import Levels
 from lightopt.design.search._combinations import Ranked
-from lightopt.design.search._curves import Curve
 from lightopt.design.search._exact_search import SearchResult
 from lightopt.rendering import GRAZING_DEG, PatchTable
 

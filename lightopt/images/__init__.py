@@ -41,7 +41,12 @@ from lightopt.images._overlap import (
     write_overlap_map as write_overlap_map,
     write_overlaps as write_overlaps,
 )
-from lightopt.images._result_folder import ResultFolder as ResultFolder
+from lightopt.images._result_folder import (
+    ResultFolder as ResultFolder,
+    paths_inside as paths_inside,
+    read_listing as read_listing,
+    remove_listed as remove_listed,
+)
 from lightopt.images._set_reader import ImageSet as ImageSet, read_image_set as read_image_set
 from lightopt.images._set_writer import (
     ImageSetWriter as ImageSetWriter,

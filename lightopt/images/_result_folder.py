@@ -1,14 +1,43 @@
 """A folder of a result's files, with a JSON file that lists them and their provenance."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
-from lightopt.images._atomic import make_folder, write_text_atomic
+from lightopt.images._atomic import make_folder, remove_file, write_text_atomic
+
+
+def read_listing(path: Path, kind: str) -> dict[str, Any] | None:
+    """The JSON object of a file whose format is a version of `kind`, such as ``lightopt-fit``; None for any other."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and str(found.get("format", "")).startswith(f"{kind}/") else None
+
+
+def paths_inside(folder: Path, names: Iterable[object]) -> Iterator[Path]:
+    """The paths in a folder that names lead to; others, and what is no name, are left out."""
+    home = folder.resolve()
+    for name in names:
+        with suppress(OSError, ValueError, RuntimeError):  # NUL, loops of links
+            path = (folder / name).resolve() if isinstance(name, str) else home
+            if home in path.parents:
+                yield path
+
+
+def remove_listed(folder: Path, names: Iterable[object]) -> None:
+    """Remove files by their names in a folder, and their own folders where nothing else is in them."""
+    for path in paths_inside(folder, names):
+        if path.is_file():
+            remove_file(path)
+        if path.parent != folder.resolve():
+            with suppress(OSError):  # something else is in it, or it is gone
+                path.parent.rmdir()
 
 
 class ResultFolder:
@@ -71,22 +100,9 @@ class ResultFolder:
         return self.write_text(self._name, text)
 
     def _read_previous(self) -> dict[str, Any] | None:
-        try:
-            found = json.loads((self.folder / self._name).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        kind = self._format.rpartition("/")[0] + "/"
-        right = isinstance(found, dict) and str(found.get("format", "")).startswith(kind)
-        return found if right else None
+        return read_listing(self.folder / self._name, self._format.rpartition("/")[0])
 
     def _remove_previous(self) -> None:
         # the JSON file first: while it is there, the files that it lists are its own
         listed = (self._read_previous() or {}).get("files", [])
-        names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
-        with suppress(FileNotFoundError):
-            (self.folder / self._name).unlink()
-        for name in {*names, *self._also}:
-            with suppress(OSError, ValueError):  # a name that no file can have
-                path = (self.folder / name).resolve()
-                if path.is_relative_to(self.folder.resolve()):
-                    path.unlink()
+        remove_listed(self.folder, [self._name, *(listed if isinstance(listed, list) else []), *self._also])

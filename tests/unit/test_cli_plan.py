@@ -495,7 +495,7 @@ def test_tolerances_of_another_objective(two, cli):
         (("--pose-tolerance", "nan"), "--pose-tolerance: expected degrees from 0 to 16, found nan"),
         (("--light-tolerance", "2", "--tolerance-target", "1"), "--tolerance-target: expected a share of the score"),
         (("--choose-postures", "1", "--posture", "0,0"), "omit one or the other"),
-        (("--target", "0.5", "--posture", "0,0"), "--posture: cannot be combined with --target: postures are chosen"),
+        (("--target", "0.5", "--posture", "0,0"), "--posture: cannot be combined with --choose-postures or --target, which choose them"),
         (("--choose-postures", "1", "--objective", "coverage"), "expected detectability first"),
         (
             ("--choose-postures", "1", "--lights-per-posture"),

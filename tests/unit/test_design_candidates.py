@@ -192,10 +192,10 @@ def test_reasons_are_grouped_by_kind_with_their_numbers(tmp_path):
     with pytest.raises(InputError) as refused:
         find_candidates(rig, step_deg=1.0)
     first, second = refused.value.messages
-    pattern = r"light a is left: it stands in the camera's view, over [\d,]+ to 19,200 pixels \(8 positions\)\. Change"
+    pattern = r"light a is left: it stands in the camera's view, over [\d,]+ pixels \(first of 8 positions\)\. Change"
     assert re.search(pattern, first)
     # 330 mm out, half of 60 mm below: 30·cos θ − 330·sin θ
-    assert "light b is left: it reaches 6.91 to 24.2 mm below the table top (4 positions). Change" in second
+    assert "light b is left: it reaches 24.2 mm below the table top (first of 4 positions). Change" in second
 
 
 @pytest.mark.slow

@@ -237,7 +237,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 import numpy as np
-from lightopt.design.objectives._registry import OBJECTIVES
+from lightopt.design.objectives import OBJECTIVES
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
 from lightopt.design.search._exact_search import search
 
@@ -292,8 +292,7 @@ def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
     matrix = random_matrix((5, 1, 4, 3), 700)
     whole = {name: o.scores(matrix, o.weights(matrix.areas), THRESHOLDS, 2, None) for name, o in OBJECTIVES.items()}
     for module, names in {
-        "_paper": ("BLOCK_LEVELS", "LEAST_PATCHES"),
-        "_scores_by_extreme_levels": ("TASK_LEVELS", "WALK_LEVELS"),
+        "_paper": ("BLOCK_LEVELS", "LEAST_PATCHES", "TASK_LEVELS", "WALK_LEVELS"),
         "_coverage": ("CHUNK_PATCHES", "CHUNK_BOXES", "BLOCK_LEVELS", "LEAST_PATCHES", "TASK_WORDS"),
     }.items():
         for name in names:

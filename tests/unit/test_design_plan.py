@@ -24,13 +24,12 @@ from lightopt.design import (
     luminance_matrix,
     planned_catalogue,
 )
+from lightopt.design._blind_spots import planned_visibility
 from lightopt.design._misalignment import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.design._tolerances import analyse_tolerances
-from lightopt.design.blind_spots._blind_spots import planned_visibility
 from lightopt.design.postures import _light_positions as placing, _posture_search as turning
 from lightopt.design.postures._exposures import plan_exposures
-from lightopt.design.postures._joint_choice import choose_with_exposures
-from lightopt.design.postures._plan_postures import target_not_reached
+from lightopt.design.postures._plan_postures import choose_with_exposures, target_not_reached
 from lightopt.design.postures._posture_search import PostureRequest, choose_postures
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, PatchEvidence, spare_units
 from lightopt.design.responses._image_evaluator import ImageCache, ImageEvaluator, drawn_patches

@@ -16,9 +16,8 @@ from lightopt.core.errors import InputError, counted, percent, refuse
 from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
 from lightopt.defects import DEFAULT_FALSE_ALARMS, false_alarms_problem
-from lightopt.design.from_images._choice import DEFAULT_LIMIT, Choice, choose_lights, score
+from lightopt.design.from_images._choice import DEFAULT_LIMIT, Choice, Mixture, choose_lights, mix_lights, score
 from lightopt.design.from_images._evidence import Evidence, measure_evidence
-from lightopt.design.from_images._mixing import Mixture, mix_lights
 from lightopt.design.from_images._samples import Samples, read_samples
 from lightopt.design.from_images._synthesis import (
     Agreement,

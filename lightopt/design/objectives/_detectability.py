@@ -160,9 +160,5 @@ class DetectabilityObjective(Objective):
 
 
 def _visibility(matrix: LuminanceMatrix) -> Visibility:
-    if matrix.visibility is None:
-        raise InputError(
-            "objective detectability: expected a luminance matrix with the visibility of the defects, found levels "
-            "alone"
-        )
+    assert matrix.visibility is not None
     return matrix.visibility

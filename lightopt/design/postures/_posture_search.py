@@ -118,7 +118,6 @@ class AlternatingSearch:
     where: str  # the patches, for progress messages
     prove: bool  # whether all sets of postures are searched where that is little work
     run: RunContext
-    images: ImageCache | None = None  # those of all positions of the lights are kept there; None for nowhere
 
     def __post_init__(self) -> None:
         self._passes = 0
@@ -179,7 +178,8 @@ class AlternatingSearch:
         key = tuple(sorted(chosen))
         if key not in self._positions:
             self._passes += 1
-            evaluator = replace(self.evaluator, images=self.images, keeps_images=True)
+            # images of all positions of the lights are kept
+            evaluator = replace(self.evaluator, keeps_images=True)
             postures, where = [(self.postures[i], evaluator.exposures) for i in key], self._stage("lights for postures")
             found = best_positions(evaluator, postures, self.candidates, limit=request.limit, progress=where)
             self._positions[key], counts = found
@@ -245,10 +245,11 @@ def choose_postures(
         )
     search = partial(AlternatingSearch, postures=postures, candidates=candidates, run=run or RunContext())
     # the chosen postures are looked at again when they are found
-    full = on_drawn = search(whole, where="all patches", prove=True, images=ImageCache(CACHED_BYTES))
+    full = on_drawn = search(replace(whole, images=ImageCache(CACHED_BYTES)), where="all patches", prove=True)
     if drawn.table is not whole.table:
         # lights and postures come back from pass to pass
-        on_drawn = search(replace(drawn, cache=ImageCache(CACHED_BYTES)), where="drawn patches", prove=False)
+        drawn = replace(drawn, images=ImageCache(CACHED_BYTES), keeps_images=True)
+        on_drawn = search(drawn, where="drawn patches", prove=False)
     return _MultiStartSearch(full, on_drawn, tuple(start), request).choice()
 
 
@@ -277,7 +278,7 @@ class _MultiStartSearch:
             initial_panels=self.start,
             on_all_patches=self.on_all_patches,
             position_counts=self.full_search.position_counts(solution.cover.chosen),
-            images=self.full_search.images,
+            images=self.full_search.evaluator.images,
         )
 
     def _fewest(self, target: float) -> Solution:
@@ -317,8 +318,8 @@ class _MultiStartSearch:
         # continue on all patches, with the number of chosen postures, or more, instead of the target
         if self.drawn_search is self.full_search:
             return solution
-        if self.drawn_search.evaluator.cache is not None:
-            self.drawn_search.evaluator.cache.clear()  # all patches take the memory
+        if self.drawn_search.evaluator.images is not None:
+            self.drawn_search.evaluator.images.clear()  # all patches take the memory
         request = replace(self.request, count=count or max(1, len(solution.cover.steps)), target=None)
         cover = self.full_search.cover(solution.panels, solution.lights, request, before=solution.cover.chosen)
         solution = replace(solution, cover=cover, converged=self.candidates is None)

@@ -24,7 +24,7 @@ from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, PatchEvidence, units_needed
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility, area_units
+from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Visibility, area_units
 from lightopt.design.responses._packed_bits import (
     Counts,
     PairWeights,
@@ -119,9 +119,8 @@ class ImageEvaluator:
     shadows: bool = True  # whether the part casts shadows on itself
     threads: int | None = None
     exposures: tuple[float, ...] = (1.0,)  # that an image may be taken with: it shows what it shows with any of them
-    cache: ImageCache | None = None  # for what images show; only for an evaluator of these very patches
-    images: ImageCache | None = None  # levels and flags of images: looked up first, and kept if `keeps_images`
-    keeps_images: bool = False
+    images: ImageCache | None = None  # levels and flags of images of these very patches: looked up first
+    keeps_images: bool = False  # whether new ones are kept there
 
     @cached_property
     def patches(self) -> Index:
@@ -159,10 +158,7 @@ class ImageEvaluator:
         most_bytes: Limit for the levels and the defects' bits.
         Raises InputError: More positions than memory is meant for.
         """
-        scene, caster, detection = self.scene, self.caster, self.detection
-        surface, seen = patch_points(scene, self.table, posture)
-        camera = view_from_part(scene, posture).camera
-        surface = replace(surface, outside=caster.is_outside(camera.position))
+        detection, seen = self.detection, self.table.inspectable(posture)
         positions = sum(len(some) for some in panels)
         size = positions * self._position_bytes(len(seen), len(exposures))
         if size > most_bytes:
@@ -171,7 +167,7 @@ class ImageEvaluator:
                 f"and there is room for {most_bytes / 1e9:.2f} GB a posture; raise option 'step_deg' or lower option "
                 "'patch_budget'"
             )
-        shape, dtype = (len(exposures), positions), np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16
+        shape, dtype = (len(exposures), positions), np.uint8 if self.scene.sensor.bit_depth <= 8 else np.uint16
         levels = np.zeros((*shape, len(seen)), dtype)
         words = np.zeros((*shape, UNITS_OF_IMAGE, len(seen), self._words), np.uint64)
         flat = [panel for some in panels for panel in some]
@@ -181,17 +177,49 @@ class ImageEvaluator:
             if image is None:
                 missing.append(at)
             else:
-                levels[:, at], words[:, at] = image
+                levels[:, at], words[:, at] = image[0], widen_octets(image[1], self._words)
+        if missing:
+            self._compute(posture, flat, missing, exposures, (levels, words), progress)
+        if self.images is not None and self.keeps_images:
+            for at in missing:
+                self.images.keep(posture, exposures, flat[at], levels[:, at], narrow_words(words[:, at]))
+        areas, grazing = self.table.patches.areas[seen], self.table.left_out(posture)
+        ends = np.cumsum([len(some) for some in panels])[:-1]
+        grazing_mm2 = float(self.table.patches.areas[grazing].sum())
+
+        def matrix(index: int) -> LuminanceMatrix:
+            shown = None
+            if detection is not None:
+                flags, left_out = tuple(np.split(words[index], ends)), grazing.astype(np.int32)
+                shown = Visibility(detection.catalogue.defects, flags, seen.astype(np.int32), left_out)
+            own = tuple(np.split(levels[index], ends))
+            return LuminanceMatrix(levels=own, areas=areas, visibility=shown, grazing_mm2=grazing_mm2)
+
+        return tuple(map(matrix, range(len(exposures))))
+
+    def _compute(
+        self,
+        posture: Posture,
+        panels: Sequence[PanelLight],
+        missing: Sequence[int],
+        exposures: Sequence[float],
+        images: tuple[Levels, Words],
+        progress: Share | None,
+    ) -> None:
+        """Levels and flags of the `missing` of some panels, written to their rows of `images`."""
+        scene, caster, (levels, words) = self.scene, self.caster, images
+        camera, surface = view_from_part(scene, posture).camera, patch_points(scene, self.table, posture)[0]
+        surface = replace(surface, outside=caster.is_outside(camera.position))
         evidence = None
-        if detection is not None and missing:
-            evidence = PatchEvidence(scene, self.table, surface, posture, detection)
+        if self.detection is not None:
+            evidence = PatchEvidence(scene, self.table, surface, posture, self.detection)
         blocks: list[_Block] = []
-        for start in range(0, len(seen), BLOCK_PATCHES):
+        for start in range(0, len(surface), BLOCK_PATCHES):
             block = surface.take(slice(start, start + BLOCK_PATCHES))
             share = surface_share(camera, block.points)
             blocks.append((slice(start, start + len(block)), block, 1.0 if share is None else share))
         # the candidates as the part sees them
-        moved = view_from_part(replace(scene, lights=tuple(flat)), posture).lights
+        moved = view_from_part(replace(scene, lights=tuple(panels)), posture).lights
 
         # evidence at a patch depends on its neighbours, so that all patches are done together
         groups = [blocks[first : first + BLOCKS_AT_ONCE] for first in range(0, len(blocks), BLOCKS_AT_ONCE)]
@@ -217,7 +245,7 @@ class ImageEvaluator:
                     level[None, :], sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale
                 )[0]
 
-        together_groups = _channels_of_places(flat, missing)
+        together_groups = _channels_of_places(panels, missing)
         threads = self.threads or available_processors()
         threads_of_task = max(1, threads // max(1, len(together_groups)))
 
@@ -225,27 +253,11 @@ class ImageEvaluator:
             for together in together_groups:
                 if self.shadows:
                     targets = np.concatenate([shadow_targets(moved[at]) for at in together])
-                    caster.map_blockers(targets, rays=len(seen), threads=1)
+                    caster.map_blockers(targets, rays=len(surface), threads=1)
                 for group in groups:
                     yield evaluate, (together, group)
 
         run_all(tasks(), threads=threads, done=work.report)
-        if self.images is not None and self.keeps_images:
-            for at in missing:
-                self.images.keep(posture, exposures, flat[at], levels[:, at], words[:, at])
-        areas, grazing = self.table.patches.areas[seen], self.table.left_out(posture)
-        ends = np.cumsum([len(some) for some in panels])[:-1]
-        grazing_mm2 = float(self.table.patches.areas[grazing].sum())
-
-        def matrix(index: int) -> LuminanceMatrix:
-            shown = None
-            if detection is not None:
-                flags, left_out = tuple(np.split(words[index], ends)), grazing.astype(np.int32)
-                shown = Visibility(detection.catalogue.defects, flags, seen.astype(np.int32), left_out)
-            own = tuple(np.split(levels[index], ends))
-            return LuminanceMatrix(levels=own, areas=areas, visibility=shown, grazing_mm2=grazing_mm2)
-
-        return tuple(map(matrix, range(len(exposures))))
 
     @property
     def _words(self) -> int:
@@ -273,26 +285,7 @@ class ImageEvaluator:
 
     def flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
         """Evidence of the pairs by the images: of each light an array of shape (positions, units, p, words)."""
-        cache, exposures = self.cache, self.exposures
-        if cache is None:
-            return self._new_flags(posture, panels)
-        found = [[cache.find(posture, exposures, panel) for panel in some] for some in panels]
-        missing = [
-            [panel for panel, one in zip(some, known, strict=True) if one is None]
-            for some, known in zip(panels, found, strict=True)
-        ]
-        images: list[Words] = []
-        for known, some, new in zip(found, missing, self._new_flags(posture, missing), strict=True):
-            for panel, flags in zip(some, new, strict=True):
-                cache.keep(posture, exposures, panel, narrow_words(flags))
-            rest = iter(new)
-            images.append(np.stack([next(rest) if one is None else widen_octets(one[0], self._words) for one in known]))
-        return tuple(images)
-
-    def _new_flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
         found = [np.zeros((len(some), UNITS_OF_IMAGE, len(self.patches), self._words), np.uint64) for some in panels]
-        if not any(panels):
-            return tuple(found)
         if sum(map(len, panels)) <= self.positions_at_once(posture, self.exposures):
             matrices = self.matrices(posture, panels, exposures=self.exposures)
             lights = [[(matrices, light)] for light in range(len(panels))]

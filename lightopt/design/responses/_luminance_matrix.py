@@ -49,13 +49,6 @@ class Visibility:
     spare: UInt8 | None = None
 
     def __post_init__(self) -> None:
-        shape = len(self.patch), -(-len(self.defects) // 64)
-        for index, layer in enumerate(self.words):
-            if layer.ndim != 4 or layer.shape[2:] != shape or layer.dtype != np.uint64:
-                raise InputError(
-                    f"visibility: light {index}: expected uint64 of shape (candidates, units, {shape[0]}, {shape[1]}), "
-                    f"found {layer.dtype} {layer.shape}"
-                )
         object.__setattr__(self, "patch", read_only(self.patch))
         object.__setattr__(self, "words", tuple(map(read_only, self.words)))
 
@@ -63,11 +56,6 @@ class Visibility:
     def planes(self) -> tuple[Words, Int64]:
         """The defects' weights in binary: see :func:`weight_planes`."""
         return weight_planes(self.defects)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Number of candidates of each light."""
-        return tuple(len(layer) for layer in self.words)
 
     def rows(self, rows: Sequence[Int64]) -> "Visibility":
         """Some candidates of each light, given by ascending indices."""
@@ -162,13 +150,6 @@ class LuminanceMatrix:
     grazing_mm2: float = 0.0  # area that the camera sees at a grazing angle, which is excluded [mm²]
 
     def __post_init__(self) -> None:
-        if self.visibility is not None and (
-            self.visibility.shape != self.shape or len(self.visibility.patch) != len(self.areas)
-        ):
-            raise InputError(
-                f"luminance matrix: expected the visibility of the same images, {self.shape} positions of the lights "
-                f"and {len(self.areas)} patches, found {self.visibility.shape} and {len(self.visibility.patch)}"
-            )
         for index, layer in enumerate(self.levels):
             if layer.ndim != 2 or layer.shape[1] != len(self.areas) or str(layer.dtype) not in ("uint8", "uint16"):
                 raise InputError(

@@ -8,14 +8,13 @@ import numpy as np
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.threads import blocks
 from lightopt.core.transforms import Posture
-from lightopt.design._candidates import Candidates, can_move, place_of
+from lightopt.design._blind_spots import PostureVisibility, by_light, defect_visibility
+from lightopt.design._candidates import Candidates, can_move, place_of, score_curves
 from lightopt.design._result import ObjectiveResult, SetResult
-from lightopt.design.blind_spots._blind_spots import PostureVisibility, by_light, defect_visibility
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._combinations import CombinationSpace
-from lightopt.design.search._curves import score_curves
 from lightopt.design.search._exact_search import SearchResult, search
 from lightopt.rendering import GRAZING_DEG, grain_of
 
