@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +14,6 @@ from lightopt.comparison._results import (
     FORMAT,
     LightingComparison,
     SystemResult,
-    UnusableSystem,
     comparison_csv,
     comparison_document,
     comparison_report,
@@ -32,24 +30,22 @@ from lightopt.report.design import blind_pictures, design_report
 from lightopt.rig.capture import cycle_time
 from lightopt.scene import build_camera, build_lights, pixel_footprint
 
-PRESETS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "four-panel": "four-panel",
-        "bars": "bars",
-        "ring-quadrants": "ring-quadrants",
-        "low-ring": "low-angle-ring",
-        "dome-quadrants": "dome-quadrants",
-        "flat-dome": "flat-dome",
-        "tunnel": "tunnel",
-        "coaxial": "coaxial",
-        "spot": "spot",
-        "led-array": "led-array",
-        "display": "display-stripes",
-        "binary-stripes": "binary-stripes",
-        "grid-backlight": "moving-grid",
-        "dome-sines": "dome-stripes",
-    }
-)
+PRESETS: Final[Mapping[str, str]] = {
+    "four-panel": "four-panel",
+    "bars": "bars",
+    "ring-quadrants": "ring-quadrants",
+    "low-ring": "low-angle-ring",
+    "dome-quadrants": "dome-quadrants",
+    "flat-dome": "flat-dome",
+    "tunnel": "tunnel",
+    "coaxial": "coaxial",
+    "spot": "spot",
+    "led-array": "led-array",
+    "display": "display-stripes",
+    "binary-stripes": "binary-stripes",
+    "grid-backlight": "moving-grid",
+    "dome-sines": "dome-stripes",
+}
 """Name of each preset, and of the sample rig that it is."""
 
 
@@ -132,10 +128,10 @@ def compare_lighting(
     options = replace(options, objectives=("detectability",), images=False)
     loaded = _loaded([Path(rig) for rig in rigs])
     facts = _provenance(loaded, part, options, plan, design.DEFAULT_TOLERANCE_TARGET if tolerances else None)
-    kind = {"name": DOCUMENT, "format": FORMAT, "what": "a comparison", "also": (TABLE, REPORT)}
-    results = ResultFolder(folder, facts, **kind, force=force)
+    kind = {"name": DOCUMENT, "format": FORMAT, "what": "a comparison"}
+    results = ResultFolder(folder, facts, **kind, also=(TABLE, REPORT), force=force)
     found: list[SystemResult] = []
-    unusable: list[UnusableSystem] = []
+    unusable: dict[str, tuple[str, ...]] = {}
     warnings: dict[str, None] = {}
     for name, rig in loaded.items():
         own = run.apart(name)
@@ -147,13 +143,10 @@ def compare_lighting(
             result = design.optimize(rig, part, folder / name, options=request, plan=plan, force=force, run=own)
             output = design.write_design(result, blind_pictures(result), force=force, run=own)
             design.finish_design(output, design_report(output) if options.report else None)
-        except CheckFailed as error:
-            unusable.append(UnusableSystem(name=name, messages=error.messages))
-            continue
-        except InputError as error:
-            if len(loaded) == 1 or any(str(part.source.path) in text for text in error.messages):
+        except (CheckFailed, InputError) as error:
+            if any(str(part.source.path) in text for text in error.messages) and isinstance(error, InputError):
                 raise
-            unusable.append(UnusableSystem(name=name, messages=error.messages))
+            unusable[name] = error.messages
             continue
         warnings |= dict.fromkeys(f"{name}: {text}" for text in output.warnings if "no light can be moved" not in text)
         allowed = design.design_tolerances(result, run=own) if tolerances else None
@@ -161,7 +154,7 @@ def compare_lighting(
             warnings[f"{name}: it has too many lights for its mounting tolerance; channels of a light are one"] = None
         found.append(_system(name, output, allowed, run.threads))
     if not found:
-        raise InputError(*(f"{one.name}: {text}" for one in unusable for text in one.messages))
+        raise InputError(*(f"{name}: {text}" for name, messages in unusable.items() for text in messages))
     footprints = [one.footprint_mm for one in found]
     if max(footprints) > (1.0 + SAME_FOOTPRINT) * min(footprints):
         sizes = ", ".join(f"{one.name} {one.footprint_mm:.3g} mm" for one in found)
@@ -173,7 +166,7 @@ def compare_lighting(
         options=options,
         provenance=facts,
         systems=tuple(found),
-        unusable=tuple(unusable),
+        unusable=unusable,
         warnings=tuple(warnings),
         paths=tuple(folder / name for name in (REPORT, TABLE, DOCUMENT)),
     )

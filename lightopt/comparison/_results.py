@@ -1,36 +1,14 @@
 """What lighting systems show of a part and what they cost: as values, JSON, CSV and a page."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lightopt import design, report
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import counted, percent
-from lightopt.design import (
-    BLIND_SHARES_OF,
-    DEFAULT_TOLERANCE_TARGET,
-    OptimizeOptions,
-    WidestTolerance,
-    finding_text,
-    share_text,
-)
 from lightopt.images import csv_text
-from lightopt.report import (
-    Answer,
-    Gallery,
-    Note,
-    Page,
-    Picture,
-    Section,
-    Table,
-    Warnings,
-    chart,
-    figure_image,
-    fixed_style,
-    page_html,
-    png_bytes,
-)
 
 FORMAT = "lightopt-lighting-comparison/1"
 REASONS = 2  # reasons of each system in the table
@@ -53,23 +31,23 @@ class SystemResult:
     seconds: float | None  # for these; None where the rig cannot take them
     size_mm: tuple[float, float, float]  # of the box around the lights along X, Y, Z
     footprint_mm: float  # side of a pixel at the origin
-    pictures: tuple[Picture, ...]  # of the first posture
+    pictures: tuple[report.Picture, ...]  # of the first posture
     # how far all lights, and the part, may be off while most of the share is kept; None where that was not computed
-    mounting: WidestTolerance | None = None
-    pose: WidestTolerance | None = None
+    mounting: design.WidestTolerance | None = None
+    pose: design.WidestTolerance | None = None
 
     @property
     def cost(self) -> float:
         """What it is compared by beside the share: seconds, or images where those are unknown."""
         return float(self.images) if self.seconds is None else self.seconds
 
+    @property
+    def cost_text(self) -> str:
+        return counted(self.images, "image") if self.seconds is None else f"{self.seconds:.1f} s"
 
-@dataclass(frozen=True, kw_only=True)
-class UnusableSystem:
-    """A lighting system that cannot be used for the part."""
-
-    name: str
-    messages: tuple[str, ...]
+    def share_text(self, share: float) -> str:
+        """A share to the digits that its grain supports."""
+        return design.share_text(share, self.grain)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,10 +55,10 @@ class LightingComparison:
     """Lighting systems in the order of the share of defects that they find."""
 
     part: PartConfig
-    options: OptimizeOptions
+    options: design.OptimizeOptions
     provenance: Mapping[str, Any]
     systems: tuple[SystemResult, ...]
-    unusable: tuple[UnusableSystem, ...]
+    unusable: Mapping[str, tuple[str, ...]]  # why systems cannot be used for the part, by name
     warnings: tuple[str, ...]
     paths: tuple[Path, ...]  # of the comparison's files
 
@@ -125,11 +103,11 @@ def comparison_document(comparison: LightingComparison) -> dict[str, Any]:
         "format": FORMAT,
         "provenance": dict(comparison.provenance),
         "systems": systems,
-        "unusable": [asdict(one) for one in comparison.unusable],
+        "unusable": [{"name": name, "messages": messages} for name, messages in comparison.unusable.items()],
     }
 
 
-def _tolerance_dict(one: WidestTolerance | None) -> dict[str, Any] | None:
+def _tolerance_dict(one: design.WidestTolerance | None) -> dict[str, Any] | None:
     return None if one is None else {"degrees": one.degrees, "or_more": one.open_ended}
 
 
@@ -153,128 +131,115 @@ def comparison_csv(comparison: LightingComparison) -> str:
 
 def comparison_report(comparison: LightingComparison, folder: Path) -> str:
     """The report as HTML; `folder` is where it goes."""
-    sections = [
-        Section(heading="Systems", blocks=[systems_table(comparison, folder), _chart(comparison)]),
-        Section(heading="Kinds of defects", blocks=[_kinds_table(comparison)]),
-        Section(heading="Images", blocks=[_gallery(comparison)]),
-        Section(heading="Why defects are missed", blocks=[_reasons_table(comparison)]),
-    ]
+    systems, first = comparison.systems, comparison.systems[0]
+    answer = report.Answer(figure=first.share_text(first.share), text=f"by {first.name}: {_meaning(comparison)}.")
+    rest = [f"{one.name} ({one.share_text(one.share)}, {one.cost_text})" for one in comparison.best if one is not first]
+    less = f"Less time per part: {', '.join(rest)}. No other system finds as much in as little time."
+    lead = [answer, *([report.Note(text=less)] if rest else []), report.Warnings(texts=comparison.warnings)]
+    blocks: dict[str, list[report.Table | report.Picture | report.Gallery]] = {
+        "Systems": [systems_table(comparison, folder), _chart(comparison)],
+        "Kinds of defects": [
+            _shares_table(
+                systems, [one.defects for one in systems], "Share of each kind that is found, all places alike."
+            )
+        ],
+        "Images": [_gallery(comparison)],
+        "Why defects are missed": [
+            _shares_table(
+                systems,
+                [one.reasons for one in systems],
+                f"Shares of {design.BLIND_SHARES_OF}, of what the camera sees. Moved: lights whose best place is not "
+                "that of their file.",
+                moved=True,
+            )
+        ],
+    }
     if comparison.unusable:
-        rows = [[one.name, " ".join(one.messages)] for one in comparison.unusable]
-        table = Table(header=["system", "reason"], rows=rows, numbers_from=2)
-        sections.append(Section(heading="Systems that cannot be used", blocks=[table]))
-    first = comparison.systems[0]
-    answer = Answer(figure=share_text(first.share, first.grain), text=f"by {first.name}: {_meaning(comparison)}.")
-    lead = [answer, *(Note(text=text) for text in _others(comparison)), Warnings(texts=comparison.warnings)]
+        rows = [[name, " ".join(messages)] for name, messages in comparison.unusable.items()]
+        blocks["Systems that cannot be used"] = [report.Table(header=["system", "reason"], rows=rows, numbers_from=2)]
+    sections = [report.Section(heading=heading, blocks=some) for heading, some in blocks.items()]
     name = comparison.part.name
-    return page_html(Page(title=f"Lighting systems: {name}", subtitle=name, lead=lead, sections=sections))
+    return report.page_html(report.Page(title=f"Lighting systems: {name}", subtitle=name, lead=lead, sections=sections))
 
 
 def answer_text(comparison: LightingComparison) -> str:
     """The answer in a sentence."""
     first = comparison.systems[0]
-    return f"{first.name} finds most: {share_text(first.share, first.grain)} {_meaning(comparison)}"
+    return f"{first.name} finds most: {first.share_text(first.share)} {_meaning(comparison)}"
 
 
 def _meaning(comparison: LightingComparison) -> str:
-    return finding_text(comparison.options.min_images, comparison.options.false_alarms)
+    return design.finding_text(comparison.options.min_images, comparison.options.false_alarms)
 
 
-def _others(comparison: LightingComparison) -> Iterator[str]:
-    rest = [one for one in comparison.best if one is not comparison.systems[0]]
-    if rest:
-        texts = ", ".join(f"{one.name} ({share_text(one.share, one.grain)}, {_cost(one)})" for one in rest)
-        yield f"Less time per part: {texts}. No other system finds as much in as little time."
-
-
-def _cost(one: SystemResult) -> str:
-    return f"{counted(one.images, 'image')}" if one.seconds is None else f"{one.seconds:.1f} s"
-
-
-def systems_table(comparison: LightingComparison, folder: Path | None = None) -> Table:
-    """The systems, the best first; for a page in `folder` with the sides of pixels, and links to their designs."""
+def systems_table(comparison: LightingComparison, folder: Path | None = None) -> report.Table:
+    """The systems, the best first; for a page in `folder` with links to their designs."""
     best = set(comparison.best)
-    rows = [
-        [
-            one.name,
-            share_text(one.share, one.grain),
-            "yes" if one in best else "",
-            str(one.images),
-            "-" if one.seconds is None else f"{one.seconds:.1f}",
-            _tolerance_text(one.mounting),
-            _tolerance_text(one.pose),
-            " × ".join(f"{side:.0f}" for side in one.size_mm),
-            *([] if folder is None else [f"{one.footprint_mm:.3g}"]),
-            ", ".join(f"{reason} {percent(share, 0)}" for reason, share in _main_reasons(one)) or "-",
-        ]
-        for one in comparison.systems
-    ]
-    header = ["system", "found", "Pareto", "images", "s/part", "lights ±°", "part ±°", "size [mm]", "not found, mostly"]
-    if folder is not None:
-        header.insert(-1, "pixel [mm]")
+    rows: list[list[str]] = []
+    for one in comparison.systems:
+        reasons = [f"{reason} {percent(share, 0)}" for reason, share in one.reasons.items() if share >= LEAST_REASON]
+        rows.append(
+            [
+                one.name,
+                one.share_text(one.share),
+                "yes" if one in best else "",
+                str(one.images),
+                "-" if one.seconds is None else f"{one.seconds:.1f}",
+                _tolerance_text(one.mounting),
+                _tolerance_text(one.pose),
+                " × ".join(f"{side:.0f}" for side in one.size_mm),
+                f"{one.footprint_mm:.3g}",
+                ", ".join(reasons[:REASONS]) or "-",
+            ]
+        )
+    header = ["system", "found", "Pareto", "images", "s/part", "lights ±°", "part ±°", "size [mm]", "pixel [mm]"]
     caption = (
         "Found: share of surface × defects. Pareto: no other system finds as much in less time per part. Lights ±°, "
         "part ±°: how far all angles of the lights, or tilt and rotation of the part, may be off at once while "
-        f"{percent(DEFAULT_TOLERANCE_TARGET, 0)} of the share is kept. Size: of the box around the lights along X, Y, "
-        "Z. Pixel: its side at the origin."
+        f"{percent(design.DEFAULT_TOLERANCE_TARGET, 0)} of the share is kept. Size: of the box around the lights along "
+        "X, Y, Z. Pixel: its side at the origin."
     )
-    links = (
-        []
-        if folder is None
-        else [f"{one.folder.relative_to(folder).as_posix()}/report.html" for one in comparison.systems]
-    )
-    return Table(header=header, rows=rows, numbers_from=1, caption=caption, links=links)
+    folders = [] if folder is None else [one.folder.relative_to(folder) for one in comparison.systems]
+    links = [f"{own.as_posix()}/report.html" for own in folders]
+    return report.Table(header=[*header, "not found, mostly"], rows=rows, numbers_from=1, caption=caption, links=links)
 
 
-def _tolerance_text(one: WidestTolerance | None) -> str:
+def _tolerance_text(one: design.WidestTolerance | None) -> str:
     if one is None:
         return "-"
     return f"≥ {one.degrees:g}" if one.open_ended else "< 0.05" if one.degrees == 0.0 else f"{one.degrees:.2g}"
 
 
-def _main_reasons(one: SystemResult) -> list[tuple[str, float]]:
-    return [(reason, share) for reason, share in one.reasons.items() if share >= LEAST_REASON][:REASONS]
-
-
-def _kinds_table(comparison: LightingComparison) -> Table:
-    kinds = list(dict.fromkeys(kind for one in comparison.systems for kind in one.defects))
+def _shares_table(
+    systems: Sequence[SystemResult], shares: Sequence[Mapping[str, float]], caption: str, *, moved: bool = False
+) -> report.Table:
+    names = list(dict.fromkeys(name for own in shares for name in own))
     rows = [
-        [one.name, *(share_text(one.defects.get(kind, 0.0), one.grain) for kind in kinds)] for one in comparison.systems
+        [one.name, *(one.share_text(own.get(name, 0.0)) for name in names), *(["; ".join(one.moved)] if moved else [])]
+        for one, own in zip(systems, shares, strict=True)
     ]
-    return Table(header=["system", *kinds], rows=rows, caption="Share of each kind that is found, all places alike.")
+    return report.Table(header=["system", *names, *(["moved"] if moved else [])], rows=rows, caption=caption)
 
 
-def _reasons_table(comparison: LightingComparison) -> Table:
-    reasons = list(dict.fromkeys(reason for one in comparison.systems for reason in one.reasons))
-    rows = [
-        [one.name, *(share_text(one.reasons.get(reason, 0.0), one.grain) for reason in reasons), "; ".join(one.moved)]
-        for one in comparison.systems
-    ]
-    caption = (
-        f"Shares of {BLIND_SHARES_OF}, of what the camera sees. Moved: lights whose best place is not that of their "
-        "file."
-    )
-    return Table(header=["system", *reasons, "moved"], rows=rows, caption=caption)
-
-
-def _gallery(comparison: LightingComparison) -> Gallery:
+def _gallery(comparison: LightingComparison) -> report.Gallery:
     most = max(len(one.pictures) for one in comparison.systems)
-    rows: list[tuple[str, list[Picture | None]]] = [
+    rows: list[tuple[str, list[report.Picture | None]]] = [
         (one.name, [*one.pictures, *[None] * (most - len(one.pictures))]) for one in comparison.systems
     ]
     caption = "The first posture under the first lights of each system, at exposure 1; red: saturated pixels."
-    return Gallery(header=[f"image {i + 1}" for i in range(most)], rows=rows, caption=caption)
+    return report.Gallery(header=[f"image {i + 1}" for i in range(most)], rows=rows, caption=caption)
 
 
-@fixed_style()
-def _chart(comparison: LightingComparison) -> Picture:
+@report.fixed_style()
+def _chart(comparison: LightingComparison) -> report.Picture:
     known = all(one.seconds is not None for one in comparison.systems)
-    label = "seconds per part" if known else "images per part"
-    figure, (panel,) = chart(title="What is found, and what it takes", x_label=label, labels=["defects found [%]"])
+    label, shares = "seconds per part" if known else "images per part", ["defects found [%]"]
+    figure, (panel,) = report.chart(title="What is found, and what it takes", x_label=label, labels=shares)
     for one in comparison.systems:
         x = one.cost if known else float(one.images)
         panel.plot([x], [100.0 * one.share], "o", color="#c2410c" if one in comparison.best else "#8a8f98")
         panel.annotate(one.name, (x, 100.0 * one.share), xytext=(6, 4), textcoords="offset points", fontsize=9)
     panel.set_ylim(bottom=0.0)
     panel.margins(x=0.15)
-    return Picture(png=png_bytes(figure_image(figure)), alt="Defects found against time", caption="Red: Pareto.")
+    png = report.png_bytes(report.figure_image(figure))
+    return report.Picture(png=png, alt="Defects found against time", caption="Red: Pareto.")

@@ -62,7 +62,7 @@ from lightopt.design.from_images._optimize_from_images import (
     optimize_from_images as optimize_from_images,
     write_from_images as write_from_images,
 )
-from lightopt.design.from_images._synthesis import agreement_text as agreement_text, synthesise as synthesise
+from lightopt.design.from_images._samples import agreement_text as agreement_text, synthesise as synthesise
 from lightopt.design.objectives import OBJECTIVES as OBJECTIVES
 from lightopt.design.objectives._detectability import (
     DetectabilityObjective as DetectabilityObjective,
@@ -76,11 +76,6 @@ from lightopt.design.objectives._objective import (
     share_text as share_text,
     shares_of as shares_of,
 )
-from lightopt.design.postures._plan_postures import TargetNotReached as TargetNotReached
-from lightopt.design.responses._defect_hypotheses import (
-    PlannedCatalogue as PlannedCatalogue,
-    planned_catalogue as planned_catalogue,
-)
 from lightopt.design.responses._evidence import DetectionModel as DetectionModel
 from lightopt.design.responses._image_evaluator import luminance_matrix as luminance_matrix
 from lightopt.design.responses._luminance_matrix import (
@@ -88,5 +83,9 @@ from lightopt.design.responses._luminance_matrix import (
     LevelThresholds as LevelThresholds,
     LuminanceMatrix as LuminanceMatrix,
     area_units as area_units,
+)
+from lightopt.design.responses._pairs import (
+    PlannedCatalogue as PlannedCatalogue,
+    planned_catalogue as planned_catalogue,
 )
 from lightopt.design.search._exact_search import search as search

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Float64, Int32, UInt8
-from lightopt.core.run_context import Share
+from lightopt.core.run_context import Share, ignore
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._misalignment import Setup
@@ -33,7 +33,7 @@ from lightopt.design.objectives._objective import share_text
 from lightopt.design.responses._evidence import units_needed
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
-from lightopt.design.responses._packed_bits import Counts, add_counts, add_units
+from lightopt.design.responses._pairs import Counts, add_counts, add_units
 from lightopt.geometry import Patches
 from lightopt.images import csv_text
 from lightopt.rendering import grain_of
@@ -274,7 +274,7 @@ def planned_visibility(
     all_exposures: tuple[float, ...],
     thresholds: LevelThresholds,
     least: int,
-    progress: Share | None,
+    progress: Share = ignore,
 ) -> tuple[PostureVisibility, ...]:
     """Visibility of defects in each posture: `least` images must show one.
 
@@ -293,8 +293,7 @@ def planned_visibility(
         every = (((matrix, 0) for some in of_light for matrix in some) for of_light in batches)
         chosen, possible = (defect_visibility(some, thresholds, least=least) for some in (by_light(matrices), every))
         found.append(PostureVisibility(posture, chosen, possible))
-        if progress is not None:
-            progress((index + 1) / len(setup.postures))
+        progress((index + 1) / len(setup.postures))
     return tuple(found)
 
 

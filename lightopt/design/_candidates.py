@@ -14,7 +14,7 @@ import numpy as np
 from lightopt.config import RANGE_KEYS, LightConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError, counted, refuse
-from lightopt.design.search._combinations import CombinationSpace, Ranked, Rows, is_allowed
+from lightopt.design.search._exact_search import CombinationSpace, Ranked, Rows, is_allowed
 from lightopt.lights import PanelLight, outlines
 from lightopt.rendering import panels_in_part
 from lightopt.scene import PinholeCamera, Scene, area_in_view, build_camera, build_lights, lights_meet
@@ -70,10 +70,9 @@ def light_places(
         step = light.distance_step_mm or 0.25 * (high - low) or 1.0
         ranges.append(_steps(light.distance_range_mm, light.distance_mm, step))
     if math.prod(map(len, ranges)) > MOST_POSITIONS:
-        larger = "a larger step" if len(ranges) == 2 else "a larger step, here or in distance_step_mm"
         raise InputError(
-            f"{rig.source.at('lights', index)}: at option 'step_deg' {step_deg:g} light {light.name} has more than "
-            f"{MOST_POSITIONS:,} positions, the maximum; take {larger}"
+            f"{rig.source.at('lights', index)}: light {light.name} has more than {MOST_POSITIONS:,} positions; raise "
+            f"option 'step_deg' {step_deg:g} or distance_step_mm"
         )
     return list(itertools.product(*ranges))
 
@@ -86,10 +85,8 @@ def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
     (low, _), highest = max(movable, key=lambda light: light[0][0])
     (_, high), lowest = min(movable, key=lambda light: light[0][1])
     if low > high:
-        raise InputError(
-            f"{rig.source.at('lights')}: option 'common_elevation': {highest} stays at {low:g}° or above and {lowest} "
-            f"at {high:g}° or below, so that there is no elevation for both; widen a range"
-        )
+        both = f"{highest} stays at {low:g}° or above, {lowest} at {high:g}° or below"
+        raise InputError(f"{rig.source.at('lights')}: option 'common_elevation': {both}; widen a range")
     return _steps((low, high), low, step_deg)
 
 
@@ -223,11 +220,8 @@ def _together(
         if all(map(len, chosen)):
             found.append(tuple(chosen))
     if not found:
-        names = [rig.lights[own[0]].name for own in moving]
-        raise InputError(
-            f"{rig.source.at('lights')}: no position is left that all channels of {' and '.join(names)} can take; "
-            "change its range or its size"
-        )
+        names = " and ".join(rig.lights[own[0]].name for own in moving)
+        raise InputError(f"{rig.source.at('lights')}: no position is left for all channels of {names}; widen its range")
     return tuple(found)
 
 

@@ -67,10 +67,8 @@ class Tolerances:
             if not 0.0 <= value <= LARGEST_TOLERANCE
         ]
         if not 0.0 < self.tolerance_target < 1.0:
-            problems.append(
-                "option 'tolerance_target': expected a share of the score between 0 and 1, such as 0.95, found "
-                f"{self.tolerance_target:g}"
-            )
+            found = f"expected a share of the score between 0 and 1, found {self.tolerance_target:g}"
+            problems.append(f"option 'tolerance_target': {found}")
         if self.draws < 1:
             problems.append(f"draws: expected at least 1, found {self.draws}")
         refuse(problems)
@@ -80,9 +78,8 @@ def check_body_count(bodies: int) -> None:
     """Refuse more bodies of lights than the number for which all corners can be tried."""
     if bodies > MOST_BODIES:
         raise InputError(
-            "option 'light_deg', option 'pose_deg': all corners of the lights' angles are tried, 4 per light (channels "
-            f"of one light move together): expected at most {MOST_BODIES} lights ({4**MOST_BODIES:,} corners), found "
-            f"{bodies}; omit the tolerances, or remove lights from the rig"
+            "option 'light_deg', option 'pose_deg': all corners of the lights' angles are tried: expected at most "
+            f"{MOST_BODIES} lights ({4**MOST_BODIES:,} corners), found {bodies}; omit the tolerances"
         )
 
 

@@ -275,9 +275,8 @@ def _stripes(series: _Series) -> Channels:
 def _phase(series: _Series, stripes: Stripes, phases: int) -> tuple[Float64, Float64]:
     # the phase where there is one, and its noise
     noise = phase_noise(stripes.amplitude, series.noise(stripes.mean), phases)
-    return np.where(
-        (noise * LEAST_SIGNAL <= 1.0) & (stripes.modulation >= LEAST_MODULATION), stripes.phase, np.nan
-    ), noise
+    known = (noise * LEAST_SIGNAL <= 1.0) & (stripes.modulation >= LEAST_MODULATION)
+    return np.where(known, stripes.phase, np.nan), noise
 
 
 def _slopes(series: _Series, u: Float64, v: Float64) -> Channels:

@@ -53,7 +53,7 @@ def system(name, share, seconds, **facts):
 
 def comparison_of(*systems):
     part, options = SimpleNamespace(), OptimizeOptions()
-    facts = {"provenance": {}, "unusable": (), "warnings": (), "paths": ()}
+    facts = {"provenance": {}, "unusable": {}, "warnings": (), "paths": ()}
     return LightingComparison(part=part, options=options, systems=systems, **facts)
 
 

@@ -19,7 +19,7 @@ from lightopt.design import (
     search,
 )
 from lightopt.design.objectives import _scores_by_units as unit_sums
-from lightopt.design.responses._defect_hypotheses import PlannedDefect
+from lightopt.design.responses._pairs import PlannedDefect
 
 THRESHOLDS = LevelThresholds(shade=10, saturation=255)
 

@@ -27,7 +27,7 @@ from lightopt.design.responses._evidence_sums import (
     evidence_flags,
     greatest_within,
 )
-from lightopt.design.responses._packed_bits import narrow_words, pack_flags, widen_octets
+from lightopt.design.responses._pairs import narrow_words, pack_flags, widen_octets
 from lightopt.inspection.detection._registry import DETECTORS
 from lightopt.inspection.detection._residual_score import threshold
 from lightopt.optics import Sensor

@@ -13,7 +13,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import WorkCounter
 from lightopt.design import OBJECTIVES, LevelThresholds, LuminanceMatrix, area_units, search
 from lightopt.design.objectives._coverage import bit_scores, run_scores
-from lightopt.design.search._combinations import CombinationSpace, NearBest
+from lightopt.design.search._exact_search import CombinationSpace, NearBest
 from lightopt.optics import Sensor
 
 EIGHT_BITS = (np.uint8, 255)

@@ -29,7 +29,7 @@ from lightopt.design import (
 )
 from lightopt.design._candidates import Candidates
 from lightopt.design.search._best_positions import answer_set, limit_warning
-from lightopt.design.search._combinations import CombinationSpace
+from lightopt.design.search._exact_search import CombinationSpace
 
 HERE = Path(__file__).resolve().parent
 THRESHOLDS = LevelThresholds(shade=30, saturation=250, black=12)
@@ -157,7 +157,7 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
     (answer,) = result.answers
     assert answer.found.bound > 0
     assert answer.nothing is not None
-    assert answer.nothing.startswith("all 1 combinations that were scored score 0, with 26 left")
+    assert answer.nothing.startswith("each of 1 combinations (26 left) scores 0")
 
 
 MEDIUM = {

@@ -18,13 +18,14 @@ from lightopt.core.run_context import RunContext
 from lightopt.defects import DEFAULT_FALSE_ALARMS, false_alarms_problem
 from lightopt.design.from_images._choice import DEFAULT_LIMIT, Choice, Mixture, choose_lights, mix_lights, score
 from lightopt.design.from_images._evidence import Evidence, measure_evidence
-from lightopt.design.from_images._samples import Samples, read_samples
-from lightopt.design.from_images._synthesis import (
+from lightopt.design.from_images._samples import (
     Agreement,
     ChosenImage,
+    Samples,
     chosen_images,
     compare_captured,
     quantised,
+    read_samples,
     synthesise,
     weights_of,
 )
@@ -126,15 +127,12 @@ def optimize_from_images(
     Raises InputError: What is wrong with the options, the sets or their masks.
     """
     run = run or RunContext()
-    problem = false_alarms_problem(options.false_alarms)
-    refuse([] if problem is None else [problem])
+    refuse(filter(None, [false_alarms_problem(options.false_alarms)]))
     samples = read_samples(sets, region)
     loaded = None if rig is None else _rig_of(samples, rig)
     if not 1 <= options.images <= len(samples.channels):
-        raise InputError(
-            f"option 'images': expected a number from 1 to {len(samples.channels)}, the number of lights in the sets, "
-            f"found {options.images}"
-        )
+        lights = f"1 to {len(samples.channels)}, the number of lights in the sets"
+        raise InputError(f"option 'images': expected a number from {lights}, found {options.images}")
     evidence = measure_evidence(samples, false_alarms=options.false_alarms, run=run)
     report = run.stage("choosing lights")
     choice = choose_lights(evidence, options.images, limit=options.limit, threads=run.threads)
@@ -144,7 +142,7 @@ def optimize_from_images(
     weights = mixture.weights if options.mix else np.eye(evidence.lights)[list(choice.lights)]
     hardware = None if loaded is None else loaded.hardware
     levels = {} if hardware is None else {name: light.level for name, light in hardware.lights.items()}
-    images = chosen_images(samples, evidence, weights, levels)
+    images = chosen_images(samples, evidence.brightest, weights, levels)
     taken = None if captured is None else read_image_set(captured)
     agreement = None if taken is None else compare_captured(samples, images, taken)
     return FromImagesResult(

@@ -1,6 +1,6 @@
 """Objective ``detectability``: the share of the catalogue's defects that the inspection is expected to find.
 
-With the defects t of the part's catalogue (:mod:`lightopt.design.responses._defect_hypotheses`), u(p, t) the units of
+With the defects t of the part's catalogue (:mod:`lightopt.design.responses._pairs`), u(p, t) the units of
 evidence that all images together give of t on patch p, and n the units that it needs to count as found
 (:mod:`lightopt.design.responses._evidence`),
 
@@ -25,10 +25,9 @@ from lightopt.core.run_context import Share
 from lightopt.defects import DEFAULT_FALSE_ALARMS
 from lightopt.design.objectives._objective import Objective, area_text, inspectable_surface
 from lightopt.design.objectives._scores_by_units import combination_sums
-from lightopt.design.responses._defect_hypotheses import PlannedDefect
 from lightopt.design.responses._evidence import units_needed
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
-from lightopt.design.responses._packed_bits import PairWeights, unpack_flags
+from lightopt.design.responses._pairs import PairWeights, PlannedDefect, unpack_flags
 
 # what the number is, beside it in result.json
 SCORE_IS = (
@@ -68,6 +67,7 @@ class DetectabilityObjective(Objective):
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"
     share_of: str | None = f"{inspectable_surface(edges=False)}, × defects by weight"
+    area: int | None = None  # that a score is a share of [µm²]; None for the inspectable area
 
     def __post_init__(self) -> None:
         if problem := min_images_problem(self.min_images):
@@ -91,16 +91,14 @@ class DetectabilityObjective(Objective):
         return area_text(score / self.total_weight, grain)
 
     def full_score(self, area: int) -> int | None:
-        return area * self.total_weight
+        return (area if self.area is None else self.area) * self.total_weight
 
     def refusal(self, lights: int) -> str | None:
         """There are no more images than lights, unless other postures add images."""
         if lights >= self.min_images or self.across_postures:
             return None
-        return (
-            f"objective detectability requires each defect to be seen in {self.min_images} images, and the rig has "
-            f"{counted(lights, 'light')} only; lower option 'min_images'"
-        )
+        number = f"{self.min_images} images, and the rig has {counted(lights, 'light')} only"
+        return f"objective detectability requires each defect to be seen in {number}; lower option 'min_images'"
 
     def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         # with one position of each light, all that could be seen is

@@ -77,10 +77,8 @@ class PaperObjective(Objective):
         """Dropping the highest and the lowest of two leaves nothing."""
         if lights > 2:
             return None
-        return (
-            f"objective paper drops each patch's highest and lowest level, and with {counted(lights, 'light')} nothing "
-            "is left; expected at least 3 lights, or use another objective"
-        )
+        left = f"with {counted(lights, 'light')} nothing is left; expected at least 3 lights"
+        return f"objective paper drops each patch's highest and lowest level, and {left}"
 
     def weights(self, areas: Float64) -> Int64:
         """Every patch counts the same, as every polygon does in the paper."""

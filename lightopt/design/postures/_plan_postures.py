@@ -26,20 +26,26 @@ from lightopt.design._blind_spots import (
     defect_visibility,
 )
 from lightopt.design._candidates import Candidates, Curve, place_of, score_curves
-from lightopt.design._commands import way_through
-from lightopt.design._problem import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, candidates_of, detection_model_of
-from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, places_of
+from lightopt.design._problem import (
+    DEFECT_OBJECTIVE,
+    OptimizeOptions,
+    PlanOptions,
+    candidates_of,
+    detection_model_of,
+    posture_grid,
+    usable_postures,
+)
+from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, places_of, way_through
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import share_text
 from lightopt.design.postures._cover_search import Cover, best_set, cover_steps, greedy_cover, greedy_order
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._light_positions import best_positions, position_counts, position_counts_fit
-from lightopt.design.postures._posture_grid import posture_grid, usable_postures
 from lightopt.design.postures._posture_search import PostureChoice, PostureRequest, choose_postures
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
-from lightopt.design.responses._packed_bits import Counts, unpack_flags
-from lightopt.design.search._combinations import Ranked
+from lightopt.design.responses._pairs import Counts, unpack_flags
+from lightopt.design.search._exact_search import Ranked
 from lightopt.lights import PanelLight
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import build_lights, build_scene, pace_text
@@ -71,8 +77,7 @@ def choose_with_exposures(
 
     def chosen_on(every: ImageEvaluator, some: ImageEvaluator, stage: str) -> PostureChoice:
         choice = choose_postures(every, some, postures, start, candidates, request, run=run.within(stage))
-        # counts and images of positions are of other exposures than those that will be planned
-        return replace(choice, position_counts=None, images=None)
+        return replace(choice, images=None)  # they are of other exposures than those that will be planned
 
     single = chosen_on(whole, drawn, "exposure 1")
     every, some = (replace(evaluator, exposures=levels) for evaluator in (whole, drawn))
@@ -120,7 +125,7 @@ class _JointPlanner:
         for _ in range(MOST_ITERATIONS):
             postures = [(posture, plan.exposures_of(posture)) for posture in plan.postures]
             progress, limit = self.run.stage("lights for the planned images"), self.request.limit
-            positions, _ = best_positions(self.whole, postures, self.candidates, limit=limit, progress=progress)
+            positions = best_positions(self.whole, postures, self.candidates, limit=limit, progress=progress)
             assert plan.brackets is not None
             covered = round(plan.brackets.after * max(1, self.whole.weights.total))
             plan = replace(plan, converged=positions.covered <= covered, exact=plan.exact and positions.exact)
@@ -162,21 +167,8 @@ PROVEN_OF = "positions of the lights in these postures at these exposures; for t
 PROVEN_OF_ONE = "the positions that the first objective chose, the only ones that were scored"
 
 
-@dataclass(frozen=True)
-class PlannedDetectability(DetectabilityObjective):
-    """Detectability of all planned images together, as a share of what the camera sees in any candidate posture."""
-
-    share_of: str | None = SHARES_OF
-    area: int = 0  # of that surface [µm²]
-
-    def full_score(self, area: int) -> int | None:
-        """The same whatever the area of the chosen postures."""
-        del area
-        return super().full_score(self.area)
-
-
 def planned_answers(
-    result: SetResult, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share | None
+    result: SetResult, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share
 ) -> SetResult:
     """The best lights of each objective, scored for defects by what they show in the plan's postures and exposures.
 
@@ -189,20 +181,21 @@ def planned_answers(
     first = result.answers[0].objective
     assert isinstance(first, DetectabilityObjective)
     area = int(chosen.evaluator.weights.areas.sum())
-    goal = PlannedDetectability(first.defects, first.min_images, first.false_alarms, area=area)
+    # of all planned images together, as a share of what the camera sees in any candidate posture
+    goal = replace(first, share_of=SHARES_OF, area=area)
     answers = tuple(_planned(answer, goal, chosen, candidates, free is not None) for answer in result.answers)
     return replace(result, answers=answers, curves=_curves(answers[0].found.best, chosen, candidates, free, progress))
 
 
 def _curves(
-    best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share | None
+    best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share
 ) -> tuple[Curve, ...]:
     at, evaluator, weights = places_of(candidates, best), chosen.evaluator, chosen.evaluator.weights
     among = free is not None and all(place in some for place, some in zip(at, free.places, strict=True))
     if free is None or not among or not position_counts_fit(evaluator, free):
         return ()
     postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
-    lights = chosen.choice.position_counts or position_counts(evaluator, postures, free, progress)
+    lights = position_counts(replace(evaluator, images=chosen.choice.images), postures, free, progress)
 
     def score(combination: tuple[int, ...]) -> int:
         shown = (places[k] for places, k in zip(lights, combination, strict=True))
@@ -213,7 +206,7 @@ def _curves(
 
 
 def _planned(
-    answer: ObjectiveResult, goal: PlannedDetectability, chosen: ChosenPostures, candidates: Candidates, moves: bool
+    answer: ObjectiveResult, goal: DetectabilityObjective, chosen: ChosenPostures, candidates: Candidates, moves: bool
 ) -> ObjectiveResult:
     best, choice, evaluator = answer.found.best, chosen.choice, replace(chosen.evaluator, images=chosen.choice.images)
     panels, shots = candidates.panels_at(best.candidates), ((one, choice.exposures_of(one)) for one in chosen.way.order)
@@ -233,7 +226,7 @@ def _planned(
         objective=goal,
         found=replace(answer.found, ranking=(replace(best, score=score),), bound=bound),
         scores=scores,
-        details=goal.facts(seen, goal.area),
+        details=goal.facts(seen, int(evaluator.weights.areas.sum())),
         nothing=None,
         proven_of=PROVEN_OF,
     )
@@ -242,44 +235,27 @@ def _planned(
 NEAR_SHARE = 0.01  # the message names how many postures come this near to all of them
 
 
-class TargetNotReached(CheckFailed):
-    """A target that is not reached.
-
-    steps: Of each number of postures the last of them, the share of the pairs that these show, all with the same
-        lights, and the most that any so many show with these lights; with other lights they may show more
-    """
-
-    def __init__(self, message: str, steps: Sequence[tuple[Posture, str, str]]) -> None:
-        super().__init__(message)
-        self.steps = steps
-
-
-def target_not_reached(
-    target: float, choice: PostureChoice, evaluator: ImageEvaluator, *, least: int
-) -> TargetNotReached:
+def target_not_reached(target: float, choice: PostureChoice, evaluator: ImageEvaluator, *, least: int) -> CheckFailed:
     """What `choice`, which falls short of the target, can reach by how many postures, and why no more.
 
     `evaluator` is of all candidate postures; `least` images must show a pair.
     """
-    cover, text = choice.cover, partial(share_text, grain=evaluator.table.grain, short_of=target)
-    steps = [
-        (posture, text(step.covered / max(1, cover.total)), text(cover.bound_of(number)))
-        for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
-    ]
-    return TargetNotReached(_message(target, choice, evaluator, least), steps)
-
-
-def _message(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> str:
     cover, available = choice.cover, len(evaluator.table.postures)
     text = partial(share_text, grain=evaluator.table.grain, short_of=target)
+    shown = ", ".join(
+        f"{number} {text(step.covered / max(1, cover.total))} (at most {text(cover.bound_of(number))})"
+        for number, step in enumerate(cover.steps, start=1)
+    )
+    steps = f"of postures chosen one after the other, all with the same lights: {shown}"
     most = cover.all_covered / max(1, cover.total)
     required = f"{100.0 * target:.9g} %"
     if most >= target:
-        return (
+        return CheckFailed(
             f"option 'target': {counted(len(cover.steps), 'posture')} show {text(cover.share)} of the "
             f"surface × defects, and no {len(cover.steps)} of {available} show more than "
             f"{text(cover.bound_share)} with these lights; {required} are required. "
-            "Raise option 'choose_postures' or leave it out"
+            "Raise option 'choose_postures' or leave it out",
+            steps,
         )
     lost = _lost(choice, evaluator, least)
     # more light helps where there is too little of it
@@ -291,11 +267,12 @@ def _message(target: float, choice: PostureChoice, evaluator: ImageEvaluator, le
         (i for i, step in enumerate(cover.steps, 1) if step.covered >= (most - NEAR_SHARE) * cover.total),
         len(cover.steps),
     )
-    return (
+    return CheckFailed(
         f"option 'target': {required} of the surface × defects is not reached: with {lights}, all {available} "
         f"postures together show {text(most)}, and {counted(near, 'posture')} come within "
         f"{100 * NEAR_SHARE:g} point of that. Of the unseen share, {_reasons(lost, choice)}. "
-        f"{hint}Lower the target, use option 'choose_postures', or remove these causes"
+        f"{hint}Lower the target, use option 'choose_postures', or remove these causes",
+        steps,
     )
 
 
@@ -350,13 +327,13 @@ def plan_postures(
         all_exposures = replace(drawn, exposures=plan.all_exposures)
         raise target_not_reached(plan.target, choice, all_exposures, least=options.min_images)
     if not choice.postures:
+        shown = f"{part.source.path}'s catalogue in {counted(options.min_images, 'image')} or more"
         raise CheckFailed(
-            f"no posture of {len(postures)} shows any defect of {part.source.path}'s catalogue in "
-            f"{counted(options.min_images, 'image')} or more: raise option 'false_alarms', lower option 'min_images', "
-            "or change the lights' gain, their ranges, or the catalogue"
+            f"no posture of {len(postures)} shows any defect of {shown}: raise option 'false_alarms', lower option "
+            "'min_images', or change the lights"
         )
-    travel, goal = (way_through(rig, choice.postures), pace_text(rig)), (options.min_images, options.false_alarms)
-    return ChosenPostures(choice, whole, len(drawn.patches), left_out, *travel, *goal, plan)
+    travel = way_through(rig, choice.postures), pace_text(rig)
+    return ChosenPostures(choice, whole, detection, len(drawn.patches), left_out, *travel, plan)
 
 
 def with_chosen(options: OptimizeOptions, rig: RigConfig, chosen: ChosenPostures) -> OptimizeOptions:

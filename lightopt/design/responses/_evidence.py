@@ -11,7 +11,7 @@ middles. The standard deviation is that of the sensor's noise and of a part that
 
 Evidence is counted in whole units, 3 of which are enough where one image may decide, else 4 · (k − 1). At a place that
 fewer images light, so many decide (:func:`spare_units`). An image's units are flags: flag j says that it has more than
-j (:mod:`lightopt.design.responses._packed_bits`).
+j (:mod:`lightopt.design.responses._pairs`).
 """
 
 import math
@@ -29,7 +29,6 @@ from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
 from lightopt.defects import DARK, MOST_CHANGE, REGISTRATION_PX, clipped_variance
-from lightopt.design.responses._defect_hypotheses import PlannedCatalogue
 from lightopt.design.responses._evidence_sums import (
     CODES_PER_DEVIATION,
     ImagePatches,
@@ -40,7 +39,7 @@ from lightopt.design.responses._evidence_sums import (
     owner_at,
 )
 from lightopt.design.responses._luminance_matrix import Levels
-from lightopt.design.responses._packed_bits import Words
+from lightopt.design.responses._pairs import PlannedCatalogue, Words
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
 from lightopt.optics import Sensor

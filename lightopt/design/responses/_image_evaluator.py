@@ -19,18 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Float32, Float64, Index
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import counted
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, PatchEvidence, units_needed
 from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Visibility, area_units
-from lightopt.design.responses._packed_bits import (
+from lightopt.design.responses._pairs import (
     Counts,
     PairWeights,
     Words,
     narrow_words,
-    sum_of_images,
+    refuse_memory,
     weight_planes,
     widen_octets,
 )
@@ -127,7 +127,7 @@ class ImageEvaluator:
         """Indices of the patches that are inspectable in one posture or more, ascending, shape (p,)."""
         return np.flatnonzero(self.table.inspectable_anywhere)
 
-    @property
+    @cached_property
     def weights(self) -> PairWeights:
         """Weights of the pairs of these patches and the planned defects."""
         assert self.detection is not None
@@ -160,13 +160,9 @@ class ImageEvaluator:
         """
         detection, seen = self.detection, self.table.inspectable(posture)
         positions = sum(len(some) for some in panels)
+        what = f"luminance matrix of a posture: {counted(positions, 'position')} × {len(seen):,} patches"
         size = positions * self._position_bytes(len(seen), len(exposures))
-        if size > most_bytes:
-            raise InputError(
-                f"luminance matrix: {counted(positions, 'position')} × {len(seen):,} patches are {size / 1e9:.2f} GB, "
-                f"and there is room for {most_bytes / 1e9:.2f} GB a posture; raise option 'step_deg' or lower option "
-                "'patch_budget'"
-            )
+        refuse_memory(what, size, most_bytes, "raise option 'step_deg'")
         shape, dtype = (len(exposures), positions), np.uint8 if self.scene.sensor.bit_depth <= 8 else np.uint16
         levels = np.zeros((*shape, len(seen)), dtype)
         words = np.zeros((*shape, UNITS_OF_IMAGE, len(seen), self._words), np.uint64)
@@ -307,7 +303,7 @@ class ImageEvaluator:
     def counts(self, posture: Posture, panels: Sequence[PanelLight]) -> Counts:
         """Units of evidence of each pair by the images of a posture, one of each light, up to what is needed."""
         images = self.flags(posture, [[panel] for panel in panels])
-        return sum_of_images([layer[0] for layer in images], self.needed)
+        return self.weights.sum_counts((layer[0] for layer in images), self.needed)
 
 
 def luminance_matrix(

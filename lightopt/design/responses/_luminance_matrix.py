@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Float64, Int32, Int64, UInt8, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
-from lightopt.design.responses._defect_hypotheses import PlannedDefect
-from lightopt.design.responses._packed_bits import Counts, Words, add_units, weight_planes, weighted_bits
+from lightopt.design.responses._pairs import Counts, PlannedDefect, Words, add_units, weight_planes, weighted_bits
 from lightopt.optics import Sensor
 
 Levels = NDArray[np.uint8 | np.uint16]
@@ -118,11 +117,8 @@ class LevelThresholds:
 
     def __post_init__(self) -> None:
         if not 0 <= self.black <= self.shade < self.saturation:
-            raise InputError(
-                f"thresholds: black is {self.black}, a level is shaded below {self.shade} and saturated from "
-                f"{self.saturation} on, which leaves none usable; expected a shade threshold from the black level to "
-                "below the sensor's saturation level"
-            )
+            levels = f"black is {self.black}, shaded below {self.shade} and saturated from {self.saturation} on"
+            raise InputError(f"thresholds: {levels}, which leaves none usable")
 
     @staticmethod
     def of_sensor(sensor: Sensor, *, shade_share: float) -> "LevelThresholds":

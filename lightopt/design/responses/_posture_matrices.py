@@ -20,10 +20,10 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates, Place
 from lightopt.design._problem import Problem, detection_model_of
-from lightopt.design.responses._defect_hypotheses import PlannedDefect
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, spare_units
 from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageCache, ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility
+from lightopt.design.responses._pairs import PlannedDefect
 from lightopt.images import make_folder, posture_folder, write_npz_atomic
 from lightopt.rendering import PatchTable, patches_for_edge
 
