@@ -178,8 +178,7 @@ class DesignOutput:
     overlaps: tuple[images.Overlap, ...]  # saturated regions of the images, in the order of the postures
     warnings: tuple[str, ...]
     paths: tuple[Path, ...]  # result.json, ranking.csv, further files, rigs, report: those to come, too
-    force: bool  # whether files that are there and differ are replaced
-    replace_report: bool  # whether a report that is there is replaced
+    replaces: bool  # whether a report and a result.json that are there are replaced
 
     @property
     def patches(self) -> PatchTable:
@@ -220,8 +219,7 @@ def write_design(
         overlaps=tuple(overlaps),
         warnings=tuple(dict.fromkeys((*result.warnings, *run.warnings))),
         paths=tuple(folder / name for name in names),
-        force=force,
-        replace_report=force or replaces,
+        replaces=force or replaces,
     )
 
 
@@ -231,8 +229,8 @@ def finish_design(output: DesignOutput, report: str | None = None) -> None:
     if (report is not None) != output.result.options.report:
         raise ValueError("a report is given where, and only where, the options ask for one")
     if report is not None:
-        images.write_text_atomic(folder / REPORT_NAME, report, overwrite=output.replace_report)
-    _write_json(folder / RESULT_NAME, output.document, overwrite=output.force)
+        images.write_text_atomic(folder / REPORT_NAME, report, overwrite=output.replaces)
+    _write_json(folder / RESULT_NAME, output.document, overwrite=output.replaces)
     images.remove_file(folder / UNFINISHED_NAME)
 
 

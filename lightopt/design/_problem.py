@@ -15,7 +15,7 @@ from lightopt.core.transforms import Posture
 from lightopt.defects import DARK, DEFAULT_FALSE_ALARMS, false_alarms_problem
 from lightopt.design._candidates import Candidates, Place, can_move, find_candidates
 from lightopt.design._tolerances import Tolerances
-from lightopt.design.objectives._detectability import DetectabilityObjective, min_images_problem
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
 from lightopt.design.responses._evidence import DetectionModel
@@ -208,14 +208,13 @@ def check_options(options: OptimizeOptions, plan: PlanOptions) -> None:
     problems: list[str] = []
     if options.points is not None and (problem := points_problem(options.points)):
         problems.append(f"option 'points': {problem}")
-    for name, value in (("patch_budget", options.patch_budget), ("rows", options.rows), ("limit", options.limit)):
-        if value < 1:
+    numbers = {name: getattr(options, name) for name in ("patch_budget", "rows", "limit", "min_images")}
+    for name, value in {**numbers, "choose_postures": plan.choose_postures}.items():
+        if value is not None and value < 1:
             problems.append(f"option '{name}': expected at least 1, found {value}")
     if options.postures is not None and len(set(options.postures)) < len(options.postures):
         problems.append("option 'postures': the same posture was given twice")
-    problems += filter(None, [min_images_problem(options.min_images), false_alarms_problem(options.false_alarms)])
-    if plan.choose_postures is not None and plan.choose_postures < 1:
-        problems.append(f"option 'choose_postures': expected 1 posture or more, found {plan.choose_postures}")
+    problems += filter(None, [false_alarms_problem(options.false_alarms)])
     if plan.target is not None and not 0.0 < plan.target <= 1.0:
         share = "a share of the surface above 0 and up to 1, such as 0.95"
         problems.append(f"option 'target': expected {share}, found {plan.target:g}")

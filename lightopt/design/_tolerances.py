@@ -69,8 +69,6 @@ class Tolerances:
         if not 0.0 < self.tolerance_target < 1.0:
             found = f"expected a share of the score between 0 and 1, found {self.tolerance_target:g}"
             problems.append(f"option 'tolerance_target': {found}")
-        if self.draws < 1:
-            problems.append(f"draws: expected at least 1, found {self.draws}")
         refuse(problems)
 
 

@@ -464,7 +464,7 @@ def test_tolerances_of_another_objective(two, cli):
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("--choose-postures", "0"), "--choose-postures: expected 1 posture or more, found 0"),
+        (("--choose-postures", "0"), "--choose-postures: expected at least 1, found 0"),
         (("--target", "0"), "--target: expected a share of the surface above 0 and up to 1, such as 0.95, found 0"),
         (
             ("--target", "95 of"),

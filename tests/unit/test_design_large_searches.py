@@ -97,7 +97,7 @@ def test_more_moving_lights_than_numpy_has_axes_end_with_a_bound():
         assert found.bound >= found.best.score
         one, weights = matrix.combination(found.best.candidates), objective.weights(matrix.areas)
         assert objective.score(one, weights, THRESHOLDS) == found.best.score
-    with pytest.raises(InputError, match=r"more than 10\^300 combinations; take a larger option 'step_deg'"):
+    with pytest.raises(InputError, match=r"more than 10\^300 combinations; raise option 'step_deg'"):
         search([random_matrix((2,) * 1000, 3)], OBJECTIVES["coverage"], THRESHOLDS)
 
 

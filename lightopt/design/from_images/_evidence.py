@@ -364,8 +364,8 @@ def _warn(
 ) -> None:
     if contrast is not None:
         run.warn(
-            "no defective sample: what is optimised is signal over noise of the good surface, for a change of "
-            f"reflectance by {percent(contrast)} anywhere on the part; it says nothing on scratches or dents"
+            "no defective sample: signal over noise of the good surface is all that can be optimised, here of a change "
+            f"of reflectance by {percent(contrast)} anywhere on the part; it says nothing on scratches or dents"
         )
     if good < 5:
         number = "one good sample" if good < 2 else f"{good} good samples"

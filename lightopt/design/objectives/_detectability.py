@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from lightopt.core.arrays import Float64, Int64
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import counted
 from lightopt.core.run_context import Share
 from lightopt.defects import DEFAULT_FALSE_ALARMS
 from lightopt.design.objectives._objective import Objective, area_text, inspectable_surface
@@ -49,13 +49,6 @@ def deciding_text(min_images: int) -> str:
     return "one image may decide" if min_images == 1 else f"{min_images} images must show each"
 
 
-def min_images_problem(min_images: int) -> str | None:
-    """What is wrong with a number of images that must show a defect; None where nothing is."""
-    if min_images >= 1:
-        return None
-    return f"option 'min_images': expected the number of images that must show a defect, 1 or more, found {min_images}"
-
-
 @dataclass(frozen=True)
 class DetectabilityObjective(Objective):
     """Defects that the inspection is expected to find; see the module's text."""
@@ -68,10 +61,6 @@ class DetectabilityObjective(Objective):
     unit: str = "µm² × weight of the defects"
     share_of: str | None = f"{inspectable_surface(edges=False)}, × defects by weight"
     area: int | None = None  # that a score is a share of [µm²]; None for the inspectable area
-
-    def __post_init__(self) -> None:
-        if problem := min_images_problem(self.min_images):
-            raise InputError(problem)
 
     @property
     def meaning(self) -> str:

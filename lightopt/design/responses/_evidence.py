@@ -25,7 +25,6 @@ from scipy import ndimage
 
 from lightopt import defects
 from lightopt.core.arrays import Float32, Float64, Int16, Int32, UInt8
-from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
 from lightopt.defects import DARK, MOST_CHANGE, REGISTRATION_PX, clipped_variance
@@ -108,10 +107,7 @@ def spare_units(levels: Sequence[Levels], sensor: Sensor, min_images: int) -> UI
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DetectionModel:
-    """The defects that images are tested for, and when one counts as found.
-
-    Raises InputError: False alarms out of range.
-    """
+    """The defects that images are tested for, and when one counts as found."""
 
     catalogue: PlannedCatalogue
     sensor: Sensor
@@ -119,10 +115,6 @@ class DetectionModel:
     false_alarms: float = defects.DEFAULT_FALSE_ALARMS  # allowed in the images of a posture of a good part
     min_images: int = 1  # images that must show a defect
     threshold: float | None = None  # score of a calibrated inspection's threshold; None for that of noise alone
-
-    def __post_init__(self) -> None:
-        if problem := defects.false_alarms_problem(self.false_alarms):
-            raise InputError(problem)
 
     def stencils(self, footprint: float, blur: float = 0.0) -> Stencils:
         """What pixels of this footprint see of the defects; `blur`: diameter of the lens' disc [px]."""

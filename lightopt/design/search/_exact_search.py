@@ -390,8 +390,6 @@ def _check(scorer: _BoxScorer, space: CombinationSpace) -> None:
         number = f"{lights} lights of up to {max(space.sizes):,} positions make more than 10^300 combinations"
         raise InputError(f"search: {number}; raise option 'step_deg', or give a range to fewer lights")
     for matrix in scorer.matrices:
-        if matrix.shape != space.sizes:
-            raise InputError(f"search: expected candidates {space.sizes} in every posture, found {matrix.shape}")
         if not len(matrix.areas):
             raise InputError("no patch is inspectable; check the part's placement and posture")
 
