@@ -204,14 +204,9 @@ BLIND_LIGHTS = ("chosen", "best for each defect")
 positions need do for all."""
 
 
-@dataclass(frozen=True, eq=False)
-class PostureVisibility:
-    """What a posture's images show of defects."""
-
-    posture: Posture
-    chosen: DefectVisibility  # with the chosen lights and exposures
-    possible: DefectVisibility  # with all lights and exposures that there were to choose from
-
+# a posture, and what its images show of defects: with the chosen lights and exposures, and with all that there were to
+# choose from
+PostureVisibility = tuple[Posture, DefectVisibility, DefectVisibility]
 
 # a posture, None for all of them; blind spots of the chosen lights, and of all that the lights can do
 BlindPart = tuple[Posture | None, BlindSpots, BlindSpots]
@@ -232,10 +227,9 @@ class BlindSpotSummary:
         """Combine postures; `areas` are those of all patches of the run [mm²], shape (n,)."""
 
         def part(posture: Posture | None, some: Sequence[PostureVisibility]) -> BlindPart:
-            chosen, possible = [one.chosen for one in some], [one.possible for one in some]
-            return posture, blind_spots(areas, chosen), blind_spots(areas, possible)
+            return posture, blind_spots(areas, [one[1] for one in some]), blind_spots(areas, [one[2] for one in some])
 
-        parts = part(None, visibility), *(part(one.posture, [one]) for one in visibility)
+        parts = part(None, visibility), *(part(one[0], [one]) for one in visibility)
         return BlindSpotSummary(objective=goal, lights=names, parts=parts)
 
     def as_dict(self) -> dict[str, Any]:
@@ -292,7 +286,7 @@ def planned_visibility(
         )
         every = (((matrix, 0) for some in of_light for matrix in some) for of_light in batches)
         chosen, possible = (defect_visibility(some, thresholds, least=least) for some in (by_light(matrices), every))
-        found.append(PostureVisibility(posture, chosen, possible))
+        found.append((posture, chosen, possible))
         progress((index + 1) / len(setup.postures))
     return tuple(found)
 

@@ -334,8 +334,7 @@ class Curve:
     def as_dict(self) -> dict[str, Any]:
         light = None if self.name == TOGETHER else self.name
         values = "distances_mm" if self.axis == "distance" else "angles_deg"
-        lists = {values: list(self.values), "scores": list(self.scores)}
-        return {"light": light, "axis": self.axis, **lists}
+        return {"light": light, "axis": self.axis, values: list(self.values), "scores": list(self.scores)}
 
 
 def score_curves(candidates: Candidates, best: Ranked, score: Callable[[tuple[int, ...]], int]) -> tuple[Curve, ...]:

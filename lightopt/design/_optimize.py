@@ -286,8 +286,7 @@ def _complete(
     if brackets is not None:
         lights = replace(lights, exposures=tuple(map(brackets.of, lights.postures)))
     if plan.tolerances is not None:
-        objective = results[0].answers[0].objective
-        tolerances = _placed_tolerances(lights, shares_on, plan.tolerances, objective, matrices)
+        tolerances = _placed_tolerances(lights, shares_on, plan.tolerances, results[0].answers[0].objective, matrices)
     if chosen is None and brackets is None:
         return PlanResult(tolerances=tolerances), ()
     commands = plan_commands(lights, options)

@@ -291,8 +291,7 @@ def _slopes(series: _Series, u: Float64, v: Float64) -> Channels:
 
 
 def _moving(series: _Series) -> Channels:
-    posture = series.good.postures[0]
-    images = render_posture(series.good, posture, caster=cast_rays_at(series.good))
+    images = render_posture(series.good, series.good.postures[0], caster=cast_rays_at(series.good))
     good = np.stack([image.level for image in images.lights])
     dark = good < DARK_SHARE * good.max(axis=0)
     field = np.where(dark.any(axis=0), np.where(dark, series.images, -np.inf).max(axis=0), np.nan)

@@ -460,7 +460,7 @@ def test_positions_that_memory_has_no_room_for_are_evaluated_in_pieces(world, mo
     def looks():
         flags = evaluator.flags(POSTURES[0], candidates.panels)
         visibility = planned_visibility(evaluator, setup, candidates, evaluator.exposures, thresholds, 2)
-        facts = [(s.counts, s.usable, s.saturated, s.first) for one in visibility for s in (one.possible, one.chosen)]
+        facts = [(s.counts, s.usable, s.saturated, s.first) for one in visibility for s in (one[2], one[1])]
         return [*flags, *(array for some in facts for array in some)]
 
     free = looks()

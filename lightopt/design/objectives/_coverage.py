@@ -147,8 +147,7 @@ def run_scores(
             _scatter(own, differences.strides, (first, offset, place, kind), weights[some], largest)
         work.add(float(products[start:end].sum()))
 
-    pairs = itertools.pairwise(ends)
-    run_all(((add, pair) for pair in pairs), threads=differences.workers, done=work.report)
+    run_all(((add, pair) for pair in itertools.pairwise(ends)), threads=differences.workers, done=work.report)
     return differences.summed()[0]
 
 
@@ -235,8 +234,7 @@ def bit_scores(
     for start, end in blocks(len(which), max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
         # heavy patches first, so that the planes of the high bits are short
         some = which[start:end][np.argsort(-weights[which[start:end]], kind="stable")]
-        tasks = _tasks(levels, some, weights[some], thresholds, table, work)
-        run_all(tasks, threads=threads, done=work.report)
+        run_all(_tasks(levels, some, weights[some], thresholds, table, work), threads=threads, done=work.report)
     return table
 
 

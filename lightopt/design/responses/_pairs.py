@@ -265,8 +265,7 @@ class PairWeights:
 
     def gains(self, counts: Counts, more: Counts) -> Merit:
         """By how much :meth:`covered` and :meth:`benefit` grow when `more` is added to `counts`."""
-        after = add_counts(counts, more)
-        layers = zip(counts, after, strict=True)
+        layers = zip(counts, add_counts(counts, more), strict=True)
         added = [int(_added_weight(*layer, self.areas, self.masks, self.factors)) for layer in layers]
         return added[-1], sum(added)
 

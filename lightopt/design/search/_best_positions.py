@@ -40,7 +40,7 @@ def search_objectives(
                     defect_visibility(by_light([one]), thresholds, least=least)
                     for one in (matrix.combination(best), matrix)
                 )
-                blind_spots.append(PostureVisibility(posture, chosen, possible))
+                blind_spots.append((posture, chosen, possible))
         del matrices
         _warn_of_limit(result.answers, postures, source)
         results.append(result)
