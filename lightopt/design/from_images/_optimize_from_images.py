@@ -3,7 +3,7 @@
 import json
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ from lightopt.images import (
     ImageEntry,
     ImageSet,
     ImageSetWriter,
+    Manifest,
     ResultFolder,
     posture_folder,
     read_image_set,
@@ -233,28 +234,18 @@ def _write_images(result: FromImagesResult, number: int, folder: Path) -> None:
     samples = result.samples
     own = samples.sets[number]
     facts = {image.name: {"lights": image.weights, "exposure": image.exposure} for image in result.images}
-    header = replace(
-        own.manifest,
-        kind="simulated",
-        lightopt=None,  # which tells an inspection nothing of whether the sample is good
-        rig=None,
-        provenance={"synthesised_from": own.fingerprint, "images": facts},
-        images=(),
-        geometry=(),
-        patches=None,
-        files={},
-        warnings=(),
-        extra={},
-    )
-    writer = ImageSetWriter(folder, header)
+    kept = ("bit_depth", "full_scale", "saturation_level", "black_level", "part")
+    header = {name: getattr(own.manifest, name) for name in kept}
+    # without a version: an inspection knows nothing of whether the sample is good
+    made_from = {"synthesised_from": own.fingerprint, "images": facts}
+    writer = ImageSetWriter(folder, Manifest(kind="simulated", **header, provenance=made_from))
     for p, posture in enumerate(samples.postures):
         for image in result.images:
             levels, _ = synthesise(samples, number, image, posture)
             main = max(image.weights, key=lambda light: image.weights[light])
             source = next(e for e in own.images if (e.light, e.posture) == (main, posture))
-            entry = ImageEntry(
-                image.name, source.light_elevation_deg, source.light_azimuth_deg, posture, image.exposure
-            )
+            angles = source.light_elevation_deg, source.light_azimuth_deg
+            entry = ImageEntry(image.name, *angles, posture, image.exposure)
             writer.add_image(entry, png=quantised(samples, levels))
         if (labels := samples.labels[number, p]).max() >= 0:
             mask = np.where(labels >= 0, 255, 0).astype(np.uint8)

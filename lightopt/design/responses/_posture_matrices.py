@@ -102,22 +102,11 @@ class PostureMatrices:
         # refinement may end somewhat before the budget is used up
         needed = 1.02 * patches_for_edge(self.table, scene.mesh, 0.8 * longest)
         step = 10 ** max(0, math.floor(math.log10(needed)) - 1)
-        text = (
+        return (
             f"patches have edges up to {self.table.max_edge:.3g} mm on a part of {size:.3g} mm: a patch is lit or dark "
             f"as its middle is, so scores may be off by whole patches. option 'patch_budget' "
             f"{step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
         )
-        if self.table.seen_faces:
-            way = (
-                "raise mesh.chord_tolerance_mm"
-                if self.problem.part.mesh.of_step
-                else "export it with a larger tolerance"
-            )
-            text += (
-                f". The mesh itself has {len(scene.mesh.faces):,} triangles, {self.table.seen_faces:,} of which may "
-                f"show. For fewer, {way}"
-            )
-        return text
 
     def patches(self) -> PatchTable:
         """The patches, made when first needed."""

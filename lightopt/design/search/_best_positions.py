@@ -181,15 +181,10 @@ def _warn_of_limit(answers: Sequence[ObjectiveResult], postures: Sequence[Postur
 def limit_warning(answer: ObjectiveResult, postures: Sequence[Posture]) -> str:
     """The warning about a search that stopped before all combinations were searched."""
     found, name = answer.found, answer.objective.name
-    proof = (
-        "none scores more, but one that was not searched may score the same and win the tie"
-        if found.proven
-        else f"none scores more than {found.bound:,}"
-    )
+    searched = f"the search stopped after {found.scored:,} combinations with {found.left:,} left"
     return (
-        f"objective {name}, {', '.join(map(str, postures))}: the search stopped after {found.scored:,} combinations "
-        f"with {found.left:,} left; the best found scores {found.best.score:,}, {proof}. Ties and runner-up refer to "
-        "the combinations searched. Raise option 'limit' or option 'step_deg'"
+        f"objective {name}, {', '.join(map(str, postures))}: {searched}; the best found scores {found.best.score:,}, "
+        f"none scores more than {found.bound:,}. Raise option 'limit' or option 'step_deg'"
     )
 
 
