@@ -279,7 +279,7 @@ def test_a_target_beyond_reach_says_what_can_be_and_why(two, cli):
     assert "never seen by the camera" not in ran.err
     assert not two.out.exists()
     # what can be had: so many postures, and what they show
-    shown = re.findall(r"\d+ ([\d.]+) % \(at most ([\d.]+) %\)", ran.err)
+    shown = re.findall(r"\d+: ([\d.]+) % \(at most ([\d.]+) %\)", ran.err)
     shares, bounds = ([float(pair[i]) for pair in shown] for i in (0, 1))
     assert len(shares) >= 2
     assert shares == sorted(shares)
@@ -294,7 +294,7 @@ def test_a_number_of_postures_shows_at_least_what_a_target_beyond_reach_says(two
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--target", "1", "--quiet")
     assert ran.status == 1
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--target", "1")
-    reported = float(re.search(r" 2 ([\d.]+) % \(at most", ran.err)[1])
+    reported = float(re.search(r" 2: ([\d.]+) % \(at most", ran.err)[1])
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--choose-postures", "2")
     assert ran.status == 0, ran.err
     assert 100.0 * result_of(two.out)["chosen_postures"]["share"] >= reported - 0.5

@@ -243,7 +243,7 @@ def target_not_reached(target: float, choice: PostureChoice, evaluator: ImageEva
     cover, available = choice.cover, len(evaluator.table.postures)
     text = partial(share_text, grain=evaluator.table.grain, short_of=target)
     shown = ", ".join(
-        f"{number} {text(step.covered / max(1, cover.total))} (at most {text(cover.bound_of(number))})"
+        f"{number}: {text(step.covered / max(1, cover.total))} (at most {text(cover.bound_of(number))})"
         for number, step in enumerate(cover.steps, start=1)
     )
     steps = f"of postures chosen one after the other, all with the same lights: {shown}"
