@@ -17,7 +17,7 @@ from lightopt.design._candidates import Candidates, Place, can_move, find_candid
 from lightopt.design._tolerances import Tolerances
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
+from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN
 from lightopt.design.responses._evidence import DetectionModel
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._pairs import planned_catalogue
@@ -120,15 +120,22 @@ def check_options(options: OptimizeOptions, plan: PlanOptions) -> None:
     for name, value in {**numbers, "choose_postures": plan.choose_postures}.items():
         if value is not None and value < 1:
             problems.append(f"option '{name}': expected at least 1, found {value}")
-    if options.postures is not None and len(set(options.postures)) < len(options.postures):
-        problems.append("option 'postures': the same posture was given twice")
     problems += filter(None, [false_alarms_problem(options.false_alarms)])
     if plan.target is not None and not 0.0 < plan.target <= 1.0:
         share = "a share of the surface above 0 and up to 1, such as 0.95"
         problems.append(f"option 'target': expected {share}, found {plan.target:g}")
     if not 0.0 <= plan.allow_outside_px < math.inf:
         problems.append(f"option 'allow_outside_px': expected pixels, 0 or more, found {plan.allow_outside_px:g}")
-    problems += check_exposures(plan.exposures, plan.exposure_gain)
+    problems += [
+        f"option 'exposures': expected numbers above 0, such as 1/16,1/4,1,4,16, found {exposure:g}"
+        for exposure in plan.exposures
+        if not 0.0 < exposure < math.inf
+    ]
+    for name, given in (("posture", options.postures or ()), ("exposure", plan.exposures)):
+        if len(set(given)) < len(given):
+            problems.append(f"option '{name}s': the same {name} was given twice")
+    if not 0.0 <= plan.exposure_gain <= 100.0:
+        problems.append(f"option 'exposure_gain': expected points from 0 to 100, found {plan.exposure_gain:g}")
     refuse(problems)
 
 

@@ -206,20 +206,6 @@ class _PlannedImages:
         return self._weights.sum_counts(images, self._needed)
 
 
-def check_exposures(exposures: Sequence[float], gain_points: float) -> list[str]:
-    """What is wrong with exposures and the required gain."""
-    problems = [
-        f"option 'exposures': expected numbers above 0, such as 1/16,1/4,1,4,16, found {exposure:g}"
-        for exposure in exposures
-        if not (math.isfinite(exposure) and exposure > 0.0)
-    ]
-    if len(set(exposures)) < len(exposures):
-        problems.append("option 'exposures': the same exposure was given twice")
-    if not (math.isfinite(gain_points) and 0.0 <= gain_points <= 100.0):
-        problems.append(f"option 'exposure_gain': expected points from 0 to 100, found {gain_points:g}")
-    return problems
-
-
 def plan_exposures(
     evaluator: ImageEvaluator,
     postures: Sequence[Posture],

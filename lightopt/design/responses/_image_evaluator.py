@@ -11,7 +11,7 @@ at edges then counts as little as what is seen at a grazing angle, since an insp
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from threading import Lock
 from typing import Any, cast
 
@@ -222,6 +222,8 @@ class ImageEvaluator:
         groups = groups if evidence is None else [blocks]
         work = WorkCounter(len(missing) * len(groups), progress)
 
+        shade = partial(shade_isolated, reflectances=scene.reflectances, caster=caster, shadows=self.shadows)
+
         def evaluate(some: Sequence[int], own: Sequence[_Block]) -> None:
             if evidence is not None:
                 blocker = caster if self.shadows else None
@@ -232,7 +234,9 @@ class ImageEvaluator:
                     words[:, at] = units
             else:
                 for at, (here, block, passed) in itertools.product(some, own):
-                    store(at, here, _levels(scene, block, moved[at], caster, self.shadows, passed))
+                    level = shade(block, (moved[at],))[0]
+                    # images are stored as float32, and a level is rounded from what is stored
+                    store(at, here, (passed * level).astype(np.float32))
             work.add(len(some))
 
         def store(at: int, here: slice, level: Float32) -> None:
@@ -334,14 +338,6 @@ def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[Sur
     points, normals = patches.centroids[seen], patches.normals[seen]
     across = scene.mesh.across_brushing(points, normals, patches.face[seen])
     return SurfacePoints(points, normals, facets, views, front, material=material, across=across), seen
-
-
-def _levels(
-    scene: Scene, block: SurfacePoints, panel: PanelLight, caster: RayCaster, shadows: bool, passed: _Passed
-) -> Float32:
-    levels = shade_isolated(block, (panel,), reflectances=scene.reflectances, caster=caster, shadows=shadows)[0]
-    # images are stored as float32, and a level is rounded from what is stored
-    return (passed * levels).astype(np.float32)
 
 
 def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, light: int, place: int) -> Words:
