@@ -409,7 +409,7 @@ def test_an_objective_that_is_only_scored_is_not_said_to_be_proven_among_all(two
     requested = ("--choose-postures", "1", "--posture-step", "90", "--objective", "detectability")
     ran = plan(cli, two, *requested, "--objective", "coverage")
     assert ran.status == 0, ran.err
-    assert "not searched: they are too many for memory" in ran.err
+    assert "positions only: they are too many for memory" in ran.err
     first, second = result_of(two.out)["results"][0]["objectives"]
     assert second["lights"] == first["lights"]
     assert second["proven_of"].startswith("the positions that the first objective chose")
