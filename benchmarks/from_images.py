@@ -25,11 +25,9 @@ from benchmarks.loop import run_command
 from lightopt import load_rig
 from lightopt.core.arrays import Float64
 from lightopt.design import FromImagesOptions, optimize_from_images
-from lightopt.design.from_images._choice import choose_lights, score
+from lightopt.design.from_images._choice import choose_lights, mix_lights, score
 from lightopt.design.from_images._evidence import Evidence
-from lightopt.design.from_images._mixing import mix_lights
-from lightopt.design.from_images._samples import read_samples
-from lightopt.design.from_images._synthesis import ChosenImage, compare_captured
+from lightopt.design.from_images._samples import ChosenImage, compare_captured, read_samples
 from lightopt.images import read_image_set
 from lightopt.rendering import RenderOptions, render_image_set
 

@@ -40,7 +40,7 @@ from lightopt.design import DetectionModel, planned_catalogue
 from lightopt.design._problem import images_that_decide
 from lightopt.design.responses._evidence import spare_units
 from lightopt.design.responses._image_evaluator import ImageEvaluator
-from lightopt.design.responses._packed_bits import unpack_flags
+from lightopt.design.responses._pairs import unpack_flags
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import (
     Calibration,

@@ -20,7 +20,6 @@ from lightopt.design._tolerances import analyse_tolerances
 from lightopt.design.postures._light_positions import place_lights
 from lightopt.design.postures._posture_search import PostureChoice, PostureRequest, choose_postures
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
-from lightopt.design.responses._packed_bits import sum_of_images
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import build_catalogue
 
@@ -167,7 +166,7 @@ def placing(whole: ImageEvaluator, choice: PostureChoice, step_deg: float) -> di
     for k in (1, 2):
         needed = replace(whole, detection=replace(detection, min_images=k)).needed
         lights = [
-            np.stack([sum_of_images(list(places), needed) for places in zip(*postures, strict=True)])
+            np.stack([whole.weights.sum_counts(places, needed) for places in zip(*postures, strict=True)])
             for postures in zip(*images, strict=True)
         ]
         start, work = time.perf_counter(), time.process_time()

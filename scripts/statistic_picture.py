@@ -18,7 +18,7 @@ from lightopt.core.arrays import Float64
 from lightopt.defects import BUILT_IN_CATALOGUE, CONFIRMED
 from lightopt.design import DetectionModel, planned_catalogue
 from lightopt.design.responses._image_evaluator import ImageEvaluator
-from lightopt.design.responses._packed_bits import unpack_flags
+from lightopt.design.responses._pairs import unpack_flags
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.report import chart, figure_image, fixed_style
 

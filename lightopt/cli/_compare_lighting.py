@@ -86,8 +86,8 @@ def compare_lighting(
         return
     echo(comparison.answer_text(found))
     show_page_table(comparison.systems_table(found))
-    for one in found.unusable:
-        echo_warning(f"{one.name} cannot be used: {'; '.join(one.messages)}")
+    for name, messages in found.unusable.items():
+        echo_warning(f"{name} cannot be used: {'; '.join(messages)}")
     if verbose:
         echo(comparison.systems_table(found).caption)
     echo_paths(found.paths)

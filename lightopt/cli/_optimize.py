@@ -9,13 +9,13 @@ import typer
 from lightopt.cli import _common as common
 from lightopt.cli._common import output_option
 from lightopt.cli._optimize_tables import show_commands, show_design, show_plan
-from lightopt.cli._terminal import echo, echo_warning, show_progress, show_table
+from lightopt.cli._terminal import echo, echo_warning, show_progress
 from lightopt.core.errors import CheckFailed, refuse
 from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
-    from lightopt.design import CalibratedThreshold, TargetNotReached
+    from lightopt.design import CalibratedThreshold
 
 
 light_option = partial(typer.Option, rich_help_panel="Light positions")
@@ -210,16 +210,11 @@ def optimize(
         threshold=threshold,
         **_given(min_images=min_images, false_alarms=false_alarms, patch_budget=patches, limit=max_combinations),
     )
-    try:
-        with show_progress(quiet=quiet) as progress:
-            run = RunContext(threads=threads, progress=progress, inform=echo if verbose else None, warn=echo_warning)
-            result = design.optimize(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
-            output = design.write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
-            design.finish_design(output, design_report(output) if options.report else None)
-    except design.TargetNotReached as error:
-        if not quiet:
-            _show_reachable(error)
-        raise
+    with show_progress(quiet=quiet) as progress:
+        run = RunContext(threads=threads, progress=progress, inform=echo if verbose else None, warn=echo_warning)
+        result = design.optimize(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
+        output = design.write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
+        design.finish_design(output, design_report(output) if options.report else None)
     if not quiet:
         show_plan(result.plan, verbose=verbose)
         show_design(output, verbose=verbose)
@@ -237,22 +232,6 @@ def optimize(
 def _given(**options: object) -> dict[str, Any]:
     """The options that were given; the others keep their defaults."""
     return {name: value for name, value in options.items() if value is not None}
-
-
-def _show_reachable(error: TargetNotReached) -> None:
-    # what each number of postures shows
-    from lightopt.design import share_text
-
-    text = partial(share_text, grain=error.grain, short_of=error.target)
-    rows = [
-        (f"{number}", str(step.posture), text(step.share), text(step.bound))
-        for number, step in enumerate(error.steps, start=1)
-    ]
-    show_table(("postures", "posture added", "share shown at least", "at most with these lights"), rows)
-    echo(
-        "at least: share that these postures show, chosen one after the other for one set of lights; "
-        "--choose-postures N places the lights for N postures, and may choose others"
-    )
 
 
 def _calibrated(

@@ -9,4 +9,4 @@ from lightopt.comparison._compare import (
     compare_lighting as compare_lighting,
     preset_files as preset_files,
 )
-from lightopt.comparison._report import answer_text as answer_text, systems_table as systems_table
+from lightopt.comparison._results import answer_text as answer_text, systems_table as systems_table

@@ -5,56 +5,54 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 
 from lightopt import design
-from lightopt.comparison._report import comparison_report
 from lightopt.comparison._results import (
+    FORMAT,
     LightingComparison,
-    Picture,
     SystemResult,
-    UnusableSystem,
     comparison_csv,
     comparison_document,
+    comparison_report,
 )
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig, with_values
 from lightopt.core.errors import CheckFailed, InputError, counted, refuse
-from lightopt.core.provenance import differences, provenance
+from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
-from lightopt.images import make_folder, write_text_atomic
+from lightopt.images import ResultFolder, make_folder, write_text_atomic
 from lightopt.lights import outlines
 from lightopt.rendering import cast_rays_at, render_lights
+from lightopt.report import Picture, camera_picture
 from lightopt.report.design import blind_pictures, design_report
 from lightopt.rig.capture import cycle_time
 from lightopt.scene import build_camera, build_lights, pixel_footprint
 
-PRESETS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "four-panel": "four-panel",
-        "bars": "bars",
-        "ring-quadrants": "ring-quadrants",
-        "low-ring": "low-angle-ring",
-        "dome-quadrants": "dome-quadrants",
-        "flat-dome": "flat-dome",
-        "tunnel": "tunnel",
-        "coaxial": "coaxial",
-        "spot": "spot",
-        "led-array": "led-array",
-        "display": "display-stripes",
-        "binary-stripes": "binary-stripes",
-        "grid-backlight": "moving-grid",
-        "dome-sines": "dome-stripes",
-    }
-)
+PRESETS: Final[Mapping[str, str]] = {
+    "four-panel": "four-panel",
+    "bars": "bars",
+    "ring-quadrants": "ring-quadrants",
+    "low-ring": "low-angle-ring",
+    "dome-quadrants": "dome-quadrants",
+    "flat-dome": "flat-dome",
+    "tunnel": "tunnel",
+    "coaxial": "coaxial",
+    "spot": "spot",
+    "led-array": "led-array",
+    "display": "display-stripes",
+    "binary-stripes": "binary-stripes",
+    "grid-backlight": "moving-grid",
+    "dome-sines": "dome-stripes",
+}
 """Name of each preset, and of the sample rig that it is."""
 
 
 _OWN_CAMERA = "dome-quadrants"  # whose pixels and sensor the presets have where no rig is given
 
 PICTURES = 4  # images of each system that the report shows
+SIDE = 300  # longest side of an image in the report [px]
 REPORT, TABLE, DOCUMENT = "report.html", "comparison.csv", "comparison.json"
 SAME_FOOTPRINT = 0.05  # footprints that differ by more are not the same
 
@@ -130,10 +128,10 @@ def compare_lighting(
     options = replace(options, objectives=("detectability",), images=False)
     loaded = _loaded([Path(rig) for rig in rigs])
     facts = _provenance(loaded, part, options, plan, design.DEFAULT_TOLERANCE_TARGET if tolerances else None)
-    if not force:
-        _refuse_other_comparison(folder / DOCUMENT, facts)
+    kind = {"name": DOCUMENT, "format": FORMAT, "what": "a comparison"}
+    results = ResultFolder(folder, facts, **kind, also=(TABLE, REPORT), force=force)
     found: list[SystemResult] = []
-    unusable: list[UnusableSystem] = []
+    unusable: dict[str, tuple[str, ...]] = {}
     warnings: dict[str, None] = {}
     for name, rig in loaded.items():
         own = run.apart(name)
@@ -145,13 +143,10 @@ def compare_lighting(
             result = design.optimize(rig, part, folder / name, options=request, plan=plan, force=force, run=own)
             output = design.write_design(result, blind_pictures(result), force=force, run=own)
             design.finish_design(output, design_report(output) if options.report else None)
-        except CheckFailed as error:
-            unusable.append(UnusableSystem(name=name, messages=error.messages))
-            continue
-        except InputError as error:
-            if len(loaded) == 1 or any(str(part.source.path) in text for text in error.messages):
+        except (CheckFailed, InputError) as error:
+            if any(str(part.source.path) in text for text in error.messages) and isinstance(error, InputError):
                 raise
-            unusable.append(UnusableSystem(name=name, messages=error.messages))
+            unusable[name] = error.messages
             continue
         warnings |= dict.fromkeys(f"{name}: {text}" for text in output.warnings if "no light can be moved" not in text)
         allowed = design.design_tolerances(result, run=own) if tolerances else None
@@ -159,7 +154,7 @@ def compare_lighting(
             warnings[f"{name}: it has too many lights for its mounting tolerance; channels of a light are one"] = None
         found.append(_system(name, output, allowed, run.threads))
     if not found:
-        raise InputError(*(f"{one.name}: {text}" for one in unusable for text in one.messages))
+        raise InputError(*(f"{name}: {text}" for name, messages in unusable.items() for text in messages))
     footprints = [one.footprint_mm for one in found]
     if max(footprints) > (1.0 + SAME_FOOTPRINT) * min(footprints):
         sizes = ", ".join(f"{one.name} {one.footprint_mm:.3g} mm" for one in found)
@@ -171,11 +166,13 @@ def compare_lighting(
         options=options,
         provenance=facts,
         systems=tuple(found),
-        unusable=tuple(unusable),
+        unusable=unusable,
         warnings=tuple(warnings),
         paths=tuple(folder / name for name in (REPORT, TABLE, DOCUMENT)),
     )
-    _write(comparison, folder, force=force)
+    results.write_text(TABLE, comparison_csv(comparison))
+    results.write_text(REPORT, comparison_report(comparison, folder))
+    results.write_text(DOCUMENT, json.dumps(comparison_document(comparison), indent=1, ensure_ascii=False) + "\n")
     return comparison
 
 
@@ -192,18 +189,6 @@ def _provenance(
     postures = None if options.postures is None else [posture.as_dict() for posture in options.postures]
     facts = {name: getattr(options, name) for name in names} | {"postures": postures, "tolerance_target": target}
     return provenance(inputs, facts | plan.facts())
-
-
-def _refuse_other_comparison(path: Path, facts: Mapping[str, Any]) -> None:
-    if not path.exists():
-        return
-    try:
-        other = json.loads(path.read_text(encoding="utf-8"))["provenance"]
-    except (ValueError, KeyError, TypeError):
-        other = {}
-    if changes := differences(other, facts):
-        advice = "use option 'force' to replace it, or choose another output folder"
-        raise InputError(f"{path}: the result of another comparison ({changes}); {advice}")
 
 
 def _loaded(paths: Sequence[Path]) -> dict[str, RigConfig]:
@@ -253,7 +238,7 @@ def _system(
         seconds=seconds,
         size_mm=(float(size[0]), float(size[1]), float(size[2])),
         footprint_mm=pixel_footprint(result.scene.camera, result.rig.camera.distance_mm),
-        pictures=_pictures(result, threads),
+        pictures=_pictures(name, result, threads),
     )
 
 
@@ -305,7 +290,7 @@ def _moved(result: design.DesignResult) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _pictures(result: design.DesignResult, threads: int | None) -> tuple[Picture, ...]:
+def _pictures(name: str, result: design.DesignResult, threads: int | None) -> tuple[Picture, ...]:
     best, lights = result.results[0].answers[0], result.scene.lights
     if best.nothing is None:
         lights = result.candidates.panels_at(best.found.best.candidates)
@@ -315,19 +300,12 @@ def _pictures(result: design.DesignResult, threads: int | None) -> tuple[Picture
     sensor, full_scale = scene.sensor, scene.reflectance.full_scale
     images = render_lights(scene, scene.postures[0], caster=cast_rays_at(scene), threads=threads)
     return tuple(
-        Picture(
-            light=image.light,
-            level=(image.level / full_scale).astype(np.float32),
-            saturated=image.level * (sensor.max_level / full_scale) >= sensor.saturated_from - sensor.black_level,
+        camera_picture(
+            (image.level / full_scale).astype(np.float32),
+            image.level * (sensor.max_level / full_scale) >= sensor.saturated_from - sensor.black_level,
+            limit=SIDE,
+            alt=f"{name}, {image.light}",
+            caption=image.light,
         )
         for image in images
     )
-
-
-def _write(comparison: LightingComparison, folder: Path, *, force: bool) -> None:
-    make_folder(folder)
-    document = comparison_document(comparison)
-    text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
-    write_text_atomic(folder / TABLE, comparison_csv(comparison), overwrite=force)
-    write_text_atomic(folder / REPORT, comparison_report(comparison, folder), overwrite=force)
-    write_text_atomic(folder / DOCUMENT, text, overwrite=force)

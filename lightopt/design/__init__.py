@@ -7,7 +7,23 @@ Positions are scored on the levels that the camera would deliver at exposure 1. 
 of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
 """
 
+from lightopt.design._blind_spots import (
+    BLIND_CLASSES as BLIND_CLASSES,
+    BLIND_LIGHTS as BLIND_LIGHTS,
+    BLIND_SHARES_OF as BLIND_SHARES_OF,
+    BlindReason as BlindReason,
+    BlindSpots as BlindSpots,
+    BlindSpotSummary as BlindSpotSummary,
+    LegendRow as LegendRow,
+    blind_class as blind_class,
+    blind_classes as blind_classes,
+    blind_colours as blind_colours,
+    blind_legend as blind_legend,
+    blind_text as blind_text,
+)
 from lightopt.design._candidates import (
+    AXES as AXES,
+    Curve as Curve,
     find_candidates as find_candidates,
     place_of as place_of,
     place_text as place_text,
@@ -17,8 +33,7 @@ from lightopt.design._files import (
     finish_design as finish_design,
     write_design as write_design,
 )
-from lightopt.design._joint_tolerances import JointTolerances as JointTolerances, design_tolerances as design_tolerances
-from lightopt.design._optimize import optimize as optimize
+from lightopt.design._optimize import design_tolerances as design_tolerances, optimize as optimize
 from lightopt.design._problem import (
     CalibratedThreshold as CalibratedThreshold,
     OptimizeOptions as OptimizeOptions,
@@ -35,24 +50,9 @@ from lightopt.design._result import (
 from lightopt.design._result_json import plan_document as plan_document
 from lightopt.design._tolerances import (
     DEFAULT_TOLERANCE_TARGET as DEFAULT_TOLERANCE_TARGET,
+    JointTolerances as JointTolerances,
     Tolerances as Tolerances,
     WidestTolerance as WidestTolerance,
-)
-from lightopt.design.blind_spots._blind_spots import (
-    BLIND_LIGHTS as BLIND_LIGHTS,
-    BLIND_SHARES_OF as BLIND_SHARES_OF,
-    BlindReason as BlindReason,
-    BlindSpots as BlindSpots,
-    BlindSpotSummary as BlindSpotSummary,
-    blind_text as blind_text,
-)
-from lightopt.design.blind_spots._files import (
-    BLIND_CLASSES as BLIND_CLASSES,
-    LegendRow as LegendRow,
-    blind_class as blind_class,
-    blind_classes as blind_classes,
-    blind_colours as blind_colours,
-    blind_legend as blind_legend,
 )
 from lightopt.design.from_images._optimize_from_images import (
     FromImagesOptions as FromImagesOptions,
@@ -62,7 +62,8 @@ from lightopt.design.from_images._optimize_from_images import (
     optimize_from_images as optimize_from_images,
     write_from_images as write_from_images,
 )
-from lightopt.design.from_images._synthesis import agreement_text as agreement_text, synthesise as synthesise
+from lightopt.design.from_images._samples import agreement_text as agreement_text, synthesise as synthesise
+from lightopt.design.objectives import OBJECTIVES as OBJECTIVES
 from lightopt.design.objectives._detectability import (
     DetectabilityObjective as DetectabilityObjective,
     deciding_text as deciding_text,
@@ -75,12 +76,6 @@ from lightopt.design.objectives._objective import (
     share_text as share_text,
     shares_of as shares_of,
 )
-from lightopt.design.objectives._registry import OBJECTIVES as OBJECTIVES
-from lightopt.design.postures._plan_postures import TargetNotReached as TargetNotReached
-from lightopt.design.responses._defect_hypotheses import (
-    PlannedCatalogue as PlannedCatalogue,
-    planned_catalogue as planned_catalogue,
-)
 from lightopt.design.responses._evidence import DetectionModel as DetectionModel
 from lightopt.design.responses._image_evaluator import luminance_matrix as luminance_matrix
 from lightopt.design.responses._luminance_matrix import (
@@ -89,5 +84,8 @@ from lightopt.design.responses._luminance_matrix import (
     LuminanceMatrix as LuminanceMatrix,
     area_units as area_units,
 )
-from lightopt.design.search._curves import AXES as AXES, Curve as Curve
+from lightopt.design.responses._pairs import (
+    PlannedCatalogue as PlannedCatalogue,
+    planned_catalogue as planned_catalogue,
+)
 from lightopt.design.search._exact_search import search as search

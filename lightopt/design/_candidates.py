@@ -1,8 +1,11 @@
-"""Candidate positions of the lights: angles and distances in their ranges, exclusions with reasons, and collisions."""
+"""Candidate positions of the lights: angles and distances in their ranges, exclusions with reasons, and collisions.
+
+Curves are the score along one angle, all others as in the best set: they show how flat the optimum is.
+"""
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -11,7 +14,7 @@ import numpy as np
 from lightopt.config import RANGE_KEYS, LightConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError, counted, refuse
-from lightopt.design.search._combinations import CombinationSpace, Rows
+from lightopt.design.search._exact_search import CombinationSpace, Ranked, Rows, is_allowed
 from lightopt.lights import PanelLight, outlines
 from lightopt.rendering import panels_in_part
 from lightopt.scene import PinholeCamera, Scene, area_in_view, build_camera, build_lights, lights_meet
@@ -67,10 +70,9 @@ def light_places(
         step = light.distance_step_mm or 0.25 * (high - low) or 1.0
         ranges.append(_steps(light.distance_range_mm, light.distance_mm, step))
     if math.prod(map(len, ranges)) > MOST_POSITIONS:
-        larger = "a larger step" if len(ranges) == 2 else "a larger step, here or in distance_step_mm"
         raise InputError(
-            f"{rig.source.at('lights', index)}: at option 'step_deg' {step_deg:g} light {light.name} has more than "
-            f"{MOST_POSITIONS:,} positions, the maximum; take {larger}"
+            f"{rig.source.at('lights', index)}: light {light.name} has more than {MOST_POSITIONS:,} positions; raise "
+            f"option 'step_deg' {step_deg:g} or distance_step_mm"
         )
     return list(itertools.product(*ranges))
 
@@ -83,10 +85,8 @@ def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
     (low, _), highest = max(movable, key=lambda light: light[0][0])
     (_, high), lowest = min(movable, key=lambda light: light[0][1])
     if low > high:
-        raise InputError(
-            f"{rig.source.at('lights')}: option 'common_elevation': {highest} stays at {low:g}° or above and {lowest} "
-            f"at {high:g}° or below, so that there is no elevation for both; widen a range"
-        )
+        both = f"{highest} stays at {low:g}° or above, {lowest} at {high:g}° or below"
+        raise InputError(f"{rig.source.at('lights')}: option 'common_elevation': {both}; widen a range")
     return _steps((low, high), low, step_deg)
 
 
@@ -220,18 +220,19 @@ def _together(
         if all(map(len, chosen)):
             found.append(tuple(chosen))
     if not found:
-        names = [rig.lights[own[0]].name for own in moving]
-        raise InputError(
-            f"{rig.source.at('lights')}: no position is left that all channels of {' and '.join(names)} can take; "
-            "change its range or its size"
-        )
+        names = " and ".join(rig.lights[own[0]].name for own in moving)
+        raise InputError(f"{rig.source.at('lights')}: no position is left for all channels of {names}; widen its range")
     return tuple(found)
 
 
 def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence[ExcludedPosition]) -> None:
     problems: list[str] = []
     for index, light in ((i, light) for i, light in enumerate(rig.lights) if not rows[i]):
-        reasons = _grouped([out for out in left_out if out.light == light.name])
+        kinds: dict[str, list[str]] = {}
+        for out in left_out:
+            if out.light == light.name:
+                kinds.setdefault(out.kind, []).append(out.reason)
+        reasons = [f"{some[0]} (first of {counted(len(some), 'position')})" for some in kinds.values()]
         key = "elevation_range_deg" if light.elevation_range_deg is not None else "elevation_deg"
         problems.append(
             f"{rig.source.at('lights', index, key)}: no position of light {light.name} is left: it "
@@ -247,28 +248,6 @@ def panels_of(
     light = rig.lights[index]
     moved = tuple(light.model_copy(update=place_dict(place)) for place in places)
     return build_lights(rig.model_copy(update={"lights": moved}), None, points)
-
-
-def _grouped(left_out: Sequence[ExcludedPosition]) -> list[str]:
-    # positions of one kind together, with the smallest and the largest amount
-    texts: list[str] = []
-    groups = dict.fromkeys((out.kind, "" if out.amount is not None else out.reason) for out in left_out)
-    for kind, text in groups:
-        some = [out for out in left_out if (out.kind, text or out.reason) == (kind, out.reason)]
-        amounts = [out.amount for out in some if out.amount is not None]
-        where = f" ({counted(len(some), 'position')})"
-        if kind == "view":
-            texts.append(f"stands in the camera's view, over {_span(amounts, ',.0f')} pixels{where}")
-        elif kind == "table":
-            texts.append(f"reaches {_span(amounts, '.3g')} mm below the table top{where}")
-        else:
-            texts.append(text + where)
-    return texts
-
-
-def _span(amounts: Sequence[float], form: str) -> str:
-    low, high = (format(end, form) for end in (min(amounts), max(amounts)))
-    return low if low == high else f"{low} to {high}"
 
 
 def _reason(panel: PanelLight, camera: PinholeCamera, scene: Scene | None) -> Reason | None:
@@ -335,3 +314,65 @@ def _groups(
             f"{rig.source.at('lights')}: option 'common_elevation': at no elevation are positions of all lights left"
         )
     return tuple(groups)
+
+
+TOGETHER = "all lights together"
+AXES = ("elevation", "azimuth", "distance")
+
+MOST_POINTS = 31  # of one curve; of more positions every second, third … is taken, and the best set's own
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """Scores along one angle, all else as in the best set."""
+
+    name: str  # of the light that is moved, or :data:`TOGETHER`
+    axis: str  # one of :data:`AXES`
+    values: tuple[float, ...]  # angles [°] or distances [mm], ascending
+    scores: tuple[int, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        light = None if self.name == TOGETHER else self.name
+        values = "distances_mm" if self.axis == "distance" else "angles_deg"
+        return {"light": light, "axis": self.axis, values: list(self.values), "scores": list(self.scores)}
+
+
+def score_curves(candidates: Candidates, best: Ranked, score: Callable[[tuple[int, ...]], int]) -> tuple[Curve, ...]:
+    """The curves through a best set: all movable lights at one elevation, then each light along each axis.
+
+    Combinations that are not allowed, and places that a light cannot take, are omitted; so are curves of one point. The
+    first curve may not contain the best set.
+    """
+    here = [places[k] for places, k in zip(candidates.places, best.candidates, strict=True)]
+
+    def curve(name: str, lights: list[int], axis: int) -> Curve:
+        # along the axis, the rest of the place as it is: value to candidate, for each light
+        along = [
+            {
+                place[axis]: k
+                for k, place in enumerate(candidates.places[i])
+                if axis < len(place) and _without(place, axis) == _without(here[i], axis)
+            }
+            for i in lights
+        ]
+        points: list[tuple[float, tuple[int, ...]]] = []
+        for value in sorted(set(along[0]).intersection(*along[1:])):
+            places = dict(zip(lights, (way[value] for way in along), strict=True))
+            combination = tuple(places.get(i, k) for i, k in enumerate(best.candidates))
+            if is_allowed(candidates.space, combination):
+                points.append((value, combination))
+        stride = -(-len(points) // MOST_POINTS)
+        points = [p for k, p in enumerate(points) if k % max(1, stride) == 0 or p[1] == best.candidates]
+        values, scores = tuple(value for value, _ in points), tuple(score(combination) for _, combination in points)
+        return Curve(name=name, axis=AXES[axis], values=values, scores=scores)
+
+    moving = [k for k, places in enumerate(candidates.places) if len({place[0] for place in places}) > 1]
+    curves = [curve(TOGETHER, moving, 0)] if len(moving) > 1 else []
+    for own in candidates.channels:
+        first, last = candidates.names[own[0]], candidates.names[own[-1]]
+        curves += [curve(first if len(own) == 1 else f"{first} to {last}", [*own], axis) for axis in range(len(AXES))]
+    return tuple(curve for curve in curves if len(curve.values) > 1)
+
+
+def _without(place: Place, axis: int) -> Place:
+    return place[:axis] + place[axis + 1 :]

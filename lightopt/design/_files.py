@@ -19,30 +19,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lightopt import images
 from lightopt.config import PartConfig, RigConfig, copied_text, load_rig, with_list
 from lightopt.core.arrays import UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture, vector_of_rotation
+from lightopt.design._blind_spots import BLIND_NAMES, BLIND_PNG, blind_files
 from lightopt.design._candidates import Place, panels_of, place_dict, place_of
-from lightopt.design._commands import PLANNED_PART_NAME, RIG_NAME, decimal_text
-from lightopt.design._result import DesignResult, places_of
+from lightopt.design._result import PLANNED_PART_NAME, RIG_NAME, DesignResult, decimal_text, places_of
 from lightopt.design._result_json import ranking_csv, result_document
-from lightopt.design.blind_spots._files import BLIND_NAMES, BLIND_PNG, blind_files
-from lightopt.images import (
-    Overlap,
-    find_overlaps,
-    make_folder,
-    overlap_map_name,
-    posture_folder,
-    read_image_set,
-    remove_image_set,
-    write_bytes_atomic,
-    write_overlap_map,
-    write_png,
-    write_text_atomic,
-)
 from lightopt.rendering import PatchTable, RenderOptions, render_image_set
 
 RESULT_NAME = "result.json"
@@ -51,10 +38,11 @@ RANKING_NAME = "ranking.csv"
 IMAGES_NAME = "images"
 UNFINISHED_NAME = "unfinished.json"
 
-# files that a result may list beside rigs, images and maps; with option `force` no others are removed
-_FURTHER_NAMES = (REPORT_NAME, PLANNED_PART_NAME, *BLIND_NAMES)
+# files that a result may list beside images; with option `force` no others are removed
+_OWN_NAMES = (REPORT_NAME, PLANNED_PART_NAME, RIG_NAME, "overlap*.png", *BLIND_NAMES)
 
-_FORMATS = {RESULT_NAME: "lightopt-optimum/", UNFINISHED_NAME: "lightopt-unfinished/"}
+# the files that list what a run writes, and their formats
+_KINDS = {RESULT_NAME: "lightopt-optimum", UNFINISHED_NAME: "lightopt-unfinished"}
 
 # a rig file with the new places, relative to the output folder; the postures that it is for, and its text
 RigFile = tuple[Path, tuple[Posture, ...], str]
@@ -69,7 +57,7 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
     path = folder / RESULT_NAME
     if not path.exists():
         return
-    found = _read(path)
+    found = images.read_listing(path, _KINDS[RESULT_NAME])
     advice = "use option 'force' to replace it, or choose another output folder"
     if found is None:
         raise InputError(f"{path}: exists and is not a result of lightopt optimize; {advice}")
@@ -81,48 +69,28 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
 def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bool:
     """List the files to come and, with `force`, remove result.json and then all that previous runs list.
 
-    Removed are rigs, overlap maps, reports and further files by their names, and image sets by their manifests, inside
-    the folder only; captured images, kept matrices and what no list names stay. `listed` is as in result.json.
+    Removed are files inside the folder only, and image sets by their manifests; captured images, kept matrices and what
+    no list names stay. `listed` is as in result.json.
 
-    Returns whether a report that is there is of a previous run.
+    Returns whether there was a previous run.
     """
-    previous = [found for name in _FORMATS if (found := _read(folder / name)) is not None]
-    lists = {key: [one for doc in (listed, *previous) for one in _entries(doc, key)] for key in listed}
-    document = {"format": "lightopt-unfinished/1", **lists}
-    write_text_atomic(folder / UNFINISHED_NAME, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    ours = any({"file": REPORT_NAME} in _entries(document, "files") for document in previous)
-    if not force:
-        return ours
-    _unlink(folder / RESULT_NAME)
-    for document in previous:
-        maps = [path for path in _paths(folder, document, "overlaps", "map") if path.match("overlap*.png")]
-        files = [path for path in _paths(folder, document, "files", "file") if path.name in _FURTHER_NAMES]
-        rigs = [path for path in _paths(folder, document, "rigs", "file") if path.name == RIG_NAME]
-        for path in (*maps, *files, *rigs):
-            _unlink(path)
-            _remove_if_empty(path.parent, folder)
-        for path in _paths(folder, document, "images", "folder"):
-            remove_image_set(path)
-            _remove_if_empty(path, folder)
-            _remove_if_empty(path.parent, folder)
-    return ours
-
-
-def end_writing(folder: Path) -> None:
-    """Remove the list of files to come: all files are complete, result.json too."""
-    _unlink(folder / UNFINISHED_NAME)
-
-
-def _paths(folder: Path, document: Mapping[str, Any], key: str, name: str) -> Iterator[Path]:
-    # what a list names, as far as it is inside the folder; a list can be damaged in any way
-    for entry in _entries(document, key):
-        given = entry.get(name)
-        if not isinstance(given, str):
-            continue
-        with suppress(OSError, ValueError, RuntimeError):  # NUL, loops of links
-            path = (folder / given).resolve()
-            if path.is_relative_to(folder.resolve()) and path != folder.resolve():
-                yield path
+    previous = [
+        found for name, kind in _KINDS.items() if (found := images.read_listing(folder / name, kind)) is not None
+    ]
+    lists = {key: [one for document in (listed, *previous) for one in _entries(document, key)] for key in listed}
+    _write_json(folder / UNFINISHED_NAME, {"format": "lightopt-unfinished/1", **lists})
+    if force:
+        images.remove_file(folder / RESULT_NAME)
+        for document in previous:
+            keys = (("overlaps", "map"), ("files", "file"), ("rigs", "file"))
+            names = [str(entry.get(name)) for key, name in keys for entry in _entries(document, key)]
+            images.remove_listed(folder, [name for name in names if any(map(Path(name).match, _OWN_NAMES))])
+            for home in images.paths_inside(folder, [entry.get("folder") for entry in _entries(document, "images")]):
+                images.remove_image_set(home)
+                for emptied in (home, home.parent):
+                    with suppress(OSError):  # something else is in it, or it is gone
+                        emptied.rmdir()
+    return bool(previous)
 
 
 def _entries(document: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
@@ -130,28 +98,8 @@ def _entries(document: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
     return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
 
 
-def _unlink(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be removed: {error.strerror or error}; remove it, or choose another output folder"
-        ) from error
-
-
-def _remove_if_empty(path: Path, folder: Path) -> None:
-    if path != folder.resolve():
-        with suppress(OSError):  # something else is in it, or it is gone
-            path.rmdir()
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    right = isinstance(found, dict) and str(found.get("format", "")).startswith(_FORMATS[path.name])
-    return found if right else None
+def _write_json(path: Path, document: Mapping[str, Any], *, overwrite: bool = True) -> None:
+    images.write_text_atomic(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n", overwrite=overwrite)
 
 
 def check_editable(rig: RigConfig) -> None:
@@ -162,7 +110,11 @@ def check_editable(rig: RigConfig) -> None:
 def _rig_files(design: DesignResult) -> list[RigFile]:
     # one rig where the same positions are best for all postures, else one per posture
     sets = [
-        (places_of(design.candidates, answer.found.best), result.postures, Path(posture_folder(result.postures[0])))
+        (
+            places_of(design.candidates, answer.found.best),
+            result.postures,
+            Path(images.posture_folder(result.postures[0])),
+        )
         for result in design.results
         if (answer := result.answers[0]).nothing is None
     ]
@@ -223,11 +175,10 @@ class DesignOutput:
 
     result: DesignResult
     document: Mapping[str, Any]  # what result.json will say
-    overlaps: tuple[Overlap, ...]  # saturated regions of the images, in the order of the postures
+    overlaps: tuple[images.Overlap, ...]  # saturated regions of the images, in the order of the postures
     warnings: tuple[str, ...]
     paths: tuple[Path, ...]  # result.json, ranking.csv, further files, rigs, report: those to come, too
-    force: bool  # whether files that are there and differ are replaced
-    replace_report: bool  # whether a report that is there is replaced
+    replaces: bool  # whether a report and a result.json that are there are replaced
 
     @property
     def patches(self) -> PatchTable:
@@ -247,20 +198,20 @@ def write_design(
     Raises InputError: The folder cannot be written, or holds other results and `force` is False.
     """
     folder, run = result.folder, run or RunContext()
-    make_folder(folder)
+    images.make_folder(folder)
     rigs = _rig_files(result)
     files = dict(_further_files(result, blind_pictures or {}))
     sets = _image_sets(rigs, result) if result.options.images else []
     listed = _listed(rigs, sets, overlaps=len(result.candidates.names) > 1)
     report = [REPORT_NAME] if result.options.report else []
     listed["files"] = [{"file": name} for name in (*files, *report)]
-    report_is_ours = begin_writing(folder, listed, force=force)
+    replaces = begin_writing(folder, listed, force=force)
     ranking = ranking_csv(result.results, result.candidates)
     for name, content in ((RANKING_NAME, ranking), *((path, text) for path, _, text in rigs), *files.items()):
         _write(folder / name, content, force)
-    overlaps: list[Overlap] = []
-    for images in sets:
-        overlaps += _render(images, result, force, run)
+    overlaps: list[images.Overlap] = []
+    for image_set in sets:
+        overlaps += _render(image_set, result, force, run)
     names = (RESULT_NAME, RANKING_NAME, *files, *(path for path, _, _ in rigs), *report)
     return DesignOutput(
         result=result,
@@ -268,8 +219,7 @@ def write_design(
         overlaps=tuple(overlaps),
         warnings=tuple(dict.fromkeys((*result.warnings, *run.warnings))),
         paths=tuple(folder / name for name in names),
-        force=force,
-        replace_report=force or report_is_ours,
+        replaces=force or replaces,
     )
 
 
@@ -279,10 +229,9 @@ def finish_design(output: DesignOutput, report: str | None = None) -> None:
     if (report is not None) != output.result.options.report:
         raise ValueError("a report is given where, and only where, the options ask for one")
     if report is not None:
-        write_text_atomic(folder / REPORT_NAME, report, overwrite=output.replace_report)
-    text = json.dumps(output.document, indent=1, ensure_ascii=False) + "\n"
-    write_text_atomic(folder / RESULT_NAME, text, overwrite=output.force)
-    end_writing(folder)
+        images.write_text_atomic(folder / REPORT_NAME, report, overwrite=output.replaces)
+    _write_json(folder / RESULT_NAME, output.document, overwrite=output.replaces)
+    images.remove_file(folder / UNFINISHED_NAME)
 
 
 def _further_files(result: DesignResult, blind_pictures: _Pictures) -> Iterator[tuple[str, str | bytes | UInt8]]:
@@ -290,7 +239,7 @@ def _further_files(result: DesignResult, blind_pictures: _Pictures) -> Iterator[
     if result.blind is not None and result.patches is not None:
         yield from blind_files(result.blind, result.patches.patches, result.scene.placement).items()
         for posture, picture in blind_pictures.items():
-            yield f"{posture_folder(posture)}/{BLIND_PNG}", picture
+            yield f"{images.posture_folder(posture)}/{BLIND_PNG}", picture
     if result.plan.commands:
         comment = f"planned by: {result.command}"
         text = planned_part_text(result.part, result.scene.postures, folder=result.folder, comment=comment)
@@ -298,13 +247,13 @@ def _further_files(result: DesignResult, blind_pictures: _Pictures) -> Iterator[
 
 
 def _write(path: Path, content: str | bytes | UInt8, force: bool) -> None:
-    make_folder(path.parent)
+    images.make_folder(path.parent)
     if isinstance(content, str):
-        write_text_atomic(path, content, overwrite=force)
+        images.write_text_atomic(path, content, overwrite=force)
     elif isinstance(content, bytes):
-        write_bytes_atomic(path, content, overwrite=force)
+        images.write_bytes_atomic(path, content, overwrite=force)
     else:
-        write_png(path, content, metadata={}, overwrite=force)
+        images.write_png(path, content, metadata={}, overwrite=force)
 
 
 class _Images(NamedTuple):
@@ -335,25 +284,27 @@ def _image_sets(rigs: Sequence[RigFile], result: DesignResult) -> list[_Images]:
 
 def _listed(rigs: Sequence[RigFile], sets: Sequence[_Images], *, overlaps: bool) -> dict[str, list[dict[str, Any]]]:
     # the files to come, as result.json lists them
-    maps = [images.folder / overlap_map_name(*shot) for images in sets for shot in images.shots if overlaps]
+    maps = [one.folder / images.overlap_map_name(*shot) for one in sets for shot in one.shots if overlaps]
     return {
         "rigs": [{"file": path.as_posix(), "postures": [one.as_dict() for one in some]} for path, some, _ in rigs],
-        "images": [{"folder": images.folder.as_posix(), "exposures": list(images.exposures)} for images in sets],
+        "images": [{"folder": one.folder.as_posix(), "exposures": list(one.exposures)} for one in sets],
         "overlaps": [{"map": path.as_posix()} for path in maps],
     }
 
 
-def _render(images: _Images, result: DesignResult, force: bool, run: RunContext) -> list[Overlap]:
+def _render(image_set: _Images, result: DesignResult, force: bool, run: RunContext) -> list[images.Overlap]:
     # returns overlaps in the order in which they are listed; of one light there are none
-    rig, folder = load_rig(result.folder / images.rig), result.folder / images.folder
+    rig, folder = load_rig(result.folder / image_set.rig), result.folder / image_set.folder
     same = {name: getattr(result.options, name) for name in ("points", "shadows", "patch_budget")}
-    options = RenderOptions(postures=images.postures, exposures=images.exposures, defects=False, **same)
+    options = RenderOptions(postures=image_set.postures, exposures=image_set.exposures, defects=False, **same)
     quiet = RunContext(threads=run.threads, warn=run.warn)
     render_image_set(rig, result.part, folder, options=options, force=force, run=quiet)
     if len(result.candidates.names) == 1:
         return []
-    found = {(overlap.posture, overlap.exposure): overlap for overlap in find_overlaps(read_image_set(folder))}
-    overlaps = [found[shot] for shot in images.shots]
+    overlaps = images.find_overlaps(images.read_image_set(folder))
+    found = {(overlap.posture, overlap.exposure): overlap for overlap in overlaps}
+    overlaps = [found[shot] for shot in image_set.shots]
     for overlap in overlaps:
-        write_overlap_map(overlap, folder / overlap_map_name(overlap.posture, overlap.exposure), overwrite=force)
+        name = images.overlap_map_name(overlap.posture, overlap.exposure)
+        images.write_overlap_map(overlap, folder / name, overwrite=force)
     return overlaps

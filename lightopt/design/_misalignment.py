@@ -27,7 +27,7 @@ from lightopt.design.postures._light_positions import combination_sums
 from lightopt.design.responses._evidence import spare_units
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, flags_alike
-from lightopt.design.responses._packed_bits import Counts, add_units
+from lightopt.design.responses._pairs import Counts, add_units
 from lightopt.geometry import face_normals
 from lightopt.lights import PanelLight
 from lightopt.rendering import PatchTable, camera_visibility, hidden_by

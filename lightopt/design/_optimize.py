@@ -13,8 +13,8 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.run_context import RunContext
+from lightopt.design._blind_spots import BlindSpotSummary, PostureVisibility, planned_visibility
 from lightopt.design._candidates import Candidates, bodies_of, can_move
-from lightopt.design._commands import HOME, command_text, plan_commands
 from lightopt.design._files import check_editable, planned_part_text, refuse_other_result
 from lightopt.design._misalignment import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.design._problem import (
@@ -27,24 +27,42 @@ from lightopt.design._problem import (
     check_options,
     detection_model_of,
     images_that_decide,
+    posture_grid,
     run_provenance,
 )
-from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, places_of
-from lightopt.design._tolerances import Tolerances, analyse_tolerances, check_body_count
-from lightopt.design.blind_spots._blind_spots import BlindSpotSummary, PostureVisibility, planned_visibility
+from lightopt.design._result import (
+    HOME,
+    ChosenPostures,
+    DesignResult,
+    PlanResult,
+    SetResult,
+    ToleranceResult,
+    command_text,
+    places_of,
+    plan_commands,
+)
+from lightopt.design._tolerances import (
+    DEFAULT_TOLERANCE_TARGET,
+    JointTolerances,
+    Tolerances,
+    analyse_tolerances,
+    check_body_count,
+    joint_tolerances,
+)
+from lightopt.design.objectives import OBJECTIVES
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.objectives._registry import OBJECTIVES, objectives_named
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._plan_postures import plan_postures, planned_answers, with_chosen
-from lightopt.design.postures._posture_grid import posture_grid
-from lightopt.design.responses._defect_hypotheses import planned_catalogue
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
+from lightopt.design.responses._pairs import planned_catalogue
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
 from lightopt.scene import build_catalogue, build_scene, coarse_warnings
+
+JOINT_TOLERANCE_PATCHES = 2_000  # of all postures together, that represent the others
 
 
 def optimize(
@@ -116,7 +134,7 @@ def _check_request(rig: RigConfig, part: PartConfig, options: OptimizeOptions, p
     if plan.chooses or plan.exposures:
         planned_part_text(part, [HOME], folder=folder, comment="")
     if plan.chooses:
-        _check_choice_of_postures(rig, options, plan)
+        _check_choice_of_postures(rig, options)
 
 
 def _decided(
@@ -127,54 +145,39 @@ def _decided(
     if images == options.min_images:
         return options
     if DEFECT_OBJECTIVE in options.objectives or plan.chooses or plan.exposures:
-        run.warn(
-            f"{part.source.path}: the surface scatters too little light to be seen (R_d "
-            f"{part.reflectance.R_d:g}), so that no second image confirms what one shows: one image decides"
-        )
+        why = f"the surface scatters too little light to be seen (R_d {part.reflectance.R_d:g})"
+        run.warn(f"{part.source.path}: {why}, so that no second image confirms a defect: one image decides")
     return replace(options, min_images=images)
 
 
 def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
-    # no defect can be seen in more images than there are
+    # no defect can be seen in more images than there are; further exposures of a light do not count
     if plan.chooses:
         available = len(posture_grid(rig, part, step_deg=plan.posture_step_deg))
-        most = min(available, plan.choose_postures or available)
-        images = len(rig.lights) * most
-        what = f"images of the plan: {counted(len(rig.lights), 'light')} × {counted(most, 'posture')} at most"
+        postures = min(available, plan.choose_postures or available)
     elif plan.exposures:
-        postures = options.postures or part.postures
-        images = len(rig.lights) * len(postures)
-        of = f"{counted(len(rig.lights), 'light')} × {counted(len(postures), 'posture')}"
-        what = f"images of the plan: {of}, further exposures of the same light do not count"
+        postures = len(options.postures or part.postures)
     else:
         return
+    images = len(rig.lights) * postures
     if options.min_images > images:
         raise InputError(
-            f"option 'min_images': expected at most {images}, the number of {what}; found {options.min_images}; "
-            "lower it"
+            f"option 'min_images': expected at most {images}, the number of images of the plan: "
+            f"{counted(len(rig.lights), 'light')} × {counted(postures, 'posture')} at most; found {options.min_images}"
         )
 
 
-def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
+def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions) -> None:
     refusals = [OBJECTIVES[name].refusal(len(rig.lights)) for name in options.objectives if name in OBJECTIVES]
     problems = [text for text in refusals if text is not None]
     if options.postures is not None:
-        names = [name for name in ("choose_postures", "target") if getattr(plan, name) is not None]
-        given = " and ".join(f"option '{name}'" for name in names)
-        problems.append(
-            f"option 'postures': cannot be combined with {given}: postures are chosen from the stage's range; omit "
-            "one or the other"
-        )
+        chosen = "option 'choose_postures' or option 'target'"
+        problems.append(f"option 'postures': cannot be combined with {chosen}; omit one or the other")
     if not options.common_lights:
-        problems.append(
-            "option 'lights_per_posture': postures are chosen with one set of light positions for all of them; "
-            "leave it out, or give the postures"
-        )
+        problems.append("option 'lights_per_posture': postures are chosen for one set of light positions; omit it")
     if options.objectives and options.objectives[0] != DEFECT_OBJECTIVE:
-        problems.append(
-            "option 'objectives': postures are chosen by the defects that they show: expected "
-            f'{DEFECT_OBJECTIVE} first, found "{options.objectives[0]}"'
-        )
+        found = f'expected {DEFECT_OBJECTIVE} first, found "{options.objectives[0]}"'
+        problems.append(f"option 'objectives': postures are chosen by the defects that they show: {found}")
     refuse(problems)
 
 
@@ -184,10 +187,8 @@ def _state_problem(
     """Build the scene and the candidates; `folder` must hold no other result, None where it may."""
     candidates_in(None, rig, options, options.places)  # errors in the rig alone come before the part is loaded
     if options.places is None and not any(map(can_move, rig.lights)):
-        run.warn(
-            f"{rig.source.at('lights')}: no light can be moved, so that only what the lights show as they stand is "
-            "found; give one or more an elevation_range_deg, an azimuth_range_deg or a distance_range_mm"
-        )
+        ranges = "an elevation_range_deg, an azimuth_range_deg or a distance_range_mm"
+        run.warn(f"{rig.source.at('lights')}: no light can be moved; give one or more {ranges}")
     check_editable(rig)
     objectives = _objectives(rig, part, options, run)
     scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
@@ -211,14 +212,22 @@ def _state_problem(
 
 def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run: RunContext) -> tuple[Objective, ...]:
     """The objectives; one that was named must be possible, one that is a default is left out otherwise."""
-
-    def detectability() -> DetectabilityObjective:
-        defects = planned_catalogue(build_catalogue(part)).defects
-        # positions that were chosen before were chosen for the images of all postures together
-        across = options.places is not None
-        return DetectabilityObjective(defects, options.min_images, options.false_alarms, across_postures=across)
-
-    chosen = objectives_named(options.objectives, detectability)
+    names, known = options.objectives or tuple(OBJECTIVES), (*OBJECTIVES, DEFECT_OBJECTIVE)
+    problems = [
+        f"option 'objectives': expected {' or '.join(known)}, found \"{name}\"" for name in names if name not in known
+    ]
+    if len(set(names)) < len(names):
+        problems.append("option 'objectives': the same objective was given twice")
+    refuse(problems)
+    chosen: list[Objective] = []
+    for name in names:
+        if name in OBJECTIVES:
+            chosen.append(OBJECTIVES[name])
+        else:
+            defects = planned_catalogue(build_catalogue(part)).defects
+            # positions that were chosen before were chosen for the images of all postures together
+            across, decide = options.places is not None, (options.min_images, options.false_alarms)
+            chosen.append(DetectabilityObjective(defects, *decide, across_postures=across))
     refusals = [objective.refusal(len(rig.lights)) for objective in chosen]
     problems = [text for text in refusals if text is not None]
     possible = tuple(objective for objective, text in zip(chosen, refusals, strict=True) if text is None)
@@ -277,8 +286,7 @@ def _complete(
     if brackets is not None:
         lights = replace(lights, exposures=tuple(map(brackets.of, lights.postures)))
     if plan.tolerances is not None:
-        objective = results[0].answers[0].objective
-        tolerances = _placed_tolerances(lights, shares_on, plan.tolerances, objective, matrices)
+        tolerances = _placed_tolerances(lights, shares_on, plan.tolerances, results[0].answers[0].objective, matrices)
     if chosen is None and brackets is None:
         return PlanResult(tolerances=tolerances), ()
     commands = plan_commands(lights, options)
@@ -317,3 +325,29 @@ def _placed_tolerances(
         patches, grain = len(drawn.patches), drawn.table.grain
         found.append(ToleranceResult(group.postures, robustness, objective.unit, patches=patches, grain=grain))
     return tuple(found)
+
+
+def design_tolerances(
+    result: DesignResult, *, target: float = DEFAULT_TOLERANCE_TARGET, run: RunContext | None = None
+) -> JointTolerances | None:
+    """The tolerances of a design's first lights with which `target` of the share of defects is kept; None for none."""
+    run, best = run or RunContext(), result.results[0]
+    if result.defects is None or best.answers[0].nothing is not None:
+        return None
+    plan, postures = result.plan, best.postures
+    places = (places_of(result.candidates, best.answers[0].found.best),) * len(postures)
+    exposures = tuple(map(plan.exposures_of, postures))
+    setup = Setup(result.rig, postures, places, exposures, points=result.options.points)
+    if plan.chosen is not None:
+        evaluator = plan.chosen.evaluator
+    else:
+        table = result.patches or result.cut_patches(edges=False, threads=run.threads)
+        detection = detection_model_of(result.scene, result.part, result.options)
+        shadows = result.options.shadows
+        evaluator = ImageEvaluator(result.scene, table, result.caster, detection, shadows=shadows, threads=run.threads)
+    few = max(1, JOINT_TOLERANCE_PATCHES // len(postures))
+    drawn = replace(evaluator, table=drawn_patches(evaluator.table, few), images=None)
+    # as the share is counted
+    together = plan.chosen is not None or plan.brackets is not None
+    score = PairAssessment(drawn, setup, together=together)
+    return joint_tolerances(score, len(setup.bodies), target, progress=run.stage("tolerances"))

@@ -1,28 +1,41 @@
-"""What to optimise, what to plan in addition, and the problem to solve: a scene, objectives, candidate positions."""
+"""What to optimise, what to plan in addition, and the problem to solve: a scene, objectives, candidate positions.
+
+Candidate postures are a grid over the stage's ranges, without postures that cannot be used.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from lightopt.config import PartConfig, RigConfig, input_hashes, points_problem
-from lightopt.core.errors import refuse
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.defects import DARK, DEFAULT_FALSE_ALARMS, false_alarms_problem
 from lightopt.design._candidates import Candidates, Place, can_move, find_candidates
 from lightopt.design._tolerances import Tolerances
-from lightopt.design.objectives._detectability import DetectabilityObjective, min_images_problem
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
-from lightopt.design.postures._posture_grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
-from lightopt.design.responses._defect_hypotheses import planned_catalogue
+from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN
 from lightopt.design.responses._evidence import DetectionModel
 from lightopt.design.responses._luminance_matrix import LevelThresholds
+from lightopt.design.responses._pairs import planned_catalogue
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.geometry import RayCaster
-from lightopt.rendering import DEFAULT_PATCH_BUDGET, PatchTable, build_patches
-from lightopt.scene import Scene, build_catalogue, build_lights, build_sensor
+from lightopt.lights import PanelLight
+from lightopt.rendering import DEFAULT_PATCH_BUDGET, PatchTable, build_patches, panels_in_part
+from lightopt.scene import Scene, build_catalogue, build_lights, build_sensor, frame_part, part_postures, view_from_part
+
+# of tilt and rotation [°], by default: a stage of ±45° and a full turn then has 80 postures
+DEFAULT_POSTURE_STEP = 22.5
+
+# How far the part may leave the view in a posture to choose from [px] by default: no further than a part may be off its
+# place, so that its rim is near the image's border anyway. What is outside is not seen in that posture.
+DEFAULT_OUTSIDE_PX = 10.0
+
+MOST_POSTURES = 2000  # more candidate postures are refused
+_SIDES = ("left", "top", "right", "bottom")
 
 DEFAULT_SHADE_SHARE = 10.0 / 255.0  # share of full scale, above black, below which a level is shaded
 DEFECT_OBJECTIVE = "detectability"  # the objective whose pairs of patch and defect are planned for
@@ -103,27 +116,26 @@ def check_options(options: OptimizeOptions, plan: PlanOptions) -> None:
     problems: list[str] = []
     if options.points is not None and (problem := points_problem(options.points)):
         problems.append(f"option 'points': {problem}")
-    for name, value in (("patch_budget", options.patch_budget), ("rows", options.rows), ("limit", options.limit)):
-        if value < 1:
+    numbers = {name: getattr(options, name) for name in ("patch_budget", "rows", "limit", "min_images")}
+    for name, value in {**numbers, "choose_postures": plan.choose_postures}.items():
+        if value is not None and value < 1:
             problems.append(f"option '{name}': expected at least 1, found {value}")
-    if options.postures is not None and len(set(options.postures)) < len(options.postures):
-        problems.append("option 'postures': the same posture was given twice")
-    defects = (min_images_problem(options.min_images), false_alarms_problem(options.false_alarms))
-    problems += [problem for problem in defects if problem is not None]
-    if plan.choose_postures is not None and plan.choose_postures < 1:
-        problems.append(f"option 'choose_postures': expected 1 posture or more, found {plan.choose_postures}")
+    problems += filter(None, [false_alarms_problem(options.false_alarms)])
     if plan.target is not None and not 0.0 < plan.target <= 1.0:
-        percents = 1.0 < plan.target <= 100.0
-        hint = f"; for {plan.target:g} % give {plan.target / 100.0:g}" if percents else ""
-        problems.append(
-            "option 'target': expected a share of the surface above 0 and up to 1, such as 0.95, found "
-            f"{plan.target:g}{hint}"
-        )
-    if not (math.isfinite(plan.allow_outside_px) and plan.allow_outside_px >= 0.0):
-        problems.append(
-            f"option 'allow_outside_px': expected a number of pixels, 0 or more, found {plan.allow_outside_px:g}"
-        )
-    problems += check_exposures(plan.exposures, plan.exposure_gain)
+        share = "a share of the surface above 0 and up to 1, such as 0.95"
+        problems.append(f"option 'target': expected {share}, found {plan.target:g}")
+    if not 0.0 <= plan.allow_outside_px < math.inf:
+        problems.append(f"option 'allow_outside_px': expected pixels, 0 or more, found {plan.allow_outside_px:g}")
+    problems += [
+        f"option 'exposures': expected numbers above 0, such as 1/16,1/4,1,4,16, found {exposure:g}"
+        for exposure in plan.exposures
+        if not 0.0 < exposure < math.inf
+    ]
+    for name, given in (("posture", options.postures or ()), ("exposure", plan.exposures)):
+        if len(set(given)) < len(given):
+            problems.append(f"option '{name}s': the same {name} was given twice")
+    if not 0.0 <= plan.exposure_gain <= 100.0:
+        problems.append(f"option 'exposure_gain': expected points from 0 to 100, found {plan.exposure_gain:g}")
     refuse(problems)
 
 
@@ -216,3 +228,94 @@ def candidates_in(
         places=places,
         scene=scene,
     )
+
+
+@dataclass(frozen=True)
+class ExcludedPosture:
+    """A posture in the stage's range that cannot be planned; `kind` is ``view`` or ``part``."""
+
+    posture: Posture
+    reason: str
+    kind: str
+
+
+def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[Posture, ...]:
+    """Candidate postures: the part's own ones that the stage reaches, then tilts and rotations at a step.
+
+    Each angle takes the multiples of the step within the stage's range, 0 among them, and both ends of the range; a
+    range of a full turn or more takes one turn, without its end. An axis that the rig's stage does not have stays at
+    0.
+    """
+    if not (math.isfinite(step_deg) and step_deg > 0.0):
+        raise InputError(f"option 'posture_step_deg': expected degrees above 0, found {step_deg:g}")
+    # an axis that a given stage lacks does not turn
+    tilt_range, rotation_range = rig.stage.elevation_range_deg, rig.stage.rotation_range_deg
+    if rig.hardware is not None:
+        stage = rig.hardware.stage
+        tilt_range = (0.0, 0.0) if stage is None or stage.elevation is None else tilt_range
+        rotation_range = (0.0, 0.0) if stage is None or stage.rotation is None else rotation_range
+    tilts, rotations = _angles(tilt_range, step_deg), _angles(rotation_range, step_deg)
+    if len(tilts) * len(rotations) > MOST_POSTURES:
+        number = f"{len(tilts):,} × {len(rotations):,} postures at {step_deg:g}°, more than {MOST_POSTURES:,}"
+        raise InputError(f"option 'posture_step_deg': {number}; take a larger step, or narrow the stage's ranges")
+    (lowest, highest), (first, last) = tilt_range, rotation_range
+    own = [p for p in part_postures(part) if lowest <= p.elevation_deg <= highest and first <= p.rotation_deg <= last]
+    return tuple(dict.fromkeys([*own, *(Posture(tilt, rotation) for tilt in tilts for rotation in rotations)]))
+
+
+def usable_postures(
+    scene: Scene, panels: Sequence[PanelLight], *, allow_outside_px: float = DEFAULT_OUTSIDE_PX
+) -> tuple[tuple[Posture, ...], tuple[ExcludedPosture, ...]]:
+    """The scene's postures that keep the part in view and clear of the lights, and the others with the reason.
+
+    panels: Every position of a light, world frame; the scene's own lights are ignored.
+    allow_outside_px: How far the part may leave the view at a side of the image [px].
+    """
+    usable: list[Posture] = []
+    left_out: list[ExcludedPosture] = []
+    for posture in scene.postures:
+        found = _out_of_view(scene, posture, allow_outside_px)
+        if found is None and (inside := panels_in_part(replace(scene, lights=tuple(panels), postures=(posture,)))):
+            found = f"a position of {inside[0].light} is inside the part", "part"
+        if found is None:
+            usable.append(posture)
+        else:
+            left_out.append(ExcludedPosture(posture, *found))
+    if not usable:
+        first = left_out[0]
+        raise InputError(
+            f"no posture of {len(left_out)} is left to choose from: in {first.posture} {first.reason}; change the "
+            "part's placement or the stage's ranges, or raise option 'allow_outside_px'"
+        )
+    return tuple(usable), tuple(left_out)
+
+
+def _angles(ends: tuple[float, float], step: float) -> list[float]:
+    low, high = ends
+    if high - low > 360.0:  # of what is more than a turn, the one from 0 on, or as near to it as there is
+        low = max(low, min(0.0, high - 360.0))
+        high = low + 360.0
+    if (high - low) / step > MOST_POSTURES:
+        return [low] * (MOST_POSTURES + 1)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    inner = [round(k * step, 9) + 0.0 for k in range(first, last + 1)]
+    angles = sorted({low, high, *(angle for angle in inner if low < angle < high)})
+    return angles[:-1] if math.isclose(high - low, 360.0) else angles
+
+
+def _out_of_view(scene: Scene, posture: Posture, allowed: float) -> tuple[str, str] | None:
+    framing = frame_part(view_from_part(scene, posture).camera, scene.mesh)
+    if framing.nearest <= 0.0:
+        return "the part reaches behind the camera", "view"
+    if not framing.outside and max(framing.excess) <= allowed:
+        return None
+    leaves = [
+        f"{_pixels(pixels)} at the {side}" for pixels, side in zip(framing.excess, _SIDES, strict=True) if pixels > 0.0
+    ]
+    limit = "nothing of it is visible" if framing.outside else f"{_pixels(allowed)} are allowed"
+    return f"the part leaves the view by {', '.join(leaves)}; {limit}", "view"
+
+
+def _pixels(amount: float) -> str:
+    # rounded up, so that what is more than what is allowed does not read as the same
+    return f"{math.ceil(10.0 * amount) / 10.0:g} px"

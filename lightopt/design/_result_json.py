@@ -6,10 +6,10 @@ from typing import Any
 from lightopt.core.arrays import Bool
 from lightopt.design import _result
 from lightopt.design._candidates import Candidates, Place, place_dict
-from lightopt.design._commands import Way
+from lightopt.design._result import Way
 from lightopt.design.objectives._objective import NEAR_PER_MILLE
 from lightopt.design.postures._exposures import Brackets
-from lightopt.design.search._combinations import Ranked
+from lightopt.design.search._exact_search import Ranked
 from lightopt.images import Overlap, csv_text
 
 # what the share of the initial light positions is of
@@ -152,8 +152,8 @@ def _chosen_dict(chosen: _result.ChosenPostures) -> dict[str, Any]:
         return round(float(areas[which].sum() / areas.sum()), 6)
 
     return {
-        "min_images": chosen.least,
-        "false_alarms": chosen.false_alarms,
+        "min_images": chosen.detection.min_images,
+        "false_alarms": chosen.detection.false_alarms,
         "requested": chosen.plan.choose_postures,
         "target": chosen.plan.target,
         "share": round(cover.share, 6),

@@ -18,7 +18,7 @@ from typing import TypeVar
 import numpy as np
 
 from lightopt.core.arrays import Int64
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.run_context import Share, WorkCounter
 
 T = TypeVar("T")
@@ -41,6 +41,11 @@ STEPS_PER_DEG = 20  # the widest tolerances are multiples of 0.05°, and a step 
 # tolerances that are tried before the first that costs too much is bisected [°]
 RUNGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, LARGEST_TOLERANCE)
 
+# the same for joint tolerances, which are known to this share
+FEW_RUNGS, KNOWN_TO = (1.0, 2.0, 4.0, 8.0, LARGEST_TOLERANCE), 0.05
+
+BOTH_ANGLES = "both angles at once"
+
 # what is off, in which angle, and which body that is: the index, None for all of them or the part
 Angle = tuple[str, str, int | None]
 
@@ -62,23 +67,17 @@ class Tolerances:
             if not 0.0 <= value <= LARGEST_TOLERANCE
         ]
         if not 0.0 < self.tolerance_target < 1.0:
-            problems.append(
-                "option 'tolerance_target': expected a share of the score between 0 and 1, such as 0.95, found "
-                f"{self.tolerance_target:g}"
-            )
-        if self.draws < 1:
-            problems.append(f"draws: expected at least 1, found {self.draws}")
-        if problems:
-            raise InputError(*problems)
+            found = f"expected a share of the score between 0 and 1, found {self.tolerance_target:g}"
+            problems.append(f"option 'tolerance_target': {found}")
+        refuse(problems)
 
 
 def check_body_count(bodies: int) -> None:
     """Refuse more bodies of lights than the number for which all corners can be tried."""
     if bodies > MOST_BODIES:
         raise InputError(
-            "option 'light_deg', option 'pose_deg': all corners of the lights' angles are tried, 4 per light (channels "
-            f"of one light move together): expected at most {MOST_BODIES} lights ({4**MOST_BODIES:,} corners), found "
-            f"{bodies}; omit the tolerances, or remove lights from the rig"
+            "option 'light_deg', option 'pose_deg': all corners of the lights' angles are tried: expected at most "
+            f"{MOST_BODIES} lights ({4**MOST_BODIES:,} corners), found {bodies}; omit the tolerances"
         )
 
 
@@ -133,7 +132,7 @@ def analyse_tolerances(
     """
     check_body_count(len(names))
     varied: list[Angle] = [(name, axis, i) for i, name in enumerate(names) for axis in ("elevation", "azimuth")]
-    varied += [("all lights", "both angles at once", None), ("part", "tilt", None), ("part", "rotation", None)]
+    varied += [("all lights", BOTH_ANGLES, None), ("part", "tilt", None), ("part", "rotation", None)]
     pose_corners, light_corners = list(corners(tolerances.pose_deg)), list(corners(tolerances.light_deg))
     work = WorkCounter(len(pose_corners) + tolerances.draws + len(varied), progress)
     sizes, every_corner = [len(light_corners)] * len(names), [light_corners] * len(names)
@@ -178,30 +177,76 @@ def _widest_tolerance(
         either: list[Offset] = [
             (sign * degrees, 0.0) if angle in ("elevation", "tilt") else (0.0, sign * degrees) for sign in (-1.0, 1.0)
         ]
-        if angle == "both angles at once":
+        if angle == BOTH_ANGLES:
             return score(EXACT, [list(corners(degrees))] * len(exact)).min() >= least
         if light is None:
             return all(score(pose, exact)[0] >= least for pose in either)
         return score(EXACT, [either if i == light else o for i, o in enumerate(exact)]).min() >= least
 
-    degrees, open_ended = widest_kept(keeps)
-    return WidestTolerance(what=what, angle=angle, degrees=degrees, open_ended=open_ended)
+    return widest_kept(what, angle, keeps)
 
 
 def widest_kept(
-    keeps: Callable[[float], bool], rungs: Sequence[float] = RUNGS, known_to: float = 0.0
-) -> tuple[float, bool]:
-    """The widest tolerance that keeps the score [°], to a step or a share of it, and whether that is the last rung."""
+    what: str, angle: str, keeps: Callable[[float], bool], rungs: Sequence[float] = RUNGS, known_to: float = 0.0
+) -> WidestTolerance:
+    """The widest tolerance that keeps the score, to a step or a share of it."""
     widest = 0.0
     for rung in rungs:
         if not keeps(rung):
             break
         widest = rung
     else:
-        return widest, True
+        return WidestTolerance(what=what, angle=angle, degrees=widest, open_ended=True)
     # rungs are multiples of a step
     low, high = round(widest * STEPS_PER_DEG), round(rung * STEPS_PER_DEG)
     while high - low > max(1.0, known_to * high):
         middle = (low + high) // 2
         low, high = (middle, high) if keeps(middle / STEPS_PER_DEG) else (low, middle)
-    return low / STEPS_PER_DEG, False
+    return WidestTolerance(what=what, angle=angle, degrees=low / STEPS_PER_DEG, open_ended=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointTolerances:
+    """How far angles may be off, all at once and in either direction, while the share found is kept."""
+
+    lights: WidestTolerance | None  # of all lights; None where they are too many for all corners to be tried
+    part: WidestTolerance  # against its postures
+
+
+def joint_tolerances(
+    score: ScoreFunction, bodies: int, target: float, *, progress: Share | None = None
+) -> JointTolerances:
+    """How far all bodies of lights may be off in both angles at once, and the part in both of its own.
+
+    Known to 0.05° or 5 %. `target` is the share of the score that is kept in every corner.
+    """
+    exact: list[Sequence[Offset]] = [[EXACT]] * bodies
+    least = target * int(score(EXACT, exact)[0])
+    work = WorkCounter(2, progress)
+
+    def one_by_one(off: Callable[[Offset], Int64]) -> Callable[[float], bool]:
+        # the corner that cost too much is tried first the next time: mostly it does so again
+        signs = list(corners(1.0))
+
+        def keeps(degrees: float) -> bool:
+            for sign in signs:
+                if off((sign[0] * degrees, sign[1] * degrees))[0] < least:
+                    signs.remove(sign)
+                    signs.insert(0, sign)
+                    return False
+            return True
+
+        return keeps
+
+    def widest(what: str, keeps: Callable[[float], bool]) -> WidestTolerance:
+        found = widest_kept(what, BOTH_ANGLES, keeps, FEW_RUNGS, KNOWN_TO)
+        work.add(1)
+        work.report()
+        return found
+
+    def all_at_once(degrees: float) -> bool:
+        return bool(score(EXACT, [list(corners(degrees))] * bodies).min() >= least)
+
+    of_lights = one_by_one(lambda offset: score(EXACT, [[offset]])) if bodies == 1 else all_at_once
+    lights = widest("all lights", of_lights) if bodies <= MOST_BODIES else None
+    return JointTolerances(lights=lights, part=widest("part", one_by_one(lambda offset: score(offset, exact))))

@@ -1,7 +1,6 @@
 """Images on disk: EXR, PNG and the sets that rendering and capturing share. The one home of OpenImageIO."""
 
 from lightopt.images._atomic import (
-    ResultFolder as ResultFolder,
     csv_text as csv_text,
     make_folder as make_folder,
     remove_file as remove_file,
@@ -39,6 +38,12 @@ from lightopt.images._overlap import (
     overlap_map_name as overlap_map_name,
     write_overlap_map as write_overlap_map,
     write_overlaps as write_overlaps,
+)
+from lightopt.images._result_folder import (
+    ResultFolder as ResultFolder,
+    paths_inside as paths_inside,
+    read_listing as read_listing,
+    remove_listed as remove_listed,
 )
 from lightopt.images._set_reader import ImageSet as ImageSet, read_image_set as read_image_set
 from lightopt.images._set_writer import (

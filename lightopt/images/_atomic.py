@@ -1,14 +1,12 @@
-"""Writing files whole or not at all (temporary name, flush, fsync, rename), and the folder of a result's files."""
+"""Writing files whole or not at all (temporary name, flush, fsync, rename); making folders and removing files."""
 
 import contextlib
 import csv
 import io
-import json
 import os
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
-from lightopt.core.provenance import differences, file_sha256
+from lightopt.core.provenance import file_sha256
 from lightopt.core.threads import blocks, in_threads
 
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -144,83 +142,3 @@ def remove_file(path: Path) -> bool:
         why = error.strerror or error
         raise InputError(f"{path}: cannot be removed: {why}; choose another output folder") from error
     return True
-
-
-class ResultFolder:
-    """A folder for the files of a result; the previous result is removed before the first new file is written.
-
-    made_from: From :func:`lightopt.core.provenance.provenance`: kept under ``provenance`` of the JSON file.
-    name, format: The JSON file and its format, such as ``lightopt-fit/1``; the previous file may be of another
-        version of it.
-    what: The result in words, for messages: ``a fit``.
-    also: Names of further files that belong to such a result even where the JSON file does not list them.
-    force: Whether files of a result of other inputs are replaced.
-    Raises InputError: The folder holds a result of other inputs, and `force` is False.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        made_from: Mapping[str, Any],
-        *,
-        name: str,
-        format: str,  # noqa: A002 - the key's name in the file
-        what: str,
-        also: Sequence[str] = (),
-        force: bool,
-    ) -> None:
-        self.folder = folder
-        self.made_from: Mapping[str, Any] = json.loads(json.dumps(made_from))
-        self._name, self._format, self._also = name, format, tuple(also)
-        self._files: list[str] = []
-        old = self._read_previous()
-        there = [one for one in (name, *also) if (folder / one).exists()]
-        before = (old or {}).get("provenance")
-        changed = differences(before if isinstance(before, Mapping) else {}, self.made_from)
-        if there and not force and (old is None or changed):
-            other = f"of {what} of other inputs or with other options{f' ({changed})' if changed else ''}"
-            advice = "use option 'force' to replace it, or choose another folder"
-            raise InputError(f"{folder} already has {', '.join(there)} {other}; {advice}")
-
-    def place(self, name: str) -> Path:
-        """Path for a file of the result, by its name relative to the folder; its own folder is made."""
-        if not self._files:
-            self._remove_previous()
-        if name not in self._files:
-            self._files.append(name)
-        path = self.folder / name
-        make_folder(path.parent)
-        return path
-
-    def write_text(self, name: str, text: str) -> Path:
-        """Write a text file of the result, whole or not at all."""
-        path = self.place(name)
-        write_text_atomic(path, text)
-        return path
-
-    def finish(self, content: Mapping[str, Any]) -> Path:
-        """Write the JSON file, which completes the result: its format, `content`, the other files, provenance."""
-        document = {"format": self._format, **content, "files": sorted(self._files), "provenance": self.made_from}
-        text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        return self.write_text(self._name, text)
-
-    def _read_previous(self) -> dict[str, Any] | None:
-        try:
-            found = json.loads((self.folder / self._name).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        kind = self._format.rpartition("/")[0] + "/"
-        right = isinstance(found, dict) and str(found.get("format", "")).startswith(kind)
-        return found if right else None
-
-    def _remove_previous(self) -> None:
-        # the JSON file first: while it is there, the files that it lists are its own
-        listed = (self._read_previous() or {}).get("files", [])
-        names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
-        with suppress(FileNotFoundError):
-            (self.folder / self._name).unlink()
-        for name in {*names, *self._also}:
-            with suppress(OSError, ValueError):  # a name that no file can have
-                path = (self.folder / name).resolve()
-                if path.is_relative_to(self.folder.resolve()):
-                    path.unlink()

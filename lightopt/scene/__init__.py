@@ -9,7 +9,6 @@ from lightopt.scene._build import (
     build_scene as build_scene,
     build_sensor as build_sensor,
     build_stage as build_stage,
-    chord_tolerance as chord_tolerance,
     part_postures as part_postures,
     unit_hint as unit_hint,
 )

@@ -98,10 +98,7 @@ def inverse_pattern(
     Raises InputError: Too few pixels reflect the display, or the part has regions of other reflectances
     """
     if scene.regions:
-        raise InputError(
-            "the inverse pattern is computed for a part of one reflectance, and this part has regions; remove them "
-            "from the part file"
-        )
+        raise InputError("the inverse pattern is of a part of one reflectance; remove the regions from the part file")
     scene, posture = replace(scene, defects=()), scene.postures[0]
     seen = _seen(scene)
     surface = seen.surface
@@ -112,10 +109,8 @@ def inverse_pattern(
     inside = (np.abs(u) < 0.5 * own.size[0]) & (np.abs(v) < 0.5 * own.size[1])
     reflecting = np.flatnonzero(inside & (full >= REFLECTING_SHARE * full.max(initial=0.0)))
     if len(reflecting) < pixels[0] * pixels[1] // 100 + 10:
-        raise InputError(
-            f"{display.name}: {len(reflecting)} of {len(full)} pixels of the part reflect the display in posture "
-            f"{posture}; move the display or tilt the part, so that it shows in the part"
-        )
+        shows = f"{len(reflecting)} of {len(full)} pixels of the part reflect the display in posture {posture}"
+        raise InputError(f"{display.name}: {shows}; move the display or tilt the part")
     surface = surface.take(reflecting)
     row, column = seen.row[reflecting], seen.column[reflecting]
     target = TARGET_SHARE * float(np.median(full[reflecting])) * _stripes(row, column, period_px)

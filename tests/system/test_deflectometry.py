@@ -16,8 +16,7 @@ from lightopt.geometry import box_mesh, sphere_mesh, stl_bytes
 from lightopt.images import read_image_set
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, trace_pixels
 from lightopt.scene import build_scene
-from lightopt.series._derived import derive_images
-from lightopt.series._stripes import slope_map
+from lightopt.series._derived import derive_images, slope_map
 
 RIG = """\
 format: lightopt-rig/1

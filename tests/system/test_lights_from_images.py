@@ -12,8 +12,7 @@ import pytest
 
 from lightopt.design import FromImagesOptions, optimize_from_images
 from lightopt.design.from_images._choice import score
-from lightopt.design.from_images._samples import read_samples
-from lightopt.design.from_images._synthesis import ChosenImage, compare_captured
+from lightopt.design.from_images._samples import ChosenImage, compare_captured, read_samples
 from lightopt.images import read_image_set
 from lightopt.rendering import RenderOptions, render_image_set
 

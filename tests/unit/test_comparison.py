@@ -53,7 +53,7 @@ def system(name, share, seconds, **facts):
 
 def comparison_of(*systems):
     part, options = SimpleNamespace(), OptimizeOptions()
-    facts = {"provenance": {}, "unusable": (), "warnings": (), "paths": ()}
+    facts = {"provenance": {}, "unusable": {}, "warnings": (), "paths": ()}
     return LightingComparison(part=part, options=options, systems=systems, **facts)
 
 
@@ -144,7 +144,7 @@ def test_systems_are_designed_compared_and_reported(bench, tmp_path, cli):
         assert text in page
     again = cli(*command, "--min-images", 1)
     assert again.status == 2
-    assert "the result of another comparison" in again.err
+    assert "of a comparison of other inputs" in again.err
     assert "--force" in again.err
     assert cli(*command, "--force", "-q", "--no-tolerances").status == 0
     found = json.loads((out / "comparison.json").read_text(encoding="utf-8"))

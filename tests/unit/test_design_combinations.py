@@ -11,8 +11,8 @@ from lightopt.core.errors import InputError
 from lightopt.design.objectives import _scores_by_units as unit_sums
 from lightopt.design.objectives._scores_by_units import combination_sums
 from lightopt.design.postures._light_positions import place_lights
-from lightopt.design.responses._packed_bits import PairWeights, sum_of_images
-from lightopt.design.search._combinations import CombinationSpace
+from lightopt.design.responses._pairs import PairWeights
+from lightopt.design.search._exact_search import CombinationSpace
 
 POSTURES = 2
 
@@ -26,9 +26,9 @@ def case(seed, sizes, *, patches=6, k=2):
         ).astype(np.uint64)
         for n in sizes
     ]
-    counts = [np.stack([sum_of_images(list(place[:, None]), k) for place in light]) for light in flags]
     masks = np.array([[0x5555555555555555], [0xAAAAAAAAAAAAAAAA]], np.uint64)
     weights = PairWeights(areas=rng.integers(0, 9, patches), masks=masks, factors=np.array([1, 2], np.int64))
+    counts = [np.stack([weights.sum_counts(place[:, None], k) for place in light]) for light in flags]
     return flags, counts, weights
 
 
@@ -78,9 +78,9 @@ def test_patches_whose_counts_change_seldom_come_from_the_runs_alone(monkeypatch
         place = np.arange(size)[:, None, None, None, None]
         bits = ((place >= a) & (place < b) & (rng.random((POSTURES, patches, width, 64)) < 0.7)).astype(np.uint64)
         flags.append((bits << np.arange(64, dtype=np.uint64)).sum(axis=-1, dtype=np.uint64))
-    counts = [np.stack([sum_of_images(list(place[:, None]), k) for place in light]) for light in flags]
     masks = np.array([[0x00000000FFFFFFFF, 0x3], [0xFF, 0x5]], np.uint64)
     weights = PairWeights(areas=rng.integers(0, 9, patches), masks=masks, factors=np.array([1, 4], np.int64))
+    counts = [np.stack([weights.sum_counts(place[:, None], k) for place in light]) for light in flags]
     monkeypatch.setattr(unit_sums, "_added_up", None)
     covered, benefit = combination_sums(counts, weights, k, threads=2)
     bit = np.unpackbits(masks.view(np.uint8), axis=1, bitorder="little").astype(np.int64)

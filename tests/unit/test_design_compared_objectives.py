@@ -73,4 +73,4 @@ def test_where_they_cannot_be_searched_it_is_said_that_they_are_only_scored(thre
     chosen = replace(OPTIONS, objectives=("detectability", "paper"), places=places)
     found = design(three.rig, three.part, three.out, options=chosen)
     assert [answer.found.scored for answer in found.results[0].answers] == [1, 1]
-    assert any("their own best positions are not searched" in text and why in text for text in found.warnings)
+    assert any("are scored for the chosen light positions only" in text and why in text for text in found.warnings)

@@ -13,7 +13,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import WorkCounter
 from lightopt.design import OBJECTIVES, LevelThresholds, LuminanceMatrix, area_units, search
 from lightopt.design.objectives._coverage import bit_scores, run_scores
-from lightopt.design.search._combinations import CombinationSpace, NearBest
+from lightopt.design.search._exact_search import CombinationSpace, NearBest
 from lightopt.optics import Sensor
 
 EIGHT_BITS = (np.uint8, 255)
@@ -318,7 +318,7 @@ def test_thresholds_are_of_light_above_black():
     # what is delivered without light is never usable
     assert of(shade_share=0.0, black_level=16.5) == LevelThresholds(shade=18, saturation=250, black=17)
     assert of(shade_share=0.0) == LevelThresholds(shade=1, saturation=250, black=0)
-    with pytest.raises(InputError, match="black is 16, a level is shaded below 262"):
+    with pytest.raises(InputError, match="black is 16, shaded below 262"):
         of(shade_share=246 / 255, black_level=16)
 
 

@@ -14,7 +14,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from lightopt.core.transforms import Posture
 from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
 from lightopt.design.postures._exposures import CandidateExposure, select_exposures
-from lightopt.design.responses._packed_bits import PairWeights, add_counts, sum_of_images
+from lightopt.design.responses._pairs import PairWeights, add_counts
 
 
 def random_case(seed, *, postures=7, images=3, patches=9, trials=70, k=2, units=1):
@@ -38,7 +38,8 @@ def random_case(seed, *, postures=7, images=3, patches=9, trials=70, k=2, units=
     )
     heavy = weights.areas[:, None] * factors[kind]
     packed = [
-        sum_of_images([np.stack([pack(image > j) for j in range(units)]) for image in posture], k) for posture in plain
+        weights.sum_counts((np.stack([pack(image > j) for j in range(units)]) for image in posture), k)
+        for posture in plain
     ]
     return plain.sum(axis=1), packed, weights, heavy
 

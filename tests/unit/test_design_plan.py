@@ -24,13 +24,12 @@ from lightopt.design import (
     luminance_matrix,
     planned_catalogue,
 )
+from lightopt.design._blind_spots import planned_visibility
 from lightopt.design._misalignment import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.design._tolerances import analyse_tolerances
-from lightopt.design.blind_spots._blind_spots import planned_visibility
 from lightopt.design.postures import _light_positions as placing, _posture_search as turning
 from lightopt.design.postures._exposures import plan_exposures
-from lightopt.design.postures._joint_choice import choose_with_exposures
-from lightopt.design.postures._plan_postures import target_not_reached
+from lightopt.design.postures._plan_postures import choose_with_exposures, target_not_reached
 from lightopt.design.postures._posture_search import PostureRequest, choose_postures
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, PatchEvidence, spare_units
 from lightopt.design.responses._image_evaluator import ImageCache, ImageEvaluator, drawn_patches
@@ -362,12 +361,6 @@ def test_postures_and_lights_are_chosen_together(world, least):
     moved = any(not np.allclose(a.outward, b.outward) for a, b in zip(choice.panels, lights, strict=True))
     assert choice.initial_if_moved == (choice.initial if moved else None)
     assert choice.cover.share >= alone.cover.share
-    # what the last turn counted is kept for the curves, where it was of these postures
-    shots = [(posture, (1.0,)) for posture in choice.postures]
-    again = placing.position_counts(evaluator, shots, candidates, None)
-    assert choice.position_counts is not None or least == 2
-    assert all(np.array_equal(*two) for two in zip(choice.position_counts or again, again, strict=True))
-    assert alone.position_counts is None
 
 
 def test_no_image_of_drawn_patches_is_computed_twice(world, monkeypatch):
@@ -378,20 +371,19 @@ def test_no_image_of_drawn_patches_is_computed_twice(world, monkeypatch):
     size = few.needed * len(POSTURES) * few.weights.masks.shape[1] * len(few.patches) * 8
     monkeypatch.setattr(turning, "CACHED_BYTES", 3 * size)
     computed, tried = [], set()
-    matrices, counts_under = ImageEvaluator.matrices, turning.AlternatingSearch._counts_under
+    compute, counts_under = ImageEvaluator._compute, turning.AlternatingSearch._counts_under
 
-    def watched(self, posture, panels, **options):
+    def watched(self, posture, panels, missing, *rest):
         if self.table is few.table:
-            computed.extend(
-                (posture, round(one.elevation, 9), round(one.azimuth, 9)) for some in panels for one in some
-            )
-        return matrices(self, posture, panels, **options)
+            some = [panels[at] for at in missing]
+            computed.extend((posture, round(one.elevation, 9), round(one.azimuth, 9)) for one in some)
+        compute(self, posture, panels, missing, *rest)
 
     def watched_counts(self, panels, lights):
         tried.add((self.where, lights))
         return counts_under(self, panels, lights)
 
-    monkeypatch.setattr(ImageEvaluator, "matrices", watched)
+    monkeypatch.setattr(ImageEvaluator, "_compute", watched)
     monkeypatch.setattr(turning.AlternatingSearch, "_counts_under", watched_counts)
     choose_postures(evaluator, few, POSTURES, build_lights(rig), candidates, PostureRequest(count=2))
     assert len([where for where, _ in tried if where == "drawn patches"]) > 3
@@ -467,8 +459,8 @@ def test_positions_that_memory_has_no_room_for_are_evaluated_in_pieces(world, mo
 
     def looks():
         flags = evaluator.flags(POSTURES[0], candidates.panels)
-        visibility = planned_visibility(evaluator, setup, candidates, evaluator.exposures, thresholds, 2, None)
-        facts = [(s.counts, s.usable, s.saturated, s.first) for one in visibility for s in (one.possible, one.chosen)]
+        visibility = planned_visibility(evaluator, setup, candidates, evaluator.exposures, thresholds, 2)
+        facts = [(s.counts, s.usable, s.saturated, s.first) for one in visibility for s in (one[2], one[1])]
         return [*flags, *(array for some in facts for array in some)]
 
     free = looks()

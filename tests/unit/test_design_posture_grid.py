@@ -10,7 +10,7 @@ import pytest
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.design.postures._posture_grid import posture_grid, usable_postures
+from lightopt.design._problem import posture_grid, usable_postures
 from lightopt.scene import build_scene, frame_part, view_from_part
 
 STAGE = "stage: {elevation_range_deg: [-45, 45], rotation_range_deg: [0, 360]}"

@@ -10,8 +10,7 @@ import pytest
 
 from lightopt.core.errors import InputError
 from lightopt.design import Tolerances
-from lightopt.design._joint_tolerances import FEW_RUNGS, joint_tolerances
-from lightopt.design._tolerances import analyse_tolerances
+from lightopt.design._tolerances import FEW_RUNGS, analyse_tolerances, joint_tolerances
 
 NAMES = ("left", "right", "top")
 

@@ -19,7 +19,7 @@ from lightopt.design import (
     blind_text,
     planned_catalogue,
 )
-from lightopt.design.blind_spots._blind_spots import blind_spots, by_light, defect_visibility
+from lightopt.design._blind_spots import blind_spots, by_light, defect_visibility
 from lightopt.design.responses._evidence import spare_units
 from lightopt.design.responses._luminance_matrix import Visibility
 from lightopt.optics import Sensor
@@ -121,17 +121,6 @@ def test_counts_and_weights_are_those_of_the_units():
         most = sum(layer.max(axis=0) for layer in units)
         np.testing.assert_array_equal(some.most_units(needed)[-1], pack(most >= needed))
     assert weights.sum() == 80
-
-
-def test_visibility_of_other_images_is_refused():
-    defects = planned(dent(2.0), dent(4.0))
-    some = visibility_of([np.ones((2, 3, 2)), np.ones((1, 3, 2))], defects, 3)
-    levels = tuple(np.zeros((size, 3), np.uint8) for size in (2, 1))
-    assert LuminanceMatrix(levels=levels, areas=np.ones(3), visibility=some).visibility is some
-    with pytest.raises(InputError, match="expected the visibility of the same images"):
-        LuminanceMatrix(levels=levels[::-1], areas=np.ones(3), visibility=some)
-    with pytest.raises(InputError, match="light 0: expected uint64"):
-        visibility_of([np.ones((2, 4, 2))], defects, 3)
 
 
 EIGHT = planned(*(dent(1.0 + k, f"dent {k}") for k in range(8)))

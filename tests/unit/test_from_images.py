@@ -16,9 +16,8 @@ from lightopt.config import load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.design import FromImagesOptions, optimize_from_images
-from lightopt.design.from_images._choice import choose_lights, score
+from lightopt.design.from_images._choice import _loss, choose_lights, mix_lights, score
 from lightopt.design.from_images._evidence import Evidence
-from lightopt.design.from_images._mixing import _loss, mix_lights
 from lightopt.images import read_image_set, read_png, write_png
 
 

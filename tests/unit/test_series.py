@@ -14,8 +14,7 @@ from lightopt.config import load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_metadata
 from lightopt.lights import place_light
-from lightopt.series._derived import _array, _Series
-from lightopt.series._stripes import absolute_place, demodulate, phase_gradient, slope_map
+from lightopt.series._derived import _array, _Series, absolute_place, demodulate, phase_gradient, slope_map
 
 LIGHTS = """\
   - {name: dome, kind: dome, radius_mm: 150, camera_hole_mm: 40, segments: 4, lower_elevation_deg: 10, gain: 1.5}

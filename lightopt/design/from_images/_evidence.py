@@ -238,10 +238,7 @@ def _surface_contrasts(samples: Samples, lights: _Lights, z: float) -> tuple[lis
     surface = np.stack([np.concatenate([one.surface for one in own]) for own in lights.measured]) / lights.root
     energies = np.sum(surface * np.linalg.solve(lights.correlation, surface), axis=0)
     if not len(energies) or not np.median(energies) > 0.0:
-        raise InputError(
-            f"{samples.sets[0].folder}: no window of {WINDOW_PX} × {WINDOW_PX} px lies within the part; expected a "
-            "larger region"
-        )
+        raise InputError(f"{samples.sets[0].folder}: no window of {WINDOW_PX} × {WINDOW_PX} px lies within the part")
     contrast = float(z / np.sqrt(np.median(energies)))
     return list((contrast * surface).T[:, :, None]), contrast
 
@@ -370,35 +367,24 @@ def _warn(
             "no defective sample: signal over noise of the good surface is all that can be optimised, here of a change "
             f"of reflectance by {percent(contrast)} anywhere on the part; it says nothing on scratches or dents"
         )
-    if good < 2:
-        run.warn(
-            "one good sample: how parts differ is unknown, and noise is estimated from neighbouring pixels; expect "
-            "more false alarms, and take at least 5 good samples"
-        )
-    elif good < 5:
-        run.warn(
-            f"{good} good samples: how parts differ is estimated from few of them, pooled over {_POOLED_PX} × "
-            f"{_POOLED_PX} px; take at least 5"
-        )
+    if good < 5:
+        number = "one good sample" if good < 2 else f"{good} good samples"
+        spread = "unknown, and noise is that of neighbouring pixels" if good < 2 else "estimated from few of them"
+        run.warn(f"{number}: how parts differ is {spread}; take at least 5")
     if lights.shrinkage > LEAST_OWN:
-        run.warn(
-            f"few windows of good samples: the correlation of lights is shrunk by {percent(lights.shrinkage)} towards "
-            "independent lights"
-        )
-    if hidden := np.flatnonzero(windows.sizes == 0).tolist():
-        names = ", ".join(" ".join(windows.label(j)) for j in hidden[:5])
-        names += f" and {len(hidden) - 5} more" if len(hidden) > 5 else ""
-        run.warn(
-            f"{counted(len(hidden), 'defect')} not used, since no good sample or no pixel shows the place: {names}"
-        )
+        towards = f"is shrunk by {percent(lights.shrinkage)} towards independent lights"
+        run.warn(f"few windows of good samples: the correlation of lights {towards}")
+    if hidden := [" ".join(windows.label(j)) for j in np.flatnonzero(windows.sizes == 0).tolist()]:
+        unseen = f"{counted(len(hidden), 'defect')} not used, since no good sample or no pixel shows the place"
+        run.warn(f"{unseen}: {_first_five(hidden)}")
     saturated = [
         f"{channel.light} {percent(share)}"
         for channel, own in zip(samples.channels, lights.measured, strict=True)
         if (share := max(one.saturated for one in own)) > _SATURATED
     ]
     if saturated:
-        shown = ", ".join(saturated[:5]) + (f" and {len(saturated) - 5} more" if len(saturated) > 5 else "")
-        run.warn(
-            f"saturated pixels, which show no defect: {shown}; images with shorter exposures would say more of these "
-            "lights"
-        )
+        run.warn(f"saturated pixels, which show no defect: {_first_five(saturated)}; take shorter exposures as well")
+
+
+def _first_five(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

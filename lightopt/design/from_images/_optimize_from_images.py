@@ -3,7 +3,7 @@
 import json
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -16,16 +16,16 @@ from lightopt.core.errors import InputError, counted, percent, refuse
 from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
 from lightopt.defects import DEFAULT_FALSE_ALARMS, false_alarms_problem
-from lightopt.design.from_images._choice import DEFAULT_LIMIT, Choice, choose_lights, score
+from lightopt.design.from_images._choice import DEFAULT_LIMIT, Choice, Mixture, choose_lights, mix_lights, score
 from lightopt.design.from_images._evidence import Evidence, measure_evidence
-from lightopt.design.from_images._mixing import Mixture, mix_lights
-from lightopt.design.from_images._samples import Samples, read_samples
-from lightopt.design.from_images._synthesis import (
+from lightopt.design.from_images._samples import (
     Agreement,
     ChosenImage,
+    Samples,
     chosen_images,
     compare_captured,
     quantised,
+    read_samples,
     synthesise,
     weights_of,
 )
@@ -33,6 +33,7 @@ from lightopt.images import (
     ImageEntry,
     ImageSet,
     ImageSetWriter,
+    Manifest,
     ResultFolder,
     posture_folder,
     read_image_set,
@@ -127,15 +128,12 @@ def optimize_from_images(
     Raises InputError: What is wrong with the options, the sets or their masks.
     """
     run = run or RunContext()
-    problem = false_alarms_problem(options.false_alarms)
-    refuse([] if problem is None else [problem])
+    refuse(filter(None, [false_alarms_problem(options.false_alarms)]))
     samples = read_samples(sets, region)
     loaded = None if rig is None else _rig_of(samples, rig)
     if not 1 <= options.images <= len(samples.channels):
-        raise InputError(
-            f"option 'images': expected a number from 1 to {len(samples.channels)}, the number of lights in the sets, "
-            f"found {options.images}"
-        )
+        lights = f"1 to {len(samples.channels)}, the number of lights in the sets"
+        raise InputError(f"option 'images': expected a number from {lights}, found {options.images}")
     evidence = measure_evidence(samples, false_alarms=options.false_alarms, run=run)
     report = run.stage("choosing lights")
     choice = choose_lights(evidence, options.images, limit=options.limit, threads=run.threads)
@@ -145,7 +143,7 @@ def optimize_from_images(
     weights = mixture.weights if options.mix else np.eye(evidence.lights)[list(choice.lights)]
     hardware = None if loaded is None else loaded.hardware
     levels = {} if hardware is None else {name: light.level for name, light in hardware.lights.items()}
-    images = chosen_images(samples, evidence, weights, levels)
+    images = chosen_images(samples, evidence.brightest, weights, levels)
     taken = None if captured is None else read_image_set(captured)
     agreement = None if taken is None else compare_captured(samples, images, taken)
     return FromImagesResult(
@@ -236,28 +234,18 @@ def _write_images(result: FromImagesResult, number: int, folder: Path) -> None:
     samples = result.samples
     own = samples.sets[number]
     facts = {image.name: {"lights": image.weights, "exposure": image.exposure} for image in result.images}
-    header = replace(
-        own.manifest,
-        kind="simulated",
-        lightopt=None,  # which tells an inspection nothing of whether the sample is good
-        rig=None,
-        provenance={"synthesised_from": own.fingerprint, "images": facts},
-        images=(),
-        geometry=(),
-        patches=None,
-        files={},
-        warnings=(),
-        extra={},
-    )
-    writer = ImageSetWriter(folder, header)
+    kept = ("bit_depth", "full_scale", "saturation_level", "black_level", "part")
+    header = {name: getattr(own.manifest, name) for name in kept}
+    # without a version: an inspection knows nothing of whether the sample is good
+    made_from = {"synthesised_from": own.fingerprint, "images": facts}
+    writer = ImageSetWriter(folder, Manifest(kind="simulated", **header, provenance=made_from))
     for p, posture in enumerate(samples.postures):
         for image in result.images:
             levels, _ = synthesise(samples, number, image, posture)
             main = max(image.weights, key=lambda light: image.weights[light])
             source = next(e for e in own.images if (e.light, e.posture) == (main, posture))
-            entry = ImageEntry(
-                image.name, source.light_elevation_deg, source.light_azimuth_deg, posture, image.exposure
-            )
+            angles = source.light_elevation_deg, source.light_azimuth_deg
+            entry = ImageEntry(image.name, *angles, posture, image.exposure)
             writer.add_image(entry, png=quantised(samples, levels))
         if (labels := samples.labels[number, p]).max() >= 0:
             mask = np.where(labels >= 0, 255, 0).astype(np.uint8)

@@ -1,14 +1,16 @@
 """Image sets of good and defective samples, each with one image per light, and the masks of their defects."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
-from lightopt.core.arrays import Bool, Float32, Int32
+from lightopt.core.arrays import Bool, Float32, Float64, Int32, UInt8
 from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSet, Manifest, posture_folder, read_image_set, read_png
@@ -90,7 +92,8 @@ def read_samples(paths: Sequence[Path], region: Path | None = None) -> Samples:
     """
     sets = tuple(read_image_set(path) for path in paths)
     first = sets[0]
-    refuse([f"{path}: given twice" for path, one in zip(paths, sets, strict=True) if _times(one, sets) > 1])
+    homes = [one.folder.resolve() for one in sets]
+    refuse(f"{path}: given twice" for path, home in zip(paths, homes, strict=True) if homes.count(home) > 1)
     refuse([problem for one in sets[1:] for problem in _misfits(first, one)])
     postures = tuple(dict.fromkeys(entry.posture for entry in first.images))
     channels = tuple(_channel(sets, light) for light in dict.fromkeys(entry.light for entry in first.images))
@@ -119,23 +122,16 @@ def read_samples(paths: Sequence[Path], region: Path | None = None) -> Samples:
     )
     regions = tuple(_region(samples, posture) if shown is None else shown for posture in postures)
     if not all(one.any() for one in regions):
-        raise InputError(
-            f"{first.folder}: no pixel is brighter than {LIT_SHARE:.0%} of full scale under any light; take longer "
-            "exposures, or give a mask with option 'region'"
-        )
+        dark = f"no pixel is brighter than {LIT_SHARE:.0%} of full scale"
+        raise InputError(f"{first.folder}: {dark}; take longer exposures, or give a mask with option 'region'")
     return replace(samples, regions=regions)
-
-
-def _times(one: ImageSet, sets: Sequence[ImageSet]) -> int:
-    return sum(other.folder.resolve() == one.folder.resolve() for other in sets)
 
 
 def _names(sets: Sequence[ImageSet]) -> tuple[str, ...]:
     # of the folders, with a number where two are alike
     names = [one.folder.resolve().name for one in sets]
-    return tuple(
-        name if names.count(name) == 1 else f"{name}-{1 + names[:i].count(name)}" for i, name in enumerate(names)
-    )
+    numbers = ("" if names.count(name) == 1 else f"-{1 + names[:i].count(name)}" for i, name in enumerate(names))
+    return tuple(map("".join, zip(names, numbers, strict=True)))
 
 
 def _misfits(first: ImageSet, other: ImageSet) -> list[str]:
@@ -207,10 +203,8 @@ def _mask(path: Path, shape: tuple[int, ...], problems: list[str]) -> Int32:
     # a PNG of the images' size; zeros, and a problem, where it is of another one
     mask = read_png(path)
     if mask.shape != shape:
-        problems.append(
-            f"{path}: a mask of {mask.shape[1]} × {mask.shape[0]} px for images of {shape[1]} × {shape[0]} px; "
-            "expected one pixel per pixel of the image"
-        )
+        sizes = f"a mask of {mask.shape[1]} × {mask.shape[0]} px for images of {shape[1]} × {shape[0]} px"
+        problems.append(f"{path}: {sizes}; expected the same size")
         return np.zeros(shape, np.int32)
     return mask.astype(np.int32)
 
@@ -225,3 +219,165 @@ def _region(samples: Samples, posture: Posture) -> Bool:
     for channel in samples.channels[1:]:
         brightest = np.maximum(brightest, samples.load(0, channel, posture))
     return brightest > LIT_SHARE * samples.limit
+
+
+USED_RANGE = 0.95  # of the range up to saturation that 99.9 % of the part's pixels of an image may reach
+MOST_LONGER = 100.0  # times that of the samples, an exposure may be
+
+_STEPS = 1000  # of brightness, of lights whose levels are unknown
+_MEAN_PX = 5  # side of the squares whose means are compared as well, in which noise is a fifth
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChosenImage:
+    """An image to take: lights that are on together, and how long."""
+
+    name: str
+    weights: dict[str, float]  # brightness of each light, relative to that in the samples; the greatest is 1
+    exposure: float
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """A synthesised image against a captured one, at pixels that are not saturated in any image."""
+
+    image: str
+    posture: Posture
+    exposure: float
+    pixels: int
+    rms: float  # [sensor level]
+    means_rms: float  # of means over squares of 5 × 5 px, where all of them are compared [sensor level]
+
+
+def chosen_images(
+    samples: Samples, brightest: Float64, weights: Float64, levels: Mapping[str, int]
+) -> tuple[ChosenImage, ...]:
+    """The images of weights (N, K) on the samples' images, each as long as saturation allows.
+
+    brightest: Of each light's image the level above black that 0.1 % of the part's pixels exceed [sensor level], (K,)
+    levels: Controller level of a light at full brightness, where it is known: its weights are whole levels
+    Raises InputError: The lights of an image leave the part black.
+    """
+    exposures = np.array([channel.exposure for channel in samples.channels])
+    room = USED_RANGE * (samples.manifest.saturated_from - samples.manifest.black_level)
+    images: list[ChosenImage] = []
+    for number, row in enumerate(weights, start=1):
+        brightness = row * exposures  # a light that was exposed longer is darker than its image
+        top = float(row @ brightest)
+        longest = float(brightness.max())
+        if not top * MOST_LONGER > room:
+            lights = ", ".join(c.light for c, share in zip(samples.channels, row, strict=True) if share)
+            black = f"99.9 % of the part's pixels are black under {lights}, or nearly so"
+            raise InputError(f"{samples.sets[0].folder}: {black}; ask for fewer images, or leave the light out")
+        exposure = room / top * longest
+        lit: dict[str, float] = {}
+        for channel, share in zip(samples.channels, brightness / brightness.max(), strict=True):
+            steps = levels.get(channel.light, _STEPS)
+            if whole := round(float(share) * steps):
+                lit[channel.light] = round(whole / steps, 6)
+        name = next(iter(lit)) if len(lit) == 1 else f"mix-{number}"
+        images.append(ChosenImage(name=name, weights=lit, exposure=_rounded_down(exposure)))
+    return tuple(images)
+
+
+def _rounded_down(value: float) -> float:
+    # to three digits, so that rounding saturates nothing
+    digits = 2 - int(np.floor(np.log10(value)))
+    return float(f"{np.floor(value * 10.0**digits + 1e-9) / 10.0**digits:.3g}")
+
+
+def weights_of(samples: Samples, images: Sequence[ChosenImage]) -> Float64:
+    """Weights of the samples' images in chosen images, up to a factor of each, shape (N, K)."""
+    return np.array([[image.weights.get(c.light, 0.0) / c.exposure for c in samples.channels] for image in images])
+
+
+def synthesise(
+    samples: Samples, number: int, image: ChosenImage, posture: Posture, *, exposure: float | None = None
+) -> tuple[Float32, Bool]:
+    """An image of a set as the camera would deliver it, and where a source of it is saturated, shape (H, W).
+
+    The levels Σ w·(I − b)·t/t₀ + b are not rounded or clipped. [sensor level]
+
+    number: Of the set
+    exposure: That of `image` by default
+    """
+    manifest = samples.sets[number].manifest
+    total, saturated = np.float32(0.0), np.False_
+    for channel in samples.channels:
+        if channel.light in image.weights:
+            levels = samples.load(number, channel, posture)
+            share = image.weights[channel.light] * (exposure or image.exposure) / channel.exposure
+            total = total + np.float32(share) * levels
+            saturated = saturated | (levels >= manifest.saturated_from - manifest.black_level - 0.5)
+    return np.asarray(total, np.float32) + np.float32(manifest.black_level), np.asarray(saturated, np.bool_)
+
+
+def quantised(samples: Samples, levels: Float32) -> UInt8 | NDArray[np.uint16]:
+    """Levels as the camera delivers them: rounded half up and clipped."""
+    whole = np.clip(np.floor(levels + 0.5), 0, samples.manifest.max_level)
+    return whole.astype(np.uint8) if samples.manifest.bit_depth <= 8 else whole.astype(np.uint16)
+
+
+def compare_captured(
+    samples: Samples, images: Sequence[ChosenImage], captured: ImageSet
+) -> tuple[str, tuple[Agreement, ...]]:
+    """Compare a captured set with the images of the set that shows the same sample: that which agrees best.
+
+    captured: Its lights are the names of `images`.
+    Returns: Name of the samples' set, and each image of it.
+    Raises InputError: The captured set has none of the images, or they are of another size or saturated all over.
+    """
+    known = {image.name: image for image in images}
+    entries = [e for e in captured.images if e.light in known and e.posture in samples.postures]
+    if not entries:
+        found = ", ".join(sorted({entry.light for entry in captured.images}))
+        raise InputError(f"{captured.folder}: none of the chosen images: expected {', '.join(known)}, found {found}")
+    found = [
+        [_agreement(samples, number, known[entry.light], captured, entry) for entry in entries]
+        for number in range(len(samples.sets))
+    ]
+    best = min(range(len(found)), key=lambda i: _rms_of_all(found[i], "rms"))
+    if not any(one.pixels for one in found[best]):
+        raise InputError(f"{captured.folder}: each pixel of the part is saturated; expected shorter exposures")
+    return samples.names[best], tuple(found[best])
+
+
+def _rms_of_all(found: Sequence[Agreement], key: Literal["rms", "means_rms"]) -> float:
+    pixels = sum(one.pixels for one in found)
+    return math.sqrt(sum(getattr(one, key) ** 2 * one.pixels for one in found) / pixels) if pixels else math.inf
+
+
+def _agreement(samples: Samples, number: int, image: ChosenImage, captured: ImageSet, entry: ImageEntry) -> Agreement:
+    levels, saturated = synthesise(samples, number, image, entry.posture, exposure=entry.exposure)
+    taken = captured.load(entry)
+    if taken.levels.shape != levels.shape:
+        sizes = (f"{shape[1]} × {shape[0]} px" for shape in (taken.levels.shape, levels.shape))
+        raise InputError(f"{captured.folder}: images of {next(sizes)}, but the samples' are of {next(sizes)}")
+    own = sensor_levels(captured, entry) + np.float32(captured.manifest.black_level)
+    used = samples.regions[samples.postures.index(entry.posture)] & ~saturated & ~taken.saturated
+    used &= levels < samples.manifest.saturated_from
+    off = np.where(used, own - np.asarray(quantised(samples, levels), np.float32), 0.0)
+    whole = ndimage.uniform_filter(used.astype(np.float32), _MEAN_PX) > 0.999
+    means = np.asarray(ndimage.uniform_filter(off, _MEAN_PX), np.float32)[whole]
+    return Agreement(
+        image=image.name,
+        posture=entry.posture,
+        exposure=entry.exposure,
+        pixels=int(used.sum()),
+        rms=_rms(off[used]),
+        means_rms=_rms(means),
+    )
+
+
+def _rms(values: Float32) -> float:
+    return float(np.sqrt(np.mean(values.astype(np.float64) ** 2))) if values.size else 0.0
+
+
+def agreement_text(name: str, found: Sequence[Agreement]) -> str:
+    """The agreement in a sentence."""
+    pixels = sum(one.pixels for one in found)
+    return (
+        f"{counted(len(found), 'captured image')} against images synthesised from {name}: "
+        f"{_rms_of_all(found, 'rms'):.2f} levels rms, {_rms_of_all(found, 'means_rms'):.2f} as means of {_MEAN_PX} × "
+        f"{_MEAN_PX} px, at {counted(pixels, 'unsaturated pixel')}"
+    )

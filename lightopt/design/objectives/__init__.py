@@ -1,6 +1,12 @@
 """Objectives: scores of a combination of light positions.
 
 To add an objective, write a module with a class that has the methods of `_objective.Objective`, and name it in
-`_registry`. `_scores_by_…` sum the scores of all combinations at once: from classes of levels, from the number of
-images that show a defect, from the least and greatest levels.
+:data:`OBJECTIVES` below; detectability depends on a part's catalogue of defects.
 """
+
+from lightopt.design.objectives._coverage import COVERAGE
+from lightopt.design.objectives._objective import Objective
+from lightopt.design.objectives._paper import PAPER
+
+OBJECTIVES: dict[str, Objective] = {objective.name: objective for objective in (COVERAGE, PAPER)}
+"""Those that need levels alone, in default order; the first one decides where the lights go."""

@@ -8,7 +8,7 @@ shaded nor saturated) and S the number in which it is saturated,
 
 in whole square micrometres. A patch's part in it depends on the classes of its levels only. Along the candidates of a
 light a patch is shaded, usable or saturated in runs. Over all lights its part in the score is constant on boxes, the
-products of runs, which are added up as differences: see :mod:`._difference_tables`. Patches whose classes change all
+products of runs, which are added up as differences: see :class:`Differences`. Patches whose classes change all
 the time are counted in packed bits, where 64 patches share a word. Usable and saturated images are counted by
 saturating bit counters, light after light; the weights of covered patches are added up bit by bit, each bit of the
 weights being a plane of words of its own.
@@ -25,10 +25,10 @@ from lightopt.core.arrays import Float64, Int32, Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, blocks, run_all
-from lightopt.design.objectives._difference_tables import Differences
 from lightopt.design.objectives._objective import Objective, inspectable_surface
+from lightopt.design.objectives._scores_by_units import Differences
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, level_range
-from lightopt.design.responses._packed_bits import Words, common_bits, count_flags, pack_flags
+from lightopt.design.responses._pairs import Words, common_bits, count_flags, pack_flags
 
 BOUND_PATCHES = 1 << 16  # patches whose bound is computed at once
 SATURATED = 1 << 16  # added to a cell's count of usable images for each image in which it is saturated
@@ -70,10 +70,8 @@ class CoverageObjective(Objective):
         """One image is never two."""
         if lights >= LEAST_USABLE:
             return None
-        return (
-            f"objective coverage requires each patch to be usable in {LEAST_USABLE} images, and there is one light "
-            "only; use the objective detectability"
-        )
+        few = "and there is one light only; use the objective detectability"
+        return f"objective coverage requires each patch to be usable in {LEAST_USABLE} images, {few}"
 
     def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         levels = np.concatenate(matrix.levels)
@@ -149,8 +147,7 @@ def run_scores(
             _scatter(own, differences.strides, (first, offset, place, kind), weights[some], largest)
         work.add(float(products[start:end].sum()))
 
-    pairs = itertools.pairwise(ends)
-    run_all(((add, pair) for pair in pairs), threads=differences.workers, done=work.report)
+    run_all(((add, pair) for pair in itertools.pairwise(ends)), threads=differences.workers, done=work.report)
     return differences.summed()[0]
 
 
@@ -237,8 +234,7 @@ def bit_scores(
     for start, end in blocks(len(which), max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
         # heavy patches first, so that the planes of the high bits are short
         some = which[start:end][np.argsort(-weights[which[start:end]], kind="stable")]
-        tasks = _tasks(levels, some, weights[some], thresholds, table, work)
-        run_all(tasks, threads=threads, done=work.report)
+        run_all(_tasks(levels, some, weights[some], thresholds, table, work), threads=threads, done=work.report)
     return table
 
 

@@ -1,6 +1,6 @@
 """Objective ``detectability``: the share of the catalogue's defects that the inspection is expected to find.
 
-With the defects t of the part's catalogue (:mod:`lightopt.design.responses._defect_hypotheses`), u(p, t) the units of
+With the defects t of the part's catalogue (:mod:`lightopt.design.responses._pairs`), u(p, t) the units of
 evidence that all images together give of t on patch p, and n the units that it needs to count as found
 (:mod:`lightopt.design.responses._evidence`),
 
@@ -20,15 +20,14 @@ from typing import Any
 import numpy as np
 
 from lightopt.core.arrays import Float64, Int64
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import counted
 from lightopt.core.run_context import Share
 from lightopt.defects import DEFAULT_FALSE_ALARMS
 from lightopt.design.objectives._objective import Objective, area_text, inspectable_surface
 from lightopt.design.objectives._scores_by_units import combination_sums
-from lightopt.design.responses._defect_hypotheses import PlannedDefect
 from lightopt.design.responses._evidence import units_needed
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
-from lightopt.design.responses._packed_bits import PairWeights, unpack_flags
+from lightopt.design.responses._pairs import PairWeights, PlannedDefect, unpack_flags
 
 # what the number is, beside it in result.json
 SCORE_IS = (
@@ -50,13 +49,6 @@ def deciding_text(min_images: int) -> str:
     return "one image may decide" if min_images == 1 else f"{min_images} images must show each"
 
 
-def min_images_problem(min_images: int) -> str | None:
-    """What is wrong with a number of images that must show a defect; None where nothing is."""
-    if min_images >= 1:
-        return None
-    return f"option 'min_images': expected the number of images that must show a defect, 1 or more, found {min_images}"
-
-
 @dataclass(frozen=True)
 class DetectabilityObjective(Objective):
     """Defects that the inspection is expected to find; see the module's text."""
@@ -68,10 +60,7 @@ class DetectabilityObjective(Objective):
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"
     share_of: str | None = f"{inspectable_surface(edges=False)}, × defects by weight"
-
-    def __post_init__(self) -> None:
-        if problem := min_images_problem(self.min_images):
-            raise InputError(problem)
+    area: int | None = None  # that a score is a share of [µm²]; None for the inspectable area
 
     @property
     def meaning(self) -> str:
@@ -91,16 +80,14 @@ class DetectabilityObjective(Objective):
         return area_text(score / self.total_weight, grain)
 
     def full_score(self, area: int) -> int | None:
-        return area * self.total_weight
+        return (area if self.area is None else self.area) * self.total_weight
 
     def refusal(self, lights: int) -> str | None:
         """There are no more images than lights, unless other postures add images."""
         if lights >= self.min_images or self.across_postures:
             return None
-        return (
-            f"objective detectability requires each defect to be seen in {self.min_images} images, and the rig has "
-            f"{counted(lights, 'light')} only; lower option 'min_images'"
-        )
+        number = f"{self.min_images} images, and the rig has {counted(lights, 'light')} only"
+        return f"objective detectability requires each defect to be seen in {number}; lower option 'min_images'"
 
     def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         # with one position of each light, all that could be seen is
@@ -160,9 +147,5 @@ class DetectabilityObjective(Objective):
 
 
 def _visibility(matrix: LuminanceMatrix) -> Visibility:
-    if matrix.visibility is None:
-        raise InputError(
-            "objective detectability: expected a luminance matrix with the visibility of the defects, found levels "
-            "alone"
-        )
+    assert matrix.visibility is not None
     return matrix.visibility

@@ -9,7 +9,7 @@ them, and v(n) be the value of n units. With the lights' units n_l,
 m being how many of the j_l are above 0 and s their sum. With one unit per light and v(n) = [n ≥ 2] that is e₂ −
 2·e₃ + 3·e₄ − … in elementary symmetric sums of the b_l. A product of m flags that rise or fall at places c_l is, in the
 array of its mixed differences along the lights' candidates, ±1 at the place of those c_l, with 0 for the other lights
-(:mod:`lightopt.design.objectives._difference_tables`). All defects of a patch are processed as one word: those that
+(:class:`Differences`). All defects of a patch are processed as one word: those that
 rise at the same places cost no more than one. Lights with one candidate only shift v for the defects they show.
 
 Patches where units change nearly everywhere are added up combination by combination; the last light's positions share
@@ -17,7 +17,9 @@ the sum of the others.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from queue import Empty, SimpleQueue
 
 import numpy as np
 
@@ -25,8 +27,52 @@ from lightopt.core.arrays import Bool, Int64, UInt64
 from lightopt.core.kernels import kernel
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import available_processors, blocks, run_all
-from lightopt.design.objectives._difference_tables import Differences
-from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, add_units, word_weight
+from lightopt.design.responses._pairs import Counts, PairWeights, Words, add_counts, add_units, word_weight
+
+MOST_DIFFERENCES = 1 << 25  # most numbers in the arrays of all threads: 256 MiB
+
+
+class Differences:
+    """Arrays of mixed differences of `tables` tables over axes of `sizes`, one per thread on demand.
+
+    Where a number c fills the box [a, b) × [a', b') × … of a table, the array of its mixed differences has ±c at the
+    box's corners and 0 elsewhere. So a box costs a few numbers, however many cells it has; running sums complete the
+    tables.
+
+    workers: Threads that memory allows, at least 1.
+    strides: Of the axes in a table as one row, shape (axes,).
+    """
+
+    def __init__(self, sizes: Sequence[int], threads: int, *, tables: int = 1) -> None:
+        self._sizes = tuple(sizes)
+        self._shape = tables, math.prod(sizes)
+        self.workers = max(1, min(threads, MOST_DIFFERENCES // math.prod(self._shape)))
+        self.strides: Int64 = np.array([math.prod(sizes[i + 1 :]) for i in range(len(sizes))], np.int64)
+        self._free: SimpleQueue[Int64] = SimpleQueue()
+        self._made: list[Int64] = []
+
+    @contextmanager
+    def borrowed(self) -> Generator[Int64, None, None]:
+        """An array for differences that no other thread uses, shape (tables, cells)."""
+        try:
+            array = self._free.get_nowait()
+        except Empty:
+            array = np.zeros(self._shape, np.int64)
+            self._made.append(array)
+        yield array
+        self._free.put(array)
+
+    def summed(self) -> Int64:
+        """The tables, shape (tables, cells), the last axis varying fastest; the arrays are consumed."""
+        total = self._made[0] if self._made else np.zeros(self._shape, np.int64)
+        for array in self._made[1:]:
+            total += array
+        for size, stride in zip(self._sizes, self.strides, strict=True):
+            if size > 1:
+                along = total.reshape(-1, size, int(stride))
+                np.cumsum(along, axis=1, out=along)
+        return total
+
 
 CHUNK_PATCHES = 1 << 12  # patches of one task of a thread: some 0.01 s
 

@@ -1,7 +1,6 @@
 """Choice of postures and exposures, with one set of light positions for all postures.
 
-`_plan_postures` is the entry. `_posture_grid` lists the candidate postures. `_posture_search` chooses postures and
-lights alternately: `_cover_search` chooses postures for given lights, `_light_positions` lights for given postures.
-`_exposures` adds further exposures, `_joint_choice` chooses all three together. `_plan_postures` also scores the choice
-by all images of the plan.
+`_plan_postures` is the entry: it chooses all three together, and scores the choice by all images of the plan.
+`_posture_search` chooses postures and lights alternately: `_cover_search` postures for given lights, `_light_positions`
+lights for given postures. `_exposures` adds further exposures.
 """

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 
-from lightopt.design.responses._packed_bits import Counts, Merit, PairWeights, add_counts
+from lightopt.design.responses._pairs import Counts, Merit, PairWeights, add_counts
 
 # of one search: words of flags that are read, 10,000 gains of 200,000 patches; a few seconds of two processors
 MOST_WORK = 2_000_000_000

@@ -15,12 +15,12 @@ from typing import Literal
 import numpy as np
 
 from lightopt.core.arrays import Int64
-from lightopt.core.errors import InputError
-from lightopt.core.run_context import Share
+from lightopt.core.errors import counted
+from lightopt.core.run_context import Share, ignore
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
-from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, sum_of_images, unpack_flags
+from lightopt.design.responses._pairs import Counts, PairWeights, Words, add_counts, refuse_memory, unpack_flags
 from lightopt.lights import PanelLight
 
 DEFAULT_EXPOSURE_GAIN = 1.0
@@ -203,21 +203,7 @@ class _PlannedImages:
         return self._weights.sum_counts(rest, self._needed)
 
     def _counts(self, images: Images) -> Counts:
-        return sum_of_images(list(images), self._needed)
-
-
-def check_exposures(exposures: Sequence[float], gain_points: float) -> list[str]:
-    """What is wrong with exposures and the required gain."""
-    problems = [
-        f"option 'exposures': expected numbers above 0, such as 1/16,1/4,1,4,16, found {exposure:g}"
-        for exposure in exposures
-        if not (math.isfinite(exposure) and exposure > 0.0)
-    ]
-    if len(set(exposures)) < len(exposures):
-        problems.append("option 'exposures': the same exposure was given twice")
-    if not (math.isfinite(gain_points) and 0.0 <= gain_points <= 100.0):
-        problems.append(f"option 'exposure_gain': expected points from 0 to 100, found {gain_points:g}")
-    return problems
+        return self._weights.sum_counts(images, self._needed)
 
 
 def plan_exposures(
@@ -227,19 +213,15 @@ def plan_exposures(
     exposures: Sequence[float],  # further exposures to choose from; 1 is taken anyway
     gain_points: float = DEFAULT_EXPOSURE_GAIN,  # the least gain [hundredths of the pairs]
     target: float | None = None,  # share of the pairs that is to be shown
-    progress: Share | None = None,
+    progress: Share = ignore,
 ) -> Brackets:
     """Plan a further exposure only where it shows more by at least a given gain, or where the target needs it."""
     further = [exposure for exposure in exposures if exposure != 1.0]
     most = max(map(len, lights))
     image_bytes = UNITS_OF_IMAGE * len(evaluator.patches) * evaluator.weights.masks.shape[1] * 8
-    size = len(postures) * (1 + len(further)) * most * image_bytes
-    if size > MOST_IMAGE_BYTES:
-        raise InputError(
-            f"option 'exposures': {len(postures)} postures × {1 + len(further)} exposures × {most} lights × "
-            f"{len(evaluator.patches):,} patches are {size / 1e9:.2f} GB, and there is room for "
-            f"{MOST_IMAGE_BYTES / 1e9:.2f} GB; choose from fewer exposures, or lower option 'patch_budget'"
-        )
+    images = len(postures) * (1 + len(further)) * most
+    what = f"option 'exposures': {counted(images, 'image')} × {len(evaluator.patches):,} patches"
+    refuse_memory(what, images * image_bytes, MOST_IMAGE_BYTES, "choose from fewer exposures")
     now: list[Images] = []
     candidates: list[CandidateExposure] = []
     for index, (posture, panels) in enumerate(zip(postures, lights, strict=True)):
@@ -250,8 +232,7 @@ def plan_exposures(
         )
         now.append(first)
         candidates += [CandidateExposure(index, *pair) for pair in zip(further, rest, strict=True)]
-        if progress is not None:
-            progress((index + 1) / len(postures))
+        progress((index + 1) / len(postures))
     weights, needed, least = evaluator.weights, evaluator.needed, gain_points / 100.0
     found = select_exposures(postures, now, candidates, weights, needed=needed, least_gain=least, target=target)
     return replace(found, grain=evaluator.table.grain)

@@ -4,7 +4,7 @@ Every combination is tried, a table of so many after the other; where there are 
 time until that gains nothing.
 
 The units of evidence of a position are added up over the postures before
-(:mod:`lightopt.design.responses._packed_bits`), so that a combination adds up one count per light, whatever the number
+(:mod:`lightopt.design.responses._pairs`), so that a combination adds up one count per light, whatever the number
 of postures (:mod:`lightopt.design.objectives._scores_by_units`).
 """
 
@@ -23,9 +23,15 @@ from lightopt.design.objectives._scores_by_units import PositionCounts, combinat
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import select_rows
-from lightopt.design.responses._packed_bits import PairWeights, add_units
-from lightopt.design.search._combinations import CombinationSpace, allowed_mask, digits
-from lightopt.design.search._exact_search import DEFAULT_LIMIT, NO_COMBINATION, TABLE_CELLS
+from lightopt.design.responses._pairs import PairWeights, add_units
+from lightopt.design.search._exact_search import (
+    DEFAULT_LIMIT,
+    NO_COMBINATION,
+    TABLE_CELLS,
+    CombinationSpace,
+    allowed_mask,
+    digits,
+)
 
 Rows = Sequence[Int64]
 ExposedPosture = tuple[Posture, tuple[float, ...]]  # with the exposures that an image of it may be taken with
@@ -148,7 +154,7 @@ def position_counts_fit(evaluator: ImageEvaluator, candidates: Candidates | None
 
 
 def position_counts(
-    evaluator: ImageEvaluator, postures: Sequence[ExposedPosture], candidates: Candidates, progress: Share | None
+    evaluator: ImageEvaluator, postures: Sequence[ExposedPosture], candidates: Candidates, progress: Share
 ) -> list[PositionCounts]:
     """Units of evidence by each position of each light in postures, of each light of shape (positions, k, p, words).
 
@@ -161,8 +167,7 @@ def position_counts(
         for total, layer in zip(totals, images, strict=True):
             for position, flags in enumerate(layer):
                 add_units(total[position], flags)
-        if progress is not None:
-            progress(done / len(postures))
+        progress(done / len(postures))
     return totals
 
 
@@ -173,10 +178,10 @@ def best_positions(
     *,
     limit: int = DEFAULT_LIMIT,
     progress: Share | None = None,
-) -> tuple[LightPositions, list[PositionCounts]]:
-    """The positions of the lights that show most in postures, and the counts of all positions."""
+) -> LightPositions:
+    """The positions of the lights that show most in postures."""
     counted = len(postures) / (len(postures) + 1)
     counts = position_counts(evaluator, postures, candidates, part_of(progress, 0.0, counted))
     weights, space, rest = evaluator.weights, candidates.space, part_of(progress, counted, 1.0)
     how = {"needed": evaluator.needed, "limit": limit}
-    return place_lights(counts, weights, space, **how, threads=evaluator.threads, progress=rest), counts
+    return place_lights(counts, weights, space, **how, threads=evaluator.threads, progress=rest)

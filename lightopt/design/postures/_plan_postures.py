@@ -1,6 +1,13 @@
-"""Choose the postures of a plan, or report why a target is not reached; then score the plan by all of its images."""
+"""Choose the postures of a plan, or report why a target is not reached; then score the plan by all of its images.
 
-from collections.abc import Mapping
+Postures, lights and exposures are chosen together. Two plans are made, one with postures and lights as chosen for
+exposure 1 alone, one with those chosen for what the images show with any of the exposures; to either the exposures with
+enough gain are added (:mod:`._exposures`). The plan is kept that reaches the target with fewer postures, and then the
+one that shows more, after deducting the least gain for each further exposure. Each exposure of the first plan adds as
+much as that at least: so what is kept shows no less than the plan without further exposures.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,24 +17,148 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import CheckFailed, counted, percent
 from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
-from lightopt.design._candidates import Candidates, place_of
-from lightopt.design._commands import way_through
-from lightopt.design._problem import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, candidates_of, detection_model_of
-from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, places_of
-from lightopt.design.blind_spots import _blind_spots
+from lightopt.design._blind_spots import (
+    BlindReason,
+    DefectVisibility,
+    blind_spots,
+    blind_text,
+    by_light,
+    defect_visibility,
+)
+from lightopt.design._candidates import Candidates, Curve, place_of, score_curves
+from lightopt.design._problem import (
+    DEFECT_OBJECTIVE,
+    OptimizeOptions,
+    PlanOptions,
+    candidates_of,
+    detection_model_of,
+    posture_grid,
+    usable_postures,
+)
+from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, places_of, way_through
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import share_text
-from lightopt.design.postures._joint_choice import choose_with_exposures
-from lightopt.design.postures._light_positions import position_counts, position_counts_fit
-from lightopt.design.postures._posture_grid import posture_grid, usable_postures
-from lightopt.design.postures._posture_search import PostureChoice, PostureRequest
+from lightopt.design.postures._cover_search import Cover, best_set, cover_steps, greedy_cover, greedy_order
+from lightopt.design.postures._exposures import plan_exposures
+from lightopt.design.postures._light_positions import best_positions, position_counts, position_counts_fit
+from lightopt.design.postures._posture_search import PostureChoice, PostureRequest, choose_postures
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
-from lightopt.design.responses._packed_bits import unpack_flags
-from lightopt.design.search._combinations import Ranked
-from lightopt.design.search._curves import Curve, score_curves
+from lightopt.design.responses._pairs import Counts, unpack_flags
+from lightopt.design.search._exact_search import Ranked
+from lightopt.lights import PanelLight
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import build_lights, build_scene, pace_text
+
+MOST_ITERATIONS = 2  # of the lights for the images as they are planned, at the end
+
+
+def choose_with_exposures(
+    whole: ImageEvaluator,
+    drawn: ImageEvaluator,
+    postures: Sequence[Posture],
+    start: Sequence[PanelLight],
+    candidates: Candidates | None,
+    request: PostureRequest,
+    exposures: Sequence[float],  # 1 among them; with no other the choice is that of exposure 1, without brackets
+    gain_points: float,  # what a further exposure has to add [hundredths of the pairs]
+    run: RunContext,
+) -> PostureChoice:
+    """Choose postures and lights, and which further exposures are planned; figures are of the planned images.
+
+    whole, drawn, postures, start, candidates, request, run: As for :func:`lightopt.design.choose_postures`;
+        evaluators of exposure 1.
+    Returns the choice of the planned images; bounds and all candidates' share hold for any of the exposures. Where a
+    target cannot be reached, what was chosen for all exposures, without brackets.
+    """
+    levels = tuple(dict.fromkeys((1.0, *exposures)))
+    if len(levels) == 1:
+        return choose_postures(whole, drawn, postures, start, candidates, request, run=run)
+
+    def chosen_on(every: ImageEvaluator, some: ImageEvaluator, stage: str) -> PostureChoice:
+        choice = choose_postures(every, some, postures, start, candidates, request, run=run.within(stage))
+        return replace(choice, images=None)  # they are of other exposures than those that will be planned
+
+    single = chosen_on(whole, drawn, "exposure 1")
+    every, some = (replace(evaluator, exposures=levels) for evaluator in (whole, drawn))
+    together = chosen_on(every, some, "all exposures")
+    both = [one for one in (single, together) if request.target is None or one.cover.share >= request.target]
+    if not any(one.postures for one in both):
+        return together
+    planner = _JointPlanner(every, candidates, request, gain_points / 100.0, run)
+    best = max((planner.add_exposures(one) for one in both if one.postures), key=planner.merit)
+    best = planner.place_lights(best)
+    cover = planner.cover(best, postures)
+    chosen = tuple(postures[step.candidate] for step in cover.steps)
+    return replace(best, postures=chosen, cover=cover, initial=single.initial)
+
+
+@dataclass(frozen=True, eq=False)
+class _JointPlanner:
+    """The evaluator's exposures and the positions of the lights to choose from."""
+
+    whole: ImageEvaluator
+    candidates: Candidates | None
+    request: PostureRequest
+    least_gain: float
+    run: RunContext
+
+    def add_exposures(self, choice: PostureChoice) -> PostureChoice:
+        """A choice with the exposures that have enough gain."""
+        panels, progress = [choice.panels] * len(choice.postures), self.run.stage("exposures")
+        request = self.whole.exposures, 100.0 * self.least_gain, self.request.target
+        return replace(choice, brackets=plan_exposures(self.whole, choice.postures, panels, *request, progress))
+
+    def merit(self, plan: PostureChoice) -> tuple[float, ...]:
+        """Sort key of a plan; see the module's text."""
+        assert plan.brackets is not None
+        further = sum(exposure.reason is not None for exposure in plan.brackets.further)
+        count = 0 if self.request.target is None else -len(plan.postures)
+        return count, plan.brackets.after - self.least_gain * further, -further
+
+    def place_lights(self, plan: PostureChoice) -> PostureChoice:
+        """The lights where they serve the planned images best, and the exposures with enough gain there."""
+        if self.candidates is None:
+            return plan
+        if not position_counts_fit(self.whole, self.candidates):
+            return replace(plan, converged=False)
+        for _ in range(MOST_ITERATIONS):
+            postures = [(posture, plan.exposures_of(posture)) for posture in plan.postures]
+            progress, limit = self.run.stage("lights for the planned images"), self.request.limit
+            positions = best_positions(self.whole, postures, self.candidates, limit=limit, progress=progress)
+            assert plan.brackets is not None
+            covered = round(plan.brackets.after * max(1, self.whole.weights.total))
+            plan = replace(plan, converged=positions.covered <= covered, exact=plan.exact and positions.exact)
+            if plan.converged:
+                return plan
+            lights, panels = positions.candidates, self.candidates.panels_at(positions.candidates)
+            better = self.add_exposures(replace(plan, lights=lights, panels=panels, iterations=plan.iterations + 1))
+            if self.merit(better) <= self.merit(plan):
+                return plan
+            plan = better
+        return plan
+
+    def cover(self, plan: PostureChoice, postures: Sequence[Posture]) -> Cover:
+        """What the planned images show, posture by posture; bounds are of all postures at any of the exposures."""
+        weights = self.whole.weights
+        indices = [postures.index(posture) for posture in plan.postures]
+        every = [self._counts(plan, posture, self.whole.exposures) for posture in postures]
+        free = greedy_cover(every, weights, count=len(indices), threads=self.whole.threads)
+        own = {i: self._counts(plan, postures[i], plan.exposures_of(postures[i])) for i in sorted(indices)}
+        cover = replace(
+            free,
+            steps=cover_steps([(i, own[i]) for i in greedy_order(own, weights, self.whole.needed)], weights),
+            # where fewer postures show everything, more cannot add to it
+            bounds=(*free.bounds, *([free.all_benefit] * (len(indices) - len(free.steps)))),
+        )
+        if self.request.target is not None:
+            return replace(cover, target=self.request.target)
+        _, most, sets = best_set(every, weights, free.chosen, len(indices), threads=self.whole.threads)
+        return cover if sets is None else replace(cover, sets=sets, max_covered=most)
+
+    def _counts(self, plan: PostureChoice, posture: Posture, exposures: tuple[float, ...]) -> Counts:
+        return replace(self.whole, exposures=exposures).counts(posture, plan.panels)
+
 
 # among what the lights of a plan are the best, or not known to be
 PROVEN_OF = "positions of the lights in these postures at these exposures; for the postures see chosen_postures"
@@ -36,21 +167,8 @@ PROVEN_OF = "positions of the lights in these postures at these exposures; for t
 PROVEN_OF_ONE = "the positions that the first objective chose, the only ones that were scored"
 
 
-@dataclass(frozen=True)
-class PlannedDetectability(DetectabilityObjective):
-    """Detectability of all planned images together, as a share of what the camera sees in any candidate posture."""
-
-    share_of: str | None = SHARES_OF
-    area: int = 0  # of that surface [µm²]
-
-    def full_score(self, area: int) -> int | None:
-        """The same whatever the area of the chosen postures."""
-        del area
-        return super().full_score(self.area)
-
-
 def planned_answers(
-    result: SetResult, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share | None
+    result: SetResult, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share
 ) -> SetResult:
     """The best lights of each objective, scored for defects by what they show in the plan's postures and exposures.
 
@@ -63,20 +181,21 @@ def planned_answers(
     first = result.answers[0].objective
     assert isinstance(first, DetectabilityObjective)
     area = int(chosen.evaluator.weights.areas.sum())
-    goal = PlannedDetectability(first.defects, first.min_images, first.false_alarms, area=area)
+    # of all planned images together, as a share of what the camera sees in any candidate posture
+    goal = replace(first, share_of=SHARES_OF, area=area)
     answers = tuple(_planned(answer, goal, chosen, candidates, free is not None) for answer in result.answers)
     return replace(result, answers=answers, curves=_curves(answers[0].found.best, chosen, candidates, free, progress))
 
 
 def _curves(
-    best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share | None
+    best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share
 ) -> tuple[Curve, ...]:
     at, evaluator, weights = places_of(candidates, best), chosen.evaluator, chosen.evaluator.weights
     among = free is not None and all(place in some for place, some in zip(at, free.places, strict=True))
     if free is None or not among or not position_counts_fit(evaluator, free):
         return ()
     postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
-    lights = chosen.choice.position_counts or position_counts(evaluator, postures, free, progress)
+    lights = position_counts(replace(evaluator, images=chosen.choice.images), postures, free, progress)
 
     def score(combination: tuple[int, ...]) -> int:
         shown = (places[k] for places, k in zip(lights, combination, strict=True))
@@ -87,7 +206,7 @@ def _curves(
 
 
 def _planned(
-    answer: ObjectiveResult, goal: PlannedDetectability, chosen: ChosenPostures, candidates: Candidates, moves: bool
+    answer: ObjectiveResult, goal: DetectabilityObjective, chosen: ChosenPostures, candidates: Candidates, moves: bool
 ) -> ObjectiveResult:
     best, choice, evaluator = answer.found.best, chosen.choice, replace(chosen.evaluator, images=chosen.choice.images)
     panels, shots = candidates.panels_at(best.candidates), ((one, choice.exposures_of(one)) for one in chosen.way.order)
@@ -107,7 +226,7 @@ def _planned(
         objective=goal,
         found=replace(answer.found, ranking=(replace(best, score=score),), bound=bound),
         scores=scores,
-        details=goal.facts(seen, goal.area),
+        details=goal.facts(seen, int(evaluator.weights.areas.sum())),
         nothing=None,
         proven_of=PROVEN_OF,
     )
@@ -116,61 +235,31 @@ def _planned(
 NEAR_SHARE = 0.01  # the message names how many postures come this near to all of them
 
 
-@dataclass(frozen=True, kw_only=True)
-class PostureCountStep:
-    """Share of the pairs that a number of postures shows, all with the same lights.
-
-    `posture` is the last of them. Others of as many, or with other lights, may show more; with these lights none show
-    more than `bound`.
-    """
-
-    posture: Posture
-    share: float
-    bound: float
-
-
-class TargetNotReached(CheckFailed):
-    """A target that is not reached.
-
-    `steps` say what each number of postures shows at least, `grain` how far shares may be off since a patch counts as
-    its middle does.
-    """
-
-    def __init__(self, *messages: str, target: float, steps: tuple[PostureCountStep, ...], grain: float) -> None:
-        super().__init__(*messages)
-        self.target, self.steps, self.grain = target, steps, grain
-
-
-def target_not_reached(
-    target: float, choice: PostureChoice, evaluator: ImageEvaluator, *, least: int
-) -> TargetNotReached:
+def target_not_reached(target: float, choice: PostureChoice, evaluator: ImageEvaluator, *, least: int) -> CheckFailed:
     """What `choice`, which falls short of the target, can reach by how many postures, and why no more.
 
     `evaluator` is of all candidate postures; `least` images must show a pair.
     """
-    cover, grain = choice.cover, evaluator.table.grain
-    steps = tuple(
-        PostureCountStep(posture=posture, share=step.covered / max(1, cover.total), bound=cover.bound_of(number))
-        for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
-    )
-    return TargetNotReached(_message(target, choice, evaluator, least), target=target, steps=steps, grain=grain)
-
-
-def _message(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> str:
     cover, available = choice.cover, len(evaluator.table.postures)
     text = partial(share_text, grain=evaluator.table.grain, short_of=target)
+    shown = ", ".join(
+        f"{number}: {text(step.covered / max(1, cover.total))} (at most {text(cover.bound_of(number))})"
+        for number, step in enumerate(cover.steps, start=1)
+    )
+    steps = f"of postures chosen one after the other, all with the same lights: {shown}"
     most = cover.all_covered / max(1, cover.total)
     required = f"{100.0 * target:.9g} %"
     if most >= target:
-        return (
+        return CheckFailed(
             f"option 'target': {counted(len(cover.steps), 'posture')} show {text(cover.share)} of the "
             f"surface × defects, and no {len(cover.steps)} of {available} show more than "
             f"{text(cover.bound_share)} with these lights; {required} are required. "
-            "Raise option 'choose_postures' or leave it out"
+            "Raise option 'choose_postures' or leave it out",
+            steps,
         )
     lost = _lost(choice, evaluator, least)
     # more light helps where there is too little of it
-    dim = lost.get(_blind_spots.BlindReason.CONTRAST, 0.0) + lost.get(_blind_spots.BlindReason.SHADOWED, 0.0)
+    dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
     longer = max(evaluator.exposures) <= 1.0 and dim > 0.5 * sum(lost.values())
     hint = "Longer exposures may show some of it: add them, such as option 'exposures' 1,4,16. " * longer
     lights = "the best lights found (others may show more)" if choice.iterations else "the present light positions"
@@ -178,34 +267,33 @@ def _message(target: float, choice: PostureChoice, evaluator: ImageEvaluator, le
         (i for i, step in enumerate(cover.steps, 1) if step.covered >= (most - NEAR_SHARE) * cover.total),
         len(cover.steps),
     )
-    return (
+    return CheckFailed(
         f"option 'target': {required} of the surface × defects is not reached: with {lights}, all {available} "
         f"postures together show {text(most)}, and {counted(near, 'posture')} come within "
         f"{100 * NEAR_SHARE:g} point of that. Of the unseen share, {_reasons(lost, choice)}. "
-        f"{hint}Lower the target, use option 'choose_postures', or remove these causes"
+        f"{hint}Lower the target, use option 'choose_postures', or remove these causes",
+        steps,
     )
 
 
 def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[int, float]:
     # surface × defects by reason, over all candidate postures, under the chosen lights
     thresholds = LevelThresholds.of_sensor(evaluator.scene.sensor, shade_share=0.0)
-    seen: list[_blind_spots.DefectVisibility] = []
+    seen: list[DefectVisibility] = []
     for posture in evaluator.table.postures:
         matrices = evaluator.matrices(posture, [[panel] for panel in choice.panels], exposures=evaluator.exposures)
-        seen.append(_blind_spots.defect_visibility(_blind_spots.by_light(matrices), thresholds, least=least))
+        seen.append(defect_visibility(by_light(matrices), thresholds, least=least))
     # the shares are of the surface that the camera sees in one of them
     areas = np.zeros(len(evaluator.table.patches))
     areas[evaluator.patches] = evaluator.table.patches.areas[evaluator.patches]
-    return _blind_spots.blind_spots(areas, seen).by_reason()
+    return blind_spots(areas, seen).by_reason()
 
 
 def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
     whole = max(sum(lost.values()), 1e-12)
     names = [panel.name for panel in choice.panels]
     ordered = sorted(lost.items(), key=lambda item: (-item[1], item[0]))
-    return ", ".join(
-        f"{percent(share / whole, 0)} {_blind_spots.blind_text(code, names)}" for code, share in ordered if share > 0.0
-    )
+    return ", ".join(f"{percent(share / whole, 0)} {blind_text(code, names)}" for code, share in ordered if share > 0.0)
 
 
 def plan_postures(
@@ -239,13 +327,13 @@ def plan_postures(
         all_exposures = replace(drawn, exposures=plan.all_exposures)
         raise target_not_reached(plan.target, choice, all_exposures, least=options.min_images)
     if not choice.postures:
+        shown = f"{part.source.path}'s catalogue in {counted(options.min_images, 'image')} or more"
         raise CheckFailed(
-            f"no posture of {len(postures)} shows any defect of {part.source.path}'s catalogue in "
-            f"{counted(options.min_images, 'image')} or more: raise option 'false_alarms', lower option 'min_images', "
-            "or change the lights' gain, their ranges, or the catalogue"
+            f"no posture of {len(postures)} shows any defect of {shown}: raise option 'false_alarms', lower option "
+            "'min_images', or change the lights"
         )
-    travel, goal = (way_through(rig, choice.postures), pace_text(rig)), (options.min_images, options.false_alarms)
-    return ChosenPostures(choice, whole, len(drawn.patches), left_out, *travel, *goal, plan)
+    travel = way_through(rig, choice.postures), pace_text(rig)
+    return ChosenPostures(choice, whole, detection, len(drawn.patches), left_out, *travel, plan)
 
 
 def with_chosen(options: OptimizeOptions, rig: RigConfig, chosen: ChosenPostures) -> OptimizeOptions:

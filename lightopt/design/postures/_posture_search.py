@@ -18,7 +18,6 @@ from functools import partial
 
 import numpy as np
 
-from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext, Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
@@ -28,20 +27,19 @@ from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._light_positions import (
     MOST_COUNT_BYTES,
     LightPositions,
-    PositionCounts,
     best_positions,
     first_allowed,
     position_counts_fit,
 )
 from lightopt.design.responses._image_evaluator import ImageCache, ImageEvaluator
-from lightopt.design.responses._packed_bits import Counts
+from lightopt.design.responses._pairs import Counts, refuse_memory
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.lights import PanelLight
 
 MOST_ITERATIONS, MOST_FINAL_ITERATIONS = 6, 3  # of the alternating search, on drawn patches and on all
 DRAWN_MARGIN = 0.01  # share by which what drawn patches show may fall short of a target and still be tried on all
 
-# of the counts that are cached: for recent lights, and for all positions in the last postures
+# of the counts that are cached for recent lights, and of the images that are
 CACHED_BYTES = 400_000_000
 
 
@@ -80,9 +78,6 @@ class PostureChoice(Solution):
     initial: Cover
     initial_panels: tuple[PanelLight, ...] = field(compare=False, repr=False)  # these lights
     on_all_patches: bool  # whether the last iterations used all patches: not where memory is too small
-    # what each position of each light shows of all patches in these postures, each image with the evaluator's
-    # exposures; None where that is no longer known
-    position_counts: tuple[PositionCounts, ...] | None = field(default=None, compare=False, repr=False)
     images: ImageCache | None = field(default=None, compare=False, repr=False)  # of all patches, at those exposures
     brackets: Brackets | None = None  # which further exposures are planned; None where there were none to choose from
 
@@ -118,13 +113,11 @@ class AlternatingSearch:
     where: str  # the patches, for progress messages
     prove: bool  # whether all sets of postures are searched where that is little work
     run: RunContext
-    images: ImageCache | None = None  # those of all positions of the lights are kept there; None for nowhere
 
     def __post_init__(self) -> None:
         self._passes = 0
         self._counts: dict[Lights, list[Counts]] = {}
         self._positions: dict[tuple[int, ...], LightPositions] = {}
-        self._last_counts: tuple[tuple[int, ...], list[PositionCounts]] | None = None
 
     def improve(self, solution: Solution, most: int, request: PostureRequest) -> Solution:
         """Place lights for the postures and choose postures for the lights, while that gains; `most` times at most."""
@@ -179,28 +172,21 @@ class AlternatingSearch:
         key = tuple(sorted(chosen))
         if key not in self._positions:
             self._passes += 1
-            evaluator = replace(self.evaluator, images=self.images, keeps_images=True)
+            # images of all positions of the lights are kept
+            evaluator = replace(self.evaluator, keeps_images=True)
             postures, where = [(self.postures[i], evaluator.exposures) for i in key], self._stage("lights for postures")
             found = best_positions(evaluator, postures, self.candidates, limit=request.limit, progress=where)
-            self._positions[key], counts = found
-            self._last_counts = (key, counts) if sum(one.nbytes for one in counts) <= CACHED_BYTES else None
+            self._positions[key] = found
         return self._positions[key]
-
-    def position_counts(self, chosen: Sequence[int]) -> tuple[PositionCounts, ...] | None:
-        """What each position of each light shows in postures; None unless the lights were last placed for these."""
-        if self._last_counts is None or self._last_counts[0] != tuple(sorted(chosen)):
-            return None
-        return tuple(self._last_counts[1])
 
     def _counts_under(self, panels: Sequence[PanelLight], lights: Lights) -> list[Counts]:
         # what every posture shows under these lights, once for as many as there is room for
         if lights not in self._counts:
             self._passes += 1
             size = len(self.postures) * self.evaluator.weights.zero_counts(self.evaluator.needed).nbytes
-            # those of the initial positions are needed again at the end
-            for one in sorted(self._counts, key=lambda one: one is None):
-                if (len(self._counts) + 1) * size > CACHED_BYTES:
-                    del self._counts[one]
+            if (len(self._counts) + 1) * size > CACHED_BYTES:
+                # those of the initial positions are needed again at the end
+                self._counts = {one: counts for one, counts in self._counts.items() if one is None}
             # posture by posture in each thread: none waits for another at the end of a posture
             evaluator, found = replace(self.evaluator, threads=1), dict[int, Counts]()
             work = WorkCounter(len(self.postures), self._stage("postures for lights"))
@@ -214,7 +200,7 @@ class AlternatingSearch:
             self._counts[lights] = [found[i] for i in range(len(self.postures))]
         return self._counts[lights]
 
-    def _stage(self, name: str) -> Share | None:
+    def _stage(self, name: str) -> Share:
         return self.run.stage(f"{name}, {self.where}, pass {self._passes}")
 
 
@@ -237,18 +223,15 @@ def choose_postures(
     Raises InputError: More postures than memory is meant for; lights that collide in every combination.
     """
     size = len(postures) * whole.needed * len(whole.patches) * whole.weights.masks.shape[1] * 8
-    if size > MOST_COUNT_BYTES:
-        raise InputError(
-            f"{len(postures)} postures × {len(whole.patches):,} patches are {size / 1e9:.2f} GB of counts, and there "
-            f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; raise option 'posture_step_deg' or lower option "
-            "'patch_budget'"
-        )
+    what = f"counts: {len(postures)} postures × {len(whole.patches):,} patches"
+    refuse_memory(what, size, MOST_COUNT_BYTES, "raise option 'posture_step_deg'")
     search = partial(AlternatingSearch, postures=postures, candidates=candidates, run=run or RunContext())
     # the chosen postures are looked at again when they are found
-    full = on_drawn = search(whole, where="all patches", prove=True, images=ImageCache(CACHED_BYTES))
+    full = on_drawn = search(replace(whole, images=ImageCache(CACHED_BYTES)), where="all patches", prove=True)
     if drawn.table is not whole.table:
         # lights and postures come back from pass to pass
-        on_drawn = search(replace(drawn, cache=ImageCache(CACHED_BYTES)), where="drawn patches", prove=False)
+        drawn = replace(drawn, images=ImageCache(CACHED_BYTES), keeps_images=True)
+        on_drawn = search(drawn, where="drawn patches", prove=False)
     return _MultiStartSearch(full, on_drawn, tuple(start), request).choice()
 
 
@@ -276,8 +259,7 @@ class _MultiStartSearch:
             initial=initial,
             initial_panels=self.start,
             on_all_patches=self.on_all_patches,
-            position_counts=self.full_search.position_counts(solution.cover.chosen),
-            images=self.full_search.images,
+            images=self.full_search.evaluator.images,
         )
 
     def _fewest(self, target: float) -> Solution:
@@ -317,8 +299,8 @@ class _MultiStartSearch:
         # continue on all patches, with the number of chosen postures, or more, instead of the target
         if self.drawn_search is self.full_search:
             return solution
-        if self.drawn_search.evaluator.cache is not None:
-            self.drawn_search.evaluator.cache.clear()  # all patches take the memory
+        if self.drawn_search.evaluator.images is not None:
+            self.drawn_search.evaluator.images.clear()  # all patches take the memory
         request = replace(self.request, count=count or max(1, len(solution.cover.steps)), target=None)
         cover = self.full_search.cover(solution.panels, solution.lights, request, before=solution.cover.chosen)
         solution = replace(solution, cover=cover, converged=self.candidates is None)

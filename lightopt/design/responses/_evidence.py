@@ -11,7 +11,7 @@ middles. The standard deviation is that of the sensor's noise and of a part that
 
 Evidence is counted in whole units, 3 of which are enough where one image may decide, else 4 · (k − 1). At a place that
 fewer images light, so many decide (:func:`spare_units`). An image's units are flags: flag j says that it has more than
-j (:mod:`lightopt.design.responses._packed_bits`).
+j (:mod:`lightopt.design.responses._pairs`).
 """
 
 import math
@@ -25,11 +25,9 @@ from scipy import ndimage
 
 from lightopt import defects
 from lightopt.core.arrays import Float32, Float64, Int16, Int32, UInt8
-from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
 from lightopt.defects import DARK, MOST_CHANGE, REGISTRATION_PX, clipped_variance
-from lightopt.design.responses._defect_hypotheses import PlannedCatalogue
 from lightopt.design.responses._evidence_sums import (
     CODES_PER_DEVIATION,
     ImagePatches,
@@ -40,7 +38,7 @@ from lightopt.design.responses._evidence_sums import (
     owner_at,
 )
 from lightopt.design.responses._luminance_matrix import Levels
-from lightopt.design.responses._packed_bits import Words
+from lightopt.design.responses._pairs import PlannedCatalogue, Words
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
 from lightopt.optics import Sensor
@@ -109,10 +107,7 @@ def spare_units(levels: Sequence[Levels], sensor: Sensor, min_images: int) -> UI
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DetectionModel:
-    """The defects that images are tested for, and when one counts as found.
-
-    Raises InputError: False alarms out of range.
-    """
+    """The defects that images are tested for, and when one counts as found."""
 
     catalogue: PlannedCatalogue
     sensor: Sensor
@@ -120,10 +115,6 @@ class DetectionModel:
     false_alarms: float = defects.DEFAULT_FALSE_ALARMS  # allowed in the images of a posture of a good part
     min_images: int = 1  # images that must show a defect
     threshold: float | None = None  # score of a calibrated inspection's threshold; None for that of noise alone
-
-    def __post_init__(self) -> None:
-        if problem := defects.false_alarms_problem(self.false_alarms):
-            raise InputError(problem)
 
     def stencils(self, footprint: float, blur: float = 0.0) -> Stencils:
         """What pixels of this footprint see of the defects; `blur`: diameter of the lens' disc [px]."""

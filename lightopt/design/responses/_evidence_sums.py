@@ -13,7 +13,7 @@ import numpy as np
 from lightopt.core.arrays import Float32, Float64, Index, Int16, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.defects import FORESHORTENINGS
-from lightopt.design.responses._packed_bits import Words
+from lightopt.design.responses._pairs import Words
 
 CODES_PER_DEVIATION = 16  # changes are stored as whole numbers of 16 bits: of walls that glint, many deviations
 _MANY = 255  # code of changes that are bounded by nothing

@@ -11,7 +11,7 @@ at edges then counts as little as what is seen at a grazing angle, since an insp
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from threading import Lock
 from typing import Any, cast
 
@@ -19,18 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Float32, Float64, Index
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import counted
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, PatchEvidence, units_needed
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility, area_units
-from lightopt.design.responses._packed_bits import (
+from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Visibility, area_units
+from lightopt.design.responses._pairs import (
     Counts,
     PairWeights,
     Words,
     narrow_words,
-    sum_of_images,
+    refuse_memory,
     weight_planes,
     widen_octets,
 )
@@ -119,16 +119,15 @@ class ImageEvaluator:
     shadows: bool = True  # whether the part casts shadows on itself
     threads: int | None = None
     exposures: tuple[float, ...] = (1.0,)  # that an image may be taken with: it shows what it shows with any of them
-    cache: ImageCache | None = None  # for what images show; only for an evaluator of these very patches
-    images: ImageCache | None = None  # levels and flags of images: looked up first, and kept if `keeps_images`
-    keeps_images: bool = False
+    images: ImageCache | None = None  # levels and flags of images of these very patches: looked up first
+    keeps_images: bool = False  # whether new ones are kept there
 
     @cached_property
     def patches(self) -> Index:
         """Indices of the patches that are inspectable in one posture or more, ascending, shape (p,)."""
         return np.flatnonzero(self.table.inspectable_anywhere)
 
-    @property
+    @cached_property
     def weights(self) -> PairWeights:
         """Weights of the pairs of these patches and the planned defects."""
         assert self.detection is not None
@@ -159,19 +158,12 @@ class ImageEvaluator:
         most_bytes: Limit for the levels and the defects' bits.
         Raises InputError: More positions than memory is meant for.
         """
-        scene, caster, detection = self.scene, self.caster, self.detection
-        surface, seen = patch_points(scene, self.table, posture)
-        camera = view_from_part(scene, posture).camera
-        surface = replace(surface, outside=caster.is_outside(camera.position))
+        detection, seen = self.detection, self.table.inspectable(posture)
         positions = sum(len(some) for some in panels)
+        what = f"luminance matrix of a posture: {counted(positions, 'position')} × {len(seen):,} patches"
         size = positions * self._position_bytes(len(seen), len(exposures))
-        if size > most_bytes:
-            raise InputError(
-                f"luminance matrix: {counted(positions, 'position')} × {len(seen):,} patches are {size / 1e9:.2f} GB, "
-                f"and there is room for {most_bytes / 1e9:.2f} GB a posture; raise option 'step_deg' or lower option "
-                "'patch_budget'"
-            )
-        shape, dtype = (len(exposures), positions), np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16
+        refuse_memory(what, size, most_bytes, "raise option 'step_deg'")
+        shape, dtype = (len(exposures), positions), np.uint8 if self.scene.sensor.bit_depth <= 8 else np.uint16
         levels = np.zeros((*shape, len(seen)), dtype)
         words = np.zeros((*shape, UNITS_OF_IMAGE, len(seen), self._words), np.uint64)
         flat = [panel for some in panels for panel in some]
@@ -181,58 +173,12 @@ class ImageEvaluator:
             if image is None:
                 missing.append(at)
             else:
-                levels[:, at], words[:, at] = image
-        evidence = None
-        if detection is not None and missing:
-            evidence = PatchEvidence(scene, self.table, surface, posture, detection)
-        blocks: list[_Block] = []
-        for start in range(0, len(seen), BLOCK_PATCHES):
-            block = surface.take(slice(start, start + BLOCK_PATCHES))
-            share = surface_share(camera, block.points)
-            blocks.append((slice(start, start + len(block)), block, 1.0 if share is None else share))
-        # the candidates as the part sees them
-        moved = view_from_part(replace(scene, lights=tuple(flat)), posture).lights
-
-        # evidence at a patch depends on its neighbours, so that all patches are done together
-        groups = [blocks[first : first + BLOCKS_AT_ONCE] for first in range(0, len(blocks), BLOCKS_AT_ONCE)]
-        groups = groups if evidence is None else [blocks]
-        work = WorkCounter(len(missing) * len(groups), progress)
-
-        def evaluate(some: Sequence[int], own: Sequence[_Block]) -> None:
-            if evidence is not None:
-                blocker = caster if self.shadows else None
-                lights = [moved[at] for at in some]
-                found = evidence.evaluate(lights, caster, blocker, exposures, threads=threads_of_task)
-                for at, (level, units) in zip(some, found, strict=True):
-                    store(at, slice(None), level)
-                    words[:, at] = units
-            else:
-                for at, (here, block, passed) in itertools.product(some, own):
-                    store(at, here, _levels(scene, block, moved[at], caster, self.shadows, passed))
-            work.add(len(some))
-
-        def store(at: int, here: slice, level: Float32) -> None:
-            for index, exposure in enumerate(exposures):
-                levels[index, at, here] = expose(
-                    level[None, :], sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale
-                )[0]
-
-        together_groups = _channels_of_places(flat, missing)
-        threads = self.threads or available_processors()
-        threads_of_task = max(1, threads // max(1, len(together_groups)))
-
-        def tasks() -> Iterator[Task]:
-            for together in together_groups:
-                if self.shadows:
-                    targets = np.concatenate([shadow_targets(moved[at]) for at in together])
-                    caster.map_blockers(targets, rays=len(seen), threads=1)
-                for group in groups:
-                    yield evaluate, (together, group)
-
-        run_all(tasks(), threads=threads, done=work.report)
+                levels[:, at], words[:, at] = image[0], widen_octets(image[1], self._words)
+        if missing:
+            self._compute(posture, flat, missing, exposures, (levels, words), progress)
         if self.images is not None and self.keeps_images:
             for at in missing:
-                self.images.keep(posture, exposures, flat[at], levels[:, at], words[:, at])
+                self.images.keep(posture, exposures, flat[at], levels[:, at], narrow_words(words[:, at]))
         areas, grazing = self.table.patches.areas[seen], self.table.left_out(posture)
         ends = np.cumsum([len(some) for some in panels])[:-1]
         grazing_mm2 = float(self.table.patches.areas[grazing].sum())
@@ -246,6 +192,72 @@ class ImageEvaluator:
             return LuminanceMatrix(levels=own, areas=areas, visibility=shown, grazing_mm2=grazing_mm2)
 
         return tuple(map(matrix, range(len(exposures))))
+
+    def _compute(
+        self,
+        posture: Posture,
+        panels: Sequence[PanelLight],
+        missing: Sequence[int],
+        exposures: Sequence[float],
+        images: tuple[Levels, Words],
+        progress: Share | None,
+    ) -> None:
+        """Levels and flags of the `missing` of some panels, written to their rows of `images`."""
+        scene, caster, (levels, words) = self.scene, self.caster, images
+        camera, surface = view_from_part(scene, posture).camera, patch_points(scene, self.table, posture)[0]
+        surface = replace(surface, outside=caster.is_outside(camera.position))
+        evidence = None
+        if self.detection is not None:
+            evidence = PatchEvidence(scene, self.table, surface, posture, self.detection)
+        blocks: list[_Block] = []
+        for start in range(0, len(surface), BLOCK_PATCHES):
+            block = surface.take(slice(start, start + BLOCK_PATCHES))
+            share = surface_share(camera, block.points)
+            blocks.append((slice(start, start + len(block)), block, 1.0 if share is None else share))
+        # the candidates as the part sees them
+        moved = view_from_part(replace(scene, lights=tuple(panels)), posture).lights
+
+        # evidence at a patch depends on its neighbours, so that all patches are done together
+        groups = [blocks[first : first + BLOCKS_AT_ONCE] for first in range(0, len(blocks), BLOCKS_AT_ONCE)]
+        groups = groups if evidence is None else [blocks]
+        work = WorkCounter(len(missing) * len(groups), progress)
+
+        shade = partial(shade_isolated, reflectances=scene.reflectances, caster=caster, shadows=self.shadows)
+
+        def evaluate(some: Sequence[int], own: Sequence[_Block]) -> None:
+            if evidence is not None:
+                blocker = caster if self.shadows else None
+                lights = [moved[at] for at in some]
+                found = evidence.evaluate(lights, caster, blocker, exposures, threads=threads_of_task)
+                for at, (level, units) in zip(some, found, strict=True):
+                    store(at, slice(None), level)
+                    words[:, at] = units
+            else:
+                for at, (here, block, passed) in itertools.product(some, own):
+                    level = shade(block, (moved[at],))[0]
+                    # images are stored as float32, and a level is rounded from what is stored
+                    store(at, here, (passed * level).astype(np.float32))
+            work.add(len(some))
+
+        def store(at: int, here: slice, level: Float32) -> None:
+            for index, exposure in enumerate(exposures):
+                levels[index, at, here] = expose(
+                    level[None, :], sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale
+                )[0]
+
+        together_groups = _channels_of_places(panels, missing)
+        threads = self.threads or available_processors()
+        threads_of_task = max(1, threads // max(1, len(together_groups)))
+
+        def tasks() -> Iterator[Task]:
+            for together in together_groups:
+                if self.shadows:
+                    targets = np.concatenate([shadow_targets(moved[at]) for at in together])
+                    caster.map_blockers(targets, rays=len(surface), threads=1)
+                for group in groups:
+                    yield evaluate, (together, group)
+
+        run_all(tasks(), threads=threads, done=work.report)
 
     @property
     def _words(self) -> int:
@@ -273,26 +285,7 @@ class ImageEvaluator:
 
     def flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
         """Evidence of the pairs by the images: of each light an array of shape (positions, units, p, words)."""
-        cache, exposures = self.cache, self.exposures
-        if cache is None:
-            return self._new_flags(posture, panels)
-        found = [[cache.find(posture, exposures, panel) for panel in some] for some in panels]
-        missing = [
-            [panel for panel, one in zip(some, known, strict=True) if one is None]
-            for some, known in zip(panels, found, strict=True)
-        ]
-        images: list[Words] = []
-        for known, some, new in zip(found, missing, self._new_flags(posture, missing), strict=True):
-            for panel, flags in zip(some, new, strict=True):
-                cache.keep(posture, exposures, panel, narrow_words(flags))
-            rest = iter(new)
-            images.append(np.stack([next(rest) if one is None else widen_octets(one[0], self._words) for one in known]))
-        return tuple(images)
-
-    def _new_flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
         found = [np.zeros((len(some), UNITS_OF_IMAGE, len(self.patches), self._words), np.uint64) for some in panels]
-        if not any(panels):
-            return tuple(found)
         if sum(map(len, panels)) <= self.positions_at_once(posture, self.exposures):
             matrices = self.matrices(posture, panels, exposures=self.exposures)
             lights = [[(matrices, light)] for light in range(len(panels))]
@@ -314,7 +307,7 @@ class ImageEvaluator:
     def counts(self, posture: Posture, panels: Sequence[PanelLight]) -> Counts:
         """Units of evidence of each pair by the images of a posture, one of each light, up to what is needed."""
         images = self.flags(posture, [[panel] for panel in panels])
-        return sum_of_images([layer[0] for layer in images], self.needed)
+        return self.weights.sum_counts((layer[0] for layer in images), self.needed)
 
 
 def luminance_matrix(
@@ -345,14 +338,6 @@ def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[Sur
     points, normals = patches.centroids[seen], patches.normals[seen]
     across = scene.mesh.across_brushing(points, normals, patches.face[seen])
     return SurfacePoints(points, normals, facets, views, front, material=material, across=across), seen
-
-
-def _levels(
-    scene: Scene, block: SurfacePoints, panel: PanelLight, caster: RayCaster, shadows: bool, passed: _Passed
-) -> Float32:
-    levels = shade_isolated(block, (panel,), reflectances=scene.reflectances, caster=caster, shadows=shadows)[0]
-    # images are stored as float32, and a level is rounded from what is stored
-    return (passed * levels).astype(np.float32)
 
 
 def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, light: int, place: int) -> Words:

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Float64, Int32, Int64, UInt8, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
-from lightopt.design.responses._defect_hypotheses import PlannedDefect
-from lightopt.design.responses._packed_bits import Counts, Words, add_units, weight_planes, weighted_bits
+from lightopt.design.responses._pairs import Counts, PlannedDefect, Words, add_units, weight_planes, weighted_bits
 from lightopt.optics import Sensor
 
 Levels = NDArray[np.uint8 | np.uint16]
@@ -49,13 +48,6 @@ class Visibility:
     spare: UInt8 | None = None
 
     def __post_init__(self) -> None:
-        shape = len(self.patch), -(-len(self.defects) // 64)
-        for index, layer in enumerate(self.words):
-            if layer.ndim != 4 or layer.shape[2:] != shape or layer.dtype != np.uint64:
-                raise InputError(
-                    f"visibility: light {index}: expected uint64 of shape (candidates, units, {shape[0]}, {shape[1]}), "
-                    f"found {layer.dtype} {layer.shape}"
-                )
         object.__setattr__(self, "patch", read_only(self.patch))
         object.__setattr__(self, "words", tuple(map(read_only, self.words)))
 
@@ -63,11 +55,6 @@ class Visibility:
     def planes(self) -> tuple[Words, Int64]:
         """The defects' weights in binary: see :func:`weight_planes`."""
         return weight_planes(self.defects)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Number of candidates of each light."""
-        return tuple(len(layer) for layer in self.words)
 
     def rows(self, rows: Sequence[Int64]) -> "Visibility":
         """Some candidates of each light, given by ascending indices."""
@@ -130,11 +117,8 @@ class LevelThresholds:
 
     def __post_init__(self) -> None:
         if not 0 <= self.black <= self.shade < self.saturation:
-            raise InputError(
-                f"thresholds: black is {self.black}, a level is shaded below {self.shade} and saturated from "
-                f"{self.saturation} on, which leaves none usable; expected a shade threshold from the black level to "
-                "below the sensor's saturation level"
-            )
+            levels = f"black is {self.black}, shaded below {self.shade} and saturated from {self.saturation} on"
+            raise InputError(f"thresholds: {levels}, which leaves none usable")
 
     @staticmethod
     def of_sensor(sensor: Sensor, *, shade_share: float) -> "LevelThresholds":
@@ -162,13 +146,6 @@ class LuminanceMatrix:
     grazing_mm2: float = 0.0  # area that the camera sees at a grazing angle, which is excluded [mm²]
 
     def __post_init__(self) -> None:
-        if self.visibility is not None and (
-            self.visibility.shape != self.shape or len(self.visibility.patch) != len(self.areas)
-        ):
-            raise InputError(
-                f"luminance matrix: expected the visibility of the same images, {self.shape} positions of the lights "
-                f"and {len(self.areas)} patches, found {self.visibility.shape} and {len(self.visibility.patch)}"
-            )
         for index, layer in enumerate(self.levels):
             if layer.ndim != 2 or layer.shape[1] != len(self.areas) or str(layer.dtype) not in ("uint8", "uint16"):
                 raise InputError(

@@ -20,13 +20,12 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates, Place
 from lightopt.design._problem import Problem, detection_model_of
-from lightopt.design.responses._defect_hypotheses import PlannedDefect
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, spare_units
 from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageCache, ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility
+from lightopt.design.responses._pairs import PlannedDefect
 from lightopt.images import make_folder, posture_folder, write_npz_atomic
 from lightopt.rendering import PatchTable, patches_for_edge
-from lightopt.scene import chord_tolerance, pixel_footprint
 
 
 def write_matrix(path: Path, matrix: LuminanceMatrix, places: Sequence[Sequence[Place]], *, key: str) -> str:
@@ -100,35 +99,13 @@ class PostureMatrices:
         longest = max(COARSE_SHARE * size, self.table.footprint)
         if self.table.max_edge <= longest:
             return None
-        return (
-            f"patches have edges up to {self.table.max_edge:.3g} mm on a part of {size:.3g} mm: a patch is lit or dark "
-            f"as its middle is, so scores may be off by whole patches. {self._advice(longest)}"
-        )
-
-    def _advice(self, longest: float) -> str:
-        # how many patches are needed; where the mesh itself has more triangles, how to get fewer
-        assert self.table is not None
-        scene, part, options = self.problem.scene, self.problem.part, self.problem.options
         # refinement may end somewhat before the budget is used up
         needed = 1.02 * patches_for_edge(self.table, scene.mesh, 0.8 * longest)
         step = 10 ** max(0, math.floor(math.log10(needed)) - 1)
-        text = f"option 'patch_budget' {step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
-        if not self.table.seen_faces:
-            return text
-        text += (
-            f". The mesh itself has {len(scene.mesh.faces):,} triangles, {self.table.seen_faces:,} of which may "
-            f"show: option 'patch_budget' {options.patch_budget} cannot make fewer. "
-        )
-        mesh = part.mesh
-        if not mesh.of_step:
-            return f"{text}For fewer, export it with a coarser tolerance"
-        now = chord_tolerance(part, pixel_footprint(scene.camera, self.problem.rig.camera.distance_mm))
-        # triangles of a curved surface go about with 1 / tolerance; half of the patches are left to cut long ones
-        coarser = now * 2.0 * self.table.seen_faces / options.patch_budget
-        digit = 10.0 ** math.floor(math.log10(coarser))
         return (
-            f"{text}For fewer, give the part file a coarser mesh.chord_tolerance_mm, such as "
-            f"{min(math.ceil(coarser / digit) * digit, 10.0):.3g} (now {now:.3g})"
+            f"patches have edges up to {self.table.max_edge:.3g} mm on a part of {size:.3g} mm: a patch is lit or dark "
+            f"as its middle is, so scores may be off by whole patches. option 'patch_budget' "
+            f"{step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
         )
 
     def patches(self) -> PatchTable:

@@ -1,5 +1,4 @@
 """The exact search over combinations of light positions.
 
-`_best_positions` runs it for all postures and objectives. `_exact_search` is the branch-and-bound search,
-`_combinations` ranks what it enumerates, `_curves` are sections through the optimum.
+`_best_positions` runs it for all postures and objectives. `_exact_search` is the branch-and-bound search.
 """

@@ -8,15 +8,13 @@ import numpy as np
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.threads import blocks
 from lightopt.core.transforms import Posture
-from lightopt.design._candidates import Candidates, can_move, place_of
+from lightopt.design._blind_spots import PostureVisibility, by_light, defect_visibility
+from lightopt.design._candidates import Candidates, can_move, place_of, score_curves
 from lightopt.design._result import ObjectiveResult, SetResult
-from lightopt.design.blind_spots._blind_spots import PostureVisibility, by_light, defect_visibility
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
 from lightopt.design.responses._posture_matrices import PostureMatrices
-from lightopt.design.search._combinations import CombinationSpace
-from lightopt.design.search._curves import score_curves
-from lightopt.design.search._exact_search import SearchResult, search
+from lightopt.design.search._exact_search import CombinationSpace, SearchResult, search
 from lightopt.rendering import GRAZING_DEG, grain_of
 
 PIECE_PATCHES = 1 << 15  # patches for which an objective's definition is evaluated at once
@@ -42,7 +40,7 @@ def search_objectives(
                     defect_visibility(by_light([one]), thresholds, least=least)
                     for one in (matrix.combination(best), matrix)
                 )
-                blind_spots.append(PostureVisibility(posture, chosen, possible))
+                blind_spots.append((posture, chosen, possible))
         del matrices
         _warn_of_limit(result.answers, postures, source)
         results.append(result)
@@ -55,12 +53,8 @@ def answer_set(
     """The best light positions for postures that share them: each objective is optimised, and scored under all."""
     for matrix, posture in zip(matrices, postures, strict=True):
         if not len(matrix.areas):
-            edges = " or at edges" if source.detection is not None else ""
-            sight = f"the camera sees surface at more than {GRAZING_DEG:g}° to its normal{edges} only"
-            raise InputError(
-                f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so no "
-                "position of the lights is better than another; check the part's placement and the posture"
-            )
+            sight = f"no patch off edges at up to {GRAZING_DEG:g}° to its normal"
+            raise InputError(f"posture {posture}: the camera sees {sight}; check the part's placement and the posture")
     thresholds, candidates = source.problem.thresholds, source.problem.candidates
     answers: list[ObjectiveResult] = []
     for objective in objectives:
@@ -68,10 +62,8 @@ def answer_set(
         chosen = [matrix.combination(found.best.candidates) for matrix in matrices]
         answer = _answer(found, chosen, matrices, objective, objectives, thresholds)
         if answer.scores[objective.name] != found.best.score:
-            raise LightoptError(
-                f"internal error: objective {objective.name} scores the best set {found.best.score:,} in the search "
-                f"and {answer.scores[objective.name]:,} by its definition; please report it with the rig and the part"
-            )
+            scores = f"{found.best.score:,} in the search and {answer.scores[objective.name]:,} by its definition"
+            raise LightoptError(f"internal error: objective {objective.name} scores the best set {scores}")
         answers.append(answer)
     first = answers[0]
     best, areas = first.found.best, [matrix.areas for matrix in matrices]
@@ -120,10 +112,7 @@ def candidates_of_others(source: PostureMatrices) -> Candidates | None:
     if among and source.fits_memory(free):
         return free
     why = "they are too many for memory" if among else "the chosen ones are not among them"
-    source.run.warn(
-        f"the other objectives are scored for the chosen light positions only; their own best positions are not "
-        f"searched: {why}"
-    )
+    source.run.warn(f"the other objectives are scored for the chosen light positions only: {why}")
     return None
 
 
@@ -192,15 +181,10 @@ def _warn_of_limit(answers: Sequence[ObjectiveResult], postures: Sequence[Postur
 def limit_warning(answer: ObjectiveResult, postures: Sequence[Posture]) -> str:
     """The warning about a search that stopped before all combinations were searched."""
     found, name = answer.found, answer.objective.name
-    proof = (
-        "none scores more, but one that was not searched may score the same and win the tie"
-        if found.proven
-        else f"none scores more than {found.bound:,}"
-    )
+    searched = f"the search stopped after {found.scored:,} combinations with {found.left:,} left"
     return (
-        f"objective {name}, {', '.join(map(str, postures))}: the search stopped after {found.scored:,} combinations "
-        f"with {found.left:,} left; the best found scores {found.best.score:,}, {proof}. Ties and runner-up refer to "
-        "the combinations searched. Raise option 'limit' or option 'step_deg'"
+        f"objective {name}, {', '.join(map(str, postures))}: {searched}; the best found scores {found.best.score:,}, "
+        f"none scores more than {found.bound:,}. Raise option 'limit' or option 'step_deg'"
     )
 
 
@@ -220,13 +204,9 @@ def _reason_for_zero(matrices: _Matrices, thresholds: LevelThresholds, found: Se
     count = sum(layer.size for layer in layers)
     dark = sum(int(np.count_nonzero(layer < thresholds.shade)) for layer in layers)
     bright = sum(int(np.count_nonzero(layer >= thresholds.saturation)) for layer in layers)
-    which = (
-        "every combination scores 0"
-        if found.bound == 0
-        else f"all {found.scored:,} combinations that were scored score 0, with {found.left:,} left"
-    )
+    which = "every combination" if found.bound == 0 else f"each of {found.scored:,} combinations ({found.left:,} left)"
     return (
-        f"{which}: of the levels of the inspectable patches {100.0 * dark / count:.3g} % are shaded "
-        f"(below {thresholds.shade}) and {100.0 * bright / count:.3g} % saturated (from {thresholds.saturation} on); "
-        "change the lights' gain, the thresholds or the lights' ranges"
+        f"{which} scores 0: of the levels of the inspectable patches {100.0 * dark / count:.3g} % are "
+        f"shaded (below {thresholds.shade}) and {100.0 * bright / count:.3g} % saturated (from {thresholds.saturation} "
+        "on); change the lights' gain or their ranges"
     )

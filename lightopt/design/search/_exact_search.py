@@ -10,18 +10,168 @@ the search reaches its limit on scored combinations: then the largest bound of w
 import heapq
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
-from lightopt.core.arrays import Int64
+from lightopt.core.arrays import Bool, Int64
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import Share, part_of
+from lightopt.core.run_context import Share, ignore, part_of
 from lightopt.core.threads import available_processors
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units, usable_sums
-from lightopt.design.search._combinations import CombinationSpace, NearBest, Ranked, Ranking, Rows, allowed_mask, rank
+
+Rows = tuple[Int64, ...]  # candidates of each light, ascending: all their combinations are meant
+
+
+@dataclass(frozen=True, kw_only=True)
+class CombinationSpace:
+    """The combinations to search."""
+
+    sizes: tuple[int, ...]  # number of candidates per light
+    groups: tuple[Rows, ...]  # disjoint sets that make up the space: one where lights move independently
+    # for pairs of lights (i, j), i < j: which of their candidates collide, shape (sizes[i], sizes[j])
+    clashes: Mapping[tuple[int, int], Bool] = field(default_factory=dict[tuple[int, int], Bool])
+
+    @staticmethod
+    def of(sizes: Sequence[int]) -> "CombinationSpace":
+        return CombinationSpace(sizes=tuple(sizes), groups=(tuple(np.arange(n) for n in sizes),))
+
+
+def is_allowed(space: CombinationSpace, combination: Sequence[int]) -> bool:
+    """Whether one combination, a candidate of each light, belongs to the space."""
+    if any(clash[combination[i], combination[j]] for (i, j), clash in space.clashes.items()):
+        return False
+    return any(all(k in row for k, row in zip(combination, rows, strict=True)) for rows in space.groups)
+
+
+def allowed_mask(space: CombinationSpace, rows: Rows) -> Bool | None:
+    """Which combinations of `rows` have no clash, the last light's varying fastest; None where all are allowed."""
+    mask: Bool | None = None
+    sizes = [len(r) for r in rows]
+    for (i, j), clash in space.clashes.items():
+        some = clash[np.ix_(rows[i], rows[j])]
+        if some.any():
+            if mask is None:
+                mask = np.ones(math.prod(sizes), np.bool_)
+            between, after = math.prod(sizes[i + 1 : j]), math.prod(sizes[j + 1 :])
+            pairs = mask.reshape(-1, sizes[i], between, sizes[j], after)
+            pairs &= ~some[:, None, :, None]
+    return mask
+
+
+MOST_NEAR = 1 << 24  # scores near the best that are held at a time: 128 MiB
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A combination with its score."""
+
+    score: int
+    usable: int  # sum of the usable levels of all images, each times its patch's weight
+    candidates: tuple[int, ...]  # one per light, in the rig's order; candidates ascend by elevation, then azimuth
+
+    @property
+    def sort_key(self) -> tuple[int, int, tuple[int, ...]]:
+        """Smaller comes first."""
+        return -self.score, -self.usable, self.candidates
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """The first of some combinations, and how many share the best score."""
+
+    best: tuple[Ranked, ...] = ()  # ordered; as many as were requested or there are
+    ties: int = 0  # number of combinations with the best score
+    count: int = 0  # number of combinations evaluated
+
+    def merged(self, other: "Ranking", limit: int) -> "Ranking":
+        best = tuple(sorted((*self.best, *other.best), key=attrgetter("sort_key"))[:limit])
+        score = best[0].score if best else 0
+        ties = sum(r.ties for r in (self, other) if r.best and r.best[0].score == score)
+        return Ranking(best, ties, self.count + other.count)
+
+
+class NearBest:
+    """Counts the scores near the best, table after table, while the best may still rise.
+
+    margin: How far a score may be below a given best and still be near. Best less margin never falls as the best
+        rises.
+    most: Scores that are held at a time; of more, the lower half is dropped, and the count may be too low.
+    """
+
+    def __init__(self, margin: Callable[[int], int], *, most: int = MOST_NEAR) -> None:
+        self._margin, self._most = margin, most
+        self._held: list[Int64] = []
+        self._best = self._lost_below = 0
+
+    @property
+    def least(self) -> int:
+        """The least score that is near the best."""
+        return self._best - self._margin(self._best)
+
+    @property
+    def exact(self) -> bool:
+        """Whether no score that is near was dropped."""
+        return self._lost_below <= self.least
+
+    @property
+    def count(self) -> int:
+        """Scores near the best, the best one among them."""
+        return sum(int(np.count_nonzero(scores >= self.least)) for scores in self._held)
+
+    def add(self, scores: Int64) -> None:
+        """More scores, none below 0."""
+        if not len(scores):
+            return
+        self._best = max(self._best, int(scores.max()))
+        self._held.append(scores[scores >= self.least])
+        if sum(map(len, self._held)) > self._most:
+            held = np.concatenate(self._held)
+            held = held[held >= self.least]
+            if len(held) > self._most:
+                held = np.partition(held, len(held) // 2)[len(held) // 2 :]
+                self._lost_below = int(held.min()) + 1
+            self._held = [held]
+
+
+def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | None, limit: int) -> Ranking:
+    """Rank by score, then by the sum of usable levels, then by lower candidates in the order of the lights.
+
+    table: Scores, one per combination of `rows`, the last light's varying fastest.
+    usable: Sum of usable levels of each candidate of each light, whatever the table's rows.
+    allowed: Of the same combinations; None for all.
+    """
+    scores = table if allowed is None else table[allowed]
+    if not len(scores):
+        return Ranking()
+    keep = min(limit, len(scores))
+    least = int(np.partition(scores, len(scores) - keep)[len(scores) - keep])
+    some = np.flatnonzero(table >= least if allowed is None else allowed & (table >= least))
+    sums = sum(
+        (own[row][i] for row, own, i in zip(rows, usable, digits(some, rows), strict=True)),
+        start=np.zeros(len(some), np.int64),
+    )
+    # the sort is stable: of equals those with lower candidates stay first
+    order = np.lexsort((-sums, -table[some]))[:keep]
+    places = some[order]
+    candidates = np.stack([row[i] for row, i in zip(rows, digits(places, rows), strict=True)], axis=1).tolist()
+    facts = zip(table[places].tolist(), sums[order].tolist(), map(tuple, candidates), strict=True)
+    best = tuple(Ranked(score, total, combination) for score, total, combination in facts)
+    return Ranking(best, int(np.count_nonzero(scores == best[0].score)), len(scores))
+
+
+def digits(places: Int64 | int, rows: Sequence[Int64]) -> Iterator[Any]:
+    """Which of its rows each light has at places of a table."""
+    # NumPy's own way is for a few dozen lights only
+    stride = math.prod(len(row) for row in rows)
+    for row in rows:
+        stride //= len(row)
+        yield places // stride % len(row)
+
 
 TABLE_CELLS = 1 << 22  # most combinations that are enumerated at once: 32 MiB of scores
 MOST_COMBINATIONS = 10**300  # larger spaces are refused: a light or two fewer would not help either
@@ -30,10 +180,7 @@ BOX_COST = 20_000  # combinations that take about as long to score as a box take
 # default number of combinations to score before the search stops with a bound; bounds count, too
 DEFAULT_LIMIT = 200_000_000
 
-NO_COMBINATION = (
-    "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "
-    "smaller panels"
-)
+NO_COMBINATION = "no combination of the lights' positions is left: in each, panels collide; widen their ranges"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +232,7 @@ def search(
     limit: int = DEFAULT_LIMIT,
     table_cells: int = TABLE_CELLS,
     threads: int | None = None,
-    progress: Share | None = None,
+    progress: Share = ignore,
 ) -> SearchResult:
     """Find the best combination of light positions.
 
@@ -106,10 +253,9 @@ def search(
     total = sum(map(_cells, space.groups))
 
     def report(more: float = 0.0) -> None:
-        if progress is not None:
-            seen = ranking.count + clashing
-            counted = seen + BOX_COST * boxes.halved
-            progress(min(1.0, max((seen + excluded + more) / total, (counted + more) / limit)))
+        seen = ranking.count + clashing
+        counted = seen + BOX_COST * boxes.halved
+        progress(min(1.0, max((seen + excluded + more) / total, (counted + more) / limit)))
 
     keep = max(2, keep)
     ranking = Ranking()
@@ -241,18 +387,11 @@ def _check(scorer: _BoxScorer, space: CombinationSpace) -> None:
     if reason := scorer.objective.refusal(lights):
         raise InputError(reason)
     if sum(map(_cells, space.groups)) > MOST_COMBINATIONS:
-        raise InputError(
-            f"search: {lights} lights of up to {max(space.sizes):,} positions make more than 10^300 combinations; take "
-            "a larger option 'step_deg', or give a range only to the lights that may be moved"
-        )
+        number = f"{lights} lights of up to {max(space.sizes):,} positions make more than 10^300 combinations"
+        raise InputError(f"search: {number}; raise option 'step_deg', or give a range to fewer lights")
     for matrix in scorer.matrices:
-        if matrix.shape != space.sizes:
-            raise InputError(f"search: expected candidates {space.sizes} in every posture, found {matrix.shape}")
         if not len(matrix.areas):
-            raise InputError(
-                "no patch is inspectable, so no position of the lights is better than another; check the part's "
-                "placement and posture"
-            )
+            raise InputError("no patch is inspectable; check the part's placement and posture")
 
 
 def _cells(rows: Rows) -> int:

@@ -1,30 +1,104 @@
-"""Flags packed into words of 64: of patches, or of pairs; counted over images and weighted.
+"""Pairs of a patch and a planned defect on it: flags packed into words of 64, counted over images and weighted.
 
-A *pair* is a patch and a planned defect on it. Word w of patch p holds the flags of 64 defects. A count of units of
-evidence (:mod:`lightopt.design.responses._evidence`) from 0 to k takes k words of each: flag l − 1 says "l units or
-more". An image has up to 3 units of each pair, and images add up.
+Planned are whole defects of the catalogue, long ones in several orientations. Word w of patch p holds the flags of 64
+defects. A count of units of evidence (:mod:`lightopt.design.responses._evidence`) from 0 to k takes k words of each:
+flag l − 1 says "l units or more". An image has up to 3 units of each pair, and images add up.
 
 The *benefit* of a count is the sum of its flags, each times its pair's weight; the weight *covered* is that of the
 pairs with the last flag.
 """
 
+import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, reduce
 
 import numpy as np
 
 from lightopt.core.arrays import Bool, Int64, UInt8, UInt64, read_only
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.design.responses._defect_hypotheses import PlannedDefect
+from lightopt.defects import MAX_SLOPE, PLANNING_GRID, SHAPE_KINDS, CatalogueEntry, DefectHypotheses, defect_hypotheses
+
+MOST_HYPOTHESES = 1024  # more are refused: each costs a few bits per patch and position of a light
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedDefect:
+    """A defect of the catalogue in one orientation, with its middle on a patch."""
+
+    name: str  # of the catalogue's entry
+    weight: int  # a whole number; those of each entry of the part's catalogue have the same sum of weights
+    # of the length, in the tangent plane from the part's X axis, counterclockwise seen from outside [rad]; see
+    # :func:`lightopt.defects.tangent_direction`. None for a round defect
+    turn: float | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlannedCatalogue:
+    """A catalogue of defects to plan for."""
+
+    entries: tuple[DefectHypotheses, ...]  # what pixels see of each of them; the same order as those of `defects`
+
+    @cached_property
+    def defects(self) -> tuple[PlannedDefect, ...]:
+        """Entry after entry; the orientations of an entry are adjacent, evenly around half a turn."""
+        # a kind may have several sizes and slopes
+        members = Counter(own.entry.name for own in self.entries)
+        most = reduce(math.lcm, (len(own.turns) * members[own.entry.name] for own in self.entries))
+        found: list[PlannedDefect] = []
+        for own in self.entries:
+            name, weight = own.entry.name, most // (len(own.turns) * members[own.entry.name])
+            turns = map(float, own.turns) if len(own.turns) > 1 else (None,)
+            found += [PlannedDefect(name=name, weight=weight, turn=one) for one in turns]
+        return tuple(found)
+
+
+def planned_catalogue(catalogue: Sequence[CatalogueEntry]) -> PlannedCatalogue:
+    """The defects to plan for.
+
+    Raises InputError: No entry, a slope of 0 or above 60°, too many defects.
+    """
+    return _planned(tuple(catalogue))
+
+
+@lru_cache(maxsize=4)
+def _planned(catalogue: tuple[CatalogueEntry, ...]) -> PlannedCatalogue:
+    # equal catalogues are one object, whose stencils are made once
+    problems: list[str] = []
+    if not catalogue:
+        problems.append("defect catalogue: expected at least one kind of defect to plan for, found none")
+    problems += [
+        f"defect {entry.name}: expected a slope above 0° up to {math.degrees(MAX_SLOPE):g}°, found "
+        f"{math.degrees(entry.shape.slope):g}°"
+        for entry in catalogue
+        if entry.shape.kind in SHAPE_KINDS and not 0.0 < entry.shape.slope <= MAX_SLOPE
+    ]
+    refuse(problems)
+    entries = (one for entry in catalogue for one in entry.in_sizes_and_slopes())
+    found = PlannedCatalogue(entries=tuple(defect_hypotheses(one, PLANNING_GRID) for one in entries))
+    if len(found.defects) > MOST_HYPOTHESES:
+        number = f"{len(found.defects)} hypotheses, more than {MOST_HYPOTHESES}"
+        raise InputError(f"defect catalogue: {len(catalogue)} entries are {number}; plan for fewer kinds")
+    return found
+
 
 Words = UInt64
 Counts = UInt64  # shape (k, p, words): flag l says that a pair has l + 1 units of evidence or more
 Merit = tuple[int, int]  # weight covered, and benefit
 
 
+def refuse_memory(what: str, size: float, room: float, remedy: str) -> None:
+    """Refuse what needs more memory than there is room for [bytes]; fewer patches are another remedy."""
+    if size > room:
+        sizes = f"{size / 1e9:.2f} GB, and there is room for {room / 1e9:.2f} GB"
+        raise InputError(f"{what} are {sizes}; {remedy} or lower option 'patch_budget'")
+
+
 def pack_flags(rows: Bool) -> Words:
-    """Rows of flags, shape (n, p), as words of 64 flags, shape (n, ⌈p / 64⌉); unused bits are 0."""
+    """Rows of flags, also of patches, shape (n, p), as words of 64 flags, shape (n, ⌈p / 64⌉); unused bits are 0."""
     octets = np.packbits(rows, axis=1, bitorder="little")
     return widen_octets(octets, -(-octets.shape[1] // 8))
 
@@ -191,25 +265,13 @@ class PairWeights:
 
     def gains(self, counts: Counts, more: Counts) -> Merit:
         """By how much :meth:`covered` and :meth:`benefit` grow when `more` is added to `counts`."""
-        after = add_counts(counts, more)
-        layers = zip(counts, after, strict=True)
+        layers = zip(counts, add_counts(counts, more), strict=True)
         added = [int(_added_weight(*layer, self.areas, self.masks, self.factors)) for layer in layers]
         return added[-1], sum(added)
 
     def all_gains(self, counts: Counts, candidates: Sequence[Counts], *, threads: int | None) -> list[Merit]:
         """:meth:`gains` of each of some candidates."""
         return in_threads(lambda i: self.gains(counts, candidates[i]), range(len(candidates)), threads)
-
-
-def sum_of_images(images: Sequence[Counts], k: int) -> Counts:
-    """The units of evidence of some images together, up to k, shape (k, p, words).
-
-    `images` have shape (units, p, words) each; at least one.
-    """
-    total = np.zeros((k, *images[0].shape[1:]), np.uint64)
-    for units in images:
-        add_units(total, units)
-    return total
 
 
 @kernel

@@ -15,7 +15,7 @@ What is seen at a grazing angle or an edge only counts neither as found nor as b
 surface, and the share left out is given separately.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -23,17 +23,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Float64, Int32
-from lightopt.core.run_context import Share
+from lightopt.core.arrays import Float64, Int32, UInt8
+from lightopt.core.run_context import Share, ignore
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._misalignment import Setup
 from lightopt.design.objectives._detectability import DetectabilityObjective
+from lightopt.design.objectives._objective import share_text
 from lightopt.design.responses._evidence import units_needed
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
-from lightopt.design.responses._packed_bits import Counts, add_counts, add_units
+from lightopt.design.responses._pairs import Counts, add_counts, add_units
+from lightopt.geometry import Patches
+from lightopt.images import csv_text
 from lightopt.rendering import grain_of
+from lightopt.scene import Placement
 
 
 class BlindReason(IntEnum):
@@ -200,14 +204,9 @@ BLIND_LIGHTS = ("chosen", "best for each defect")
 positions need do for all."""
 
 
-@dataclass(frozen=True, eq=False)
-class PostureVisibility:
-    """What a posture's images show of defects."""
-
-    posture: Posture
-    chosen: DefectVisibility  # with the chosen lights and exposures
-    possible: DefectVisibility  # with all lights and exposures that there were to choose from
-
+# a posture, and what its images show of defects: with the chosen lights and exposures, and with all that there were to
+# choose from
+PostureVisibility = tuple[Posture, DefectVisibility, DefectVisibility]
 
 # a posture, None for all of them; blind spots of the chosen lights, and of all that the lights can do
 BlindPart = tuple[Posture | None, BlindSpots, BlindSpots]
@@ -228,10 +227,9 @@ class BlindSpotSummary:
         """Combine postures; `areas` are those of all patches of the run [mm²], shape (n,)."""
 
         def part(posture: Posture | None, some: Sequence[PostureVisibility]) -> BlindPart:
-            chosen, possible = [one.chosen for one in some], [one.possible for one in some]
-            return posture, blind_spots(areas, chosen), blind_spots(areas, possible)
+            return posture, blind_spots(areas, [one[1] for one in some]), blind_spots(areas, [one[2] for one in some])
 
-        parts = part(None, visibility), *(part(one.posture, [one]) for one in visibility)
+        parts = part(None, visibility), *(part(one[0], [one]) for one in visibility)
         return BlindSpotSummary(objective=goal, lights=names, parts=parts)
 
     def as_dict(self) -> dict[str, Any]:
@@ -270,7 +268,7 @@ def planned_visibility(
     all_exposures: tuple[float, ...],
     thresholds: LevelThresholds,
     least: int,
-    progress: Share | None,
+    progress: Share = ignore,
 ) -> tuple[PostureVisibility, ...]:
     """Visibility of defects in each posture: `least` images must show one.
 
@@ -288,7 +286,156 @@ def planned_visibility(
         )
         every = (((matrix, 0) for some in of_light for matrix in some) for of_light in batches)
         chosen, possible = (defect_visibility(some, thresholds, least=least) for some in (by_light(matrices), every))
-        found.append(PostureVisibility(posture, chosen, possible))
-        if progress is not None:
-            progress((index + 1) / len(setup.postures))
+        found.append((posture, chosen, possible))
+        progress((index + 1) / len(setup.postures))
     return tuple(found)
+
+
+Colour = tuple[int, int, int]  # red, green and blue, 0 to 255
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindClass:
+    """Patches of one colour: why defects are not seen there, and whether others are.
+
+    :attr:`BlindReason.SATURATED` stands for every light.
+    """
+
+    code: BlindReason
+    some_seen: bool
+    label: str
+    colour: Colour
+
+
+@dataclass(frozen=True)
+class LegendRow:
+    """A line of a legend: label, share in words, and the colours that stand for it.
+
+    Shares are of the part's surface × defects; what is left out is a share of the whole surface.
+    """
+
+    label: str
+    amount: str
+    colours: tuple[Colour, ...]
+
+
+# Okabe and Ito, Color Universal Design (2008): apart with any colour vision; in the order of the legend
+_COLOURS = {
+    BlindReason.SEEN: (86, 180, 233),
+    BlindReason.CONTRAST: (240, 228, 66),
+    BlindReason.SATURATED: (213, 94, 0),
+    BlindReason.SHADOWED: (11, 60, 93),
+    BlindReason.GRAZING: (204, 121, 167),
+    BlindReason.CAMERA: (201, 206, 214),
+}
+_ONE_CLASS = (BlindReason.SEEN, BlindReason.GRAZING, BlindReason.CAMERA)
+
+
+def _classes_of(code: BlindReason, colour: Colour) -> tuple[BlindClass, ...]:
+    label = blind_text(code, ["a light"])
+    none_seen = BlindClass(code=code, some_seen=code == BlindReason.SEEN, label=label, colour=colour)
+    if code in _ONE_CLASS:
+        return (none_seen,)
+    red, green, blue = ((channel + 255) // 2 for channel in colour)
+    label = f"{label}, other defects found"
+    return none_seen, BlindClass(code=code, some_seen=True, label=label, colour=(red, green, blue))
+
+
+BLIND_CLASSES = tuple(one for code, colour in _COLOURS.items() for one in _classes_of(code, colour))
+"""Seen, and each reason: in its own colour where no defect is seen, pale where others are."""
+
+
+def blind_class(code: int) -> BlindClass:
+    """The class of a code where no defect is seen, or where all are."""
+    return next(one for one in BLIND_CLASSES if one.code == min(code, BlindReason.SATURATED))
+
+
+def blind_classes(spots: BlindSpots) -> UInt8:
+    """Class of each patch, indices into :data:`BLIND_CLASSES`, shape (n,)."""
+    codes, some = np.minimum(spots.codes, BlindReason.SATURATED), spots.share > 0.0
+    classes = np.zeros(len(codes), np.uint8)
+    for index, one in enumerate(BLIND_CLASSES):
+        classes[(codes == one.code) & ((some == one.some_seen) | (one.code in _ONE_CLASS))] = index
+    return classes
+
+
+def blind_colours(spots: BlindSpots) -> UInt8:
+    """Colour of each patch, shape (n, 3)."""
+    return np.array([one.colour for one in BLIND_CLASSES], np.uint8)[blind_classes(spots)]
+
+
+def blind_legend(spots: BlindSpots) -> tuple[LegendRow, ...]:
+    """What is seen, and every reason that occurs, with the colours that stand for it."""
+    shares = dict.fromkeys(BlindReason, 0.0)
+    shares[BlindReason.SEEN], shares[BlindReason.GRAZING] = spots.seen, spots.left_out
+    for code, share in spots.by_reason().items():
+        shares[BlindReason(min(code, BlindReason.SATURATED))] += share
+    rows: list[LegendRow] = []
+    for code in _COLOURS:
+        if shares[code] > 0.0 or code == BlindReason.SEEN:
+            colours = tuple(one.colour for one in BLIND_CLASSES if one.code == code)
+            rows.append(LegendRow(blind_class(code).label, share_text(shares[code], spots.grain), colours))
+    return tuple(rows)
+
+
+BLIND_CSV, BLIND_PLY, BLIND_PNG = BLIND_NAMES = "blind.csv", "blind.ply", "blind.png"
+
+
+def blind_files(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> Mapping[str, str | bytes]:
+    """``blind.csv`` and ``blind.ply``; `placement` is that of the mesh file in the part's frame."""
+    return {BLIND_CSV: _csv(summary), BLIND_PLY: _ply(summary, patches, placement)}
+
+
+def _csv(summary: BlindSpotSummary) -> str:
+    table: list[list[object]] = [["postures", "lights", "what", "share", "share_of", "area_mm2", "colour"]]
+    names = dict(reason_names(summary.lights))
+    surface = float(summary.parts[0][1].areas.sum())
+    counted, whole = "surface x defects without what is left out", "surface"
+    for posture, chosen, possible in summary.parts:
+        where = "all" if posture is None else f"{posture.elevation_deg:g},{posture.rotation_deg:g}"
+        for lights, spots in zip(BLIND_LIGHTS, (chosen, possible), strict=True):
+            rows = [
+                (code, share, counted, share * spots.counted)
+                for code, share in {int(BlindReason.SEEN): spots.seen, **spots.by_reason()}.items()
+            ]
+            if spots.left_out:
+                rows.append((int(BlindReason.GRAZING), spots.left_out, whole, spots.left_out * surface))
+            for code, share, of, area in rows:
+                colour = "#{:02x}{:02x}{:02x}".format(*blind_class(code).colour)
+                table.append([where, lights, names[code], f"{share:.6f}", of, f"{area:.6g}", colour])
+    return csv_text(table)
+
+
+def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> bytes:
+    _, chosen, possible = summary.parts[0]
+    # corners in the coordinates of the mesh file: x_file = Rᵀ·(x − t)
+    vertices = (patches.vertices - placement.translation) @ placement.rotation
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment lightopt blind spots; lengths in mm, coordinates of the part's own file (GLB: Z up)",
+        "comment seen and code: found by the images of all postures under the chosen lights",
+        "comment reachable and reachable_code: each light where it shows the defect, whatever the others",
+        "comment seen, reachable: weighted share of the defects, 0 to 1",
+        *(f"comment colour {' '.join(map(str, one.colour))}: {one.label}" for one in BLIND_CLASSES),
+        *(f"comment code {code}: {name}" for code, name in reason_names(summary.lights)),
+        f"element vertex {len(vertices)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        f"element face {len(patches)}",
+        "property list uchar int vertex_indices",
+        *(f"property uchar {channel}" for channel in ("red", "green", "blue")),
+        "property float seen",
+        "property uchar code",
+        "property float reachable",
+        "property uchar reachable_code",
+        "end_header",
+    ]
+    faces = np.zeros(len(patches), "u1, (3,)<i4, (3,)u1, <f4, u1, <f4, u1")
+    columns = [3, patches.triangles, blind_colours(chosen)]
+    columns += [column for one in (chosen, possible) for column in (one.share, np.minimum(one.codes, 255))]
+    for number, column in enumerate(columns):
+        faces[f"f{number}"] = column
+    # a header is ASCII without control characters, whatever lights are called
+    lines = ("".join(c if c.isascii() and c.isprintable() else "?" for c in line) for line in header)
+    text = "".join(f"{line}\n" for line in lines)
+    return text.encode("ascii") + vertices.astype("<f4").tobytes() + faces.tobytes()

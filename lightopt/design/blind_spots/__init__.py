@@ -1,1 +1,0 @@
-"""Where defects stay invisible, and why."""

@@ -1,0 +1,108 @@
+"""A folder of a result's files, with a JSON file that lists them and their provenance."""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from lightopt.core.errors import InputError
+from lightopt.core.provenance import differences
+from lightopt.images._atomic import make_folder, remove_file, write_text_atomic
+
+
+def read_listing(path: Path, kind: str) -> dict[str, Any] | None:
+    """The JSON object of a file whose format is a version of `kind`, such as ``lightopt-fit``; None for any other."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and str(found.get("format", "")).startswith(f"{kind}/") else None
+
+
+def paths_inside(folder: Path, names: Iterable[object]) -> Iterator[Path]:
+    """The paths in a folder that names lead to; others, and what is no name, are left out."""
+    home = folder.resolve()
+    for name in names:
+        with suppress(OSError, ValueError, RuntimeError):  # NUL, loops of links
+            path = (folder / name).resolve() if isinstance(name, str) else home
+            if home in path.parents:
+                yield path
+
+
+def remove_listed(folder: Path, names: Iterable[object]) -> None:
+    """Remove files by their names in a folder, and their own folders where nothing else is in them."""
+    for path in paths_inside(folder, names):
+        if path.is_file():
+            remove_file(path)
+        if path.parent != folder.resolve():
+            with suppress(OSError):  # something else is in it, or it is gone
+                path.parent.rmdir()
+
+
+class ResultFolder:
+    """A folder for the files of a result; the previous result is removed before the first new file is written.
+
+    made_from: From :func:`lightopt.core.provenance.provenance`: kept under ``provenance`` of the JSON file.
+    name, format: The JSON file and its format, such as ``lightopt-fit/1``; the previous file may be of another
+        version of it.
+    what: The result in words, for messages: ``a fit``.
+    also: Names of further files that belong to such a result even where the JSON file does not list them.
+    force: Whether files of a result of other inputs are replaced.
+    Raises InputError: The folder holds a result of other inputs, and `force` is False.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        made_from: Mapping[str, Any],
+        *,
+        name: str,
+        format: str,  # noqa: A002 - the key's name in the file
+        what: str,
+        also: Sequence[str] = (),
+        force: bool,
+    ) -> None:
+        self.folder = folder
+        self.made_from: Mapping[str, Any] = json.loads(json.dumps(made_from))
+        self._name, self._format, self._also = name, format, tuple(also)
+        self._files: list[str] = []
+        old = self._read_previous()
+        there = [one for one in (name, *also) if (folder / one).exists()]
+        before = (old or {}).get("provenance")
+        changed = differences(before if isinstance(before, Mapping) else {}, self.made_from)
+        if there and not force and (old is None or changed):
+            raise InputError(
+                f"{folder} already has {', '.join(there)} of {what} of other inputs or with other options"
+                f"{f' ({changed})' if changed else ''}; use option 'force' to replace it, or choose another folder"
+            )
+
+    def place(self, name: str) -> Path:
+        """Path for a file of the result, by its name relative to the folder; its own folder is made."""
+        if not self._files:
+            self._remove_previous()
+        if name not in self._files:
+            self._files.append(name)
+        path = self.folder / name
+        make_folder(path.parent)
+        return path
+
+    def write_text(self, name: str, text: str) -> Path:
+        """Write a text file of the result, whole or not at all."""
+        path = self.place(name)
+        write_text_atomic(path, text)
+        return path
+
+    def finish(self, content: Mapping[str, Any]) -> Path:
+        """Write the JSON file, which completes the result: its format, `content`, the other files, provenance."""
+        document = {"format": self._format, **content, "files": sorted(self._files), "provenance": self.made_from}
+        text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        return self.write_text(self._name, text)
+
+    def _read_previous(self) -> dict[str, Any] | None:
+        return read_listing(self.folder / self._name, self._format.rpartition("/")[0])
+
+    def _remove_previous(self) -> None:
+        # the JSON file first: while it is there, the files that it lists are its own
+        listed = (self._read_previous() or {}).get("files", [])
+        remove_listed(self.folder, [self._name, *(listed if isinstance(listed, list) else []), *self._also])
