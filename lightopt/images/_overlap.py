@@ -12,9 +12,9 @@ from lightopt.core.arrays import Bool, Float32, Float64, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
-from lightopt.images._result_folder import ResultFolder
 from lightopt.images._image_files import write_png
 from lightopt.images._manifest import ImageEntry, posture_folder
+from lightopt.images._result_folder import ResultFolder
 from lightopt.images._set_reader import ImageSet
 
 ONE_COLOUR = (70, 110, 190)
