@@ -13,10 +13,15 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance, refit
-from lightopt.estimate.reflectance._form_parameter import FittedParameter, changed_form, fit_form_parameter
+from lightopt.estimate.reflectance._form_parameters import (
+    FittedParameter,
+    WideLobe,
+    changed_form,
+    fit_form_parameter,
+    fit_wide_lobe,
+)
 from lightopt.estimate.reflectance._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
-from lightopt.estimate.reflectance._noise import measure_noise, noise_warnings
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular, paper_diffuse, paper_specular
 from lightopt.estimate.reflectance._quality import (
     Quality,
@@ -24,6 +29,8 @@ from lightopt.estimate.reflectance._quality import (
     convergence_warnings,
     fit_warnings,
     mean_levels,
+    measure_noise,
+    noise_warnings,
     poor_fit_warnings,
     refuse_out_of_range,
 )
@@ -49,7 +56,6 @@ from lightopt.estimate.reflectance._validation import (
     model_row,
     validation_warnings,
 )
-from lightopt.estimate.reflectance._wide_lobe import fit_wide_lobe
 from lightopt.images import ImageSet
 from lightopt.optics import LAMBERT, ModelName, Reflectance, farthest_exponent
 from lightopt.scene import coarse_points
@@ -294,17 +300,12 @@ def _fit_one(setup: FitSetup) -> _Fitted:
         samples = setup.collect(uniform=True)
         record = paper_specular(samples, options.paper, R_d=reflectance.R_d, progress=setup.run.stage("sweeping σ"))
         return _paper_result(setup, samples, record), setup, samples
-    samples = setup.collect()
-    wide = None
-    formed, setup, samples = _with_form_parameter(setup, samples)
-    if samples.model.name == "two-lobe":
-        wide = fit_wide_lobe(samples, freed=options.freed, held=setup.held, run=setup.run)
-        setup, samples = setup.with_model(wide.model), replace(samples, model=wide.model)
+    formed, setup, samples = _with_fitted_form(setup, setup.collect())
     found = fit_reflectance(samples, freed=options.freed, held=setup.held, run=setup.run)
     quality = assess_quality(samples, found)
     placed = refuse_unexplained_images(setup, samples, found, quality)
     refuse_out_of_range(found, float(found.R_s * samples.specular(found.sigma).max()), samples.model)
-    values = fitted_values(found, full_scale=reflectance.full_scale, model=samples.model, wide=wide)
+    values = fitted_values(found, full_scale=reflectance.full_scale, model=samples.model)
     if formed is not None:
         values = formed.values(found, values, samples.model)
     interval = next(v.interval for v in values if v.name == "R_s")
@@ -313,21 +314,24 @@ def _fit_one(setup: FitSetup) -> _Fitted:
     warnings += separate_region_warnings(values)
     warnings += fit_warnings(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
     result = _result("specular", setup, samples, found, quality, values, warnings)
-    if formed is not None:
+    if isinstance(formed, FittedParameter):
         result = replace(result, fitted=(*result.fitted, values[-1].name))
     return replace(result, correlation=found.correlation(LOG_R_S, LOG_SIGMA)), setup, samples
 
 
-def _with_form_parameter(setup: FitSetup, samples: Samples) -> tuple[FittedParameter | None, FitSetup, Samples]:
-    # the parameter of the form that is fitted, and setup and samples with it
+def _with_fitted_form(setup: FitSetup, samples: Samples) -> tuple[FittedParameter | WideLobe | None, FitSetup, Samples]:
+    # what of the form is fitted, and setup and samples with it
     options, model, form = setup.options, samples.model, setup.scene.reflectance.diffuse
     name = options.diffuse if options.diffuse in ("exponent", "oren-nayar") else None
-    if model.name == "two-lobe" and name is not None:
-        raise InputError(
-            "model two-lobe: the wide lobe and the form of the diffuse component are not fitted at once; give the "
-            "form in the part file"
-        )
-    if name is None and options.joint and model.across_ratio > 1.0 and model.name != "two-lobe":
+    if model.name == "two-lobe":
+        if name is not None:
+            raise InputError(
+                "model two-lobe: the wide lobe and the form of the diffuse component are not fitted at once; give the "
+                "form in the part file"
+            )
+        wide = fit_wide_lobe(samples, freed=options.freed, held=setup.held, run=setup.run)
+        return wide, setup.with_model(wide.model), replace(samples, model=wide.model)
+    if name is None and options.joint and model.across_ratio > 1.0:
         name = "across"
     if name is None:
         return None, setup, samples

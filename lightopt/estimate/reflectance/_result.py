@@ -8,19 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from lightopt.config import PartConfig, PlacementConfig, ReflectanceConfig, RigConfig, Source, copied_text, input_hashes
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
-from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Interval
+from lightopt.estimate.reflectance._estimate import Estimate, Interval, profile_regions
 from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
-from lightopt.estimate.reflectance._noise import MeasuredNoise
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
-from lightopt.estimate.reflectance._quality import Quality, convergence_warnings
-from lightopt.estimate.reflectance._uncertainty import profile_regions
+from lightopt.estimate.reflectance._quality import MeasuredNoise, Quality, convergence_warnings
 from lightopt.estimate.reflectance._validation import LeftOut, ModelRow, PointsRow
-from lightopt.estimate.reflectance._wide_lobe import WideLobe
 from lightopt.estimate.registration import Placement, Registration
 from lightopt.images import ImageSet, ResultFolder
 from lightopt.optics import LAMBERT, DiffuseForm, SpecularModel
@@ -234,14 +229,10 @@ def _fitted(
     return FittedValue(name, value, error, interval, regions=regions if len(regions) > 1 else ())
 
 
-def fitted_values(
-    found: Estimate, *, full_scale: float, model: SpecularModel, wide: WideLobe | None = None
-) -> tuple[FittedValue, ...]:
+def fitted_values(found: Estimate, *, full_scale: float, model: SpecularModel) -> tuple[FittedValue, ...]:
     """R_d, R_s and the lobe's width, with standard errors and intervals.
 
     Of a Gaussian lobe also the saturated half-angle under a point light.
-
-    wide: The wider of two lobes, where it was fitted
     """
     factor = model.width_factor
     r_s = _fitted("R_s", found.R_s, found, LOG_R_S, math.exp, slope=found.R_s)
@@ -254,17 +245,6 @@ def fitted_values(
         slope=factor * found.sigma,
     )
     diffuse = _fitted("R_d", found.R_d, found, R_D, float)
-    if model.name == "two-lobe":
-        height, spread = found.R_s * model.wide_share, found.sigma * model.wide_ratio
-        if wide is None:
-            return diffuse, r_s, width, FittedValue("R_s_wide", height), FittedValue("sigma_wide_rad", spread)
-        lobes = (
-            ("R_s", found.R_s, 0, 0),
-            ("sigma_rad", found.sigma, 1, 0),
-            ("R_s_wide", height, 0, 1),
-            ("sigma_wide_rad", spread, 1, 1),
-        )
-        return diffuse, *(_of_two_lobes(found, wide, *one) for one in lobes)
     values = [diffuse, r_s, width]
     if model.name != "torrance-sparrow":
         return tuple(values)
@@ -283,14 +263,6 @@ def fitted_values(
 def fitted_names(model: SpecularModel) -> tuple[str, ...]:
     """Keys of a part file that a fit of a specular lobe finds."""
     return ("R_s", model.width_key, *(("R_s_wide", "sigma_wide_rad") if model.name == "two-lobe" else ()))
-
-
-def _of_two_lobes(found: Estimate, wide: WideLobe, name: str, value: float, which: int, of_wide: int) -> FittedValue:
-    # height (0) or width (1) of the narrow or the wide lobe: its logarithm is normal
-    unit = np.eye(2)[which]
-    error = wide.standard_error(found, unit, of_wide * unit)
-    reach = math.sqrt(CHI2_95) * error
-    return FittedValue(name, value, value * error, (value * math.exp(-reach), value * math.exp(reach)))
 
 
 def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:

@@ -144,7 +144,6 @@ class BallFit:
     lights: tuple[PanelLight, ...]  # as they were given, with the fitted pose and size
     centre: Float64
     radius: float
-    edge_offset: float  # by how much the outline is measured outside of the ball's [px]
     covariance: Float64
     rms: float  # of the residuals, in the standard deviations that the images claim; about 1
     unobservable: tuple[str, ...]  # parameters that these postures do not show
@@ -213,7 +212,6 @@ def fit_ball(
         lights=problem.posed(found.x),
         centre=found.x[:3],
         radius=float(found.x[3]),
-        edge_offset=float(found.x[4]),
         covariance=covariance,
         rms=math.sqrt(mean_square),
         unobservable=tuple(

@@ -5,7 +5,7 @@ Each view alone gives a homography and from it two poses of a plane, which mirro
 explains all views best is the start.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -15,20 +15,25 @@ from lightopt.core.arrays import Bool, Float64, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._board import Board, BoardView
-from lightopt.estimate.rig_calibration._board_model import (
+from lightopt.estimate.rig_calibration._deviations import NORMAL_95
+from lightopt.estimate.rig_calibration._joint_fit import (
     AT,
     BOARD_POSITION,
     CAMERA_POSITION,
     LENS,
     NAMES,
+    OPTIONAL,
+    Corners,
+    JointFit,
     Origin,
+    Prior,
     Sightings,
+    fit_jointly,
+    inverse,
     predict,
     sightings,
     stage_of,
 )
-from lightopt.estimate.rig_calibration._deviations import NORMAL_95
-from lightopt.estimate.rig_calibration._joint_fit import OPTIONAL, Corners, JointFit, Prior, fit_jointly, inverse
 from lightopt.scene import PinholeCamera, Stage
 
 _TILTS_DEG, _ROTATIONS_DEG = range(-45, 46, 15), range(0, 360, 30)
@@ -68,14 +73,13 @@ class PostureGain:
 
 
 def judge_postures(
-    fit: JointFit, board: Board, taken: Float64, camera: PinholeCamera, postures: Sequence[Posture] | None
+    fit: JointFit, board: Board, taken: Float64, camera: PinholeCamera
 ) -> tuple[float, PostureGain | None]:
     """Standard error of a pixel predicted for points of the board over all postures that show it [px], and the best.
 
     taken: Readings of the views [rad], shape (K, 2)
     """
-    if postures is None:
-        postures = [Posture(float(t), float(r)) for t, r in product(_TILTS_DEG, _ROTATIONS_DEG)]
+    postures = [Posture(float(t), float(r)) for t, r in product(_TILTS_DEG, _ROTATIONS_DEG)]
     points = np.arange(board.columns * board.rows)
     outer = points.reshape(board.rows, board.columns)[[0, 0, -1, -1], [0, -1, -1, 0]]
     outline = predict(fit.x, fit.angles, fit.origin, sightings(board, [outer] * len(taken), taken), slopes=False)[0]
@@ -253,7 +257,7 @@ class BoardFit:
     covariance: Float64 = field(repr=False)  # [mm, deg, px], shape (G, G)
     board_rotation: Float64 = field(repr=False)
     board_position: Float64 = field(repr=False)
-    freed: tuple[str, ...]  # optional parameters that are free, on request or on evidence
+    freed: tuple[str, ...]  # optional parameters that are free, on evidence
     noise: float  # standard deviation of a corner along one axis [px]
     common_errors: float
     angle_error_deg: float  # standard deviation of the errors of the stage's readings
@@ -281,10 +285,8 @@ def fit_board(
     *,
     camera: PinholeCamera,
     stage: Stage | None = None,
-    free: Collection[str] = (),
     on_evidence: bool = True,
     angle_error_deg: float = 0.02,
-    postures: Sequence[Posture] | None = None,
 ) -> BoardFit:
     """Fit camera pose, focal length, principal point, k1, tilt axis, and the board's pose and bow to its corners.
 
@@ -293,23 +295,19 @@ def fit_board(
 
     views: At least one; one at tilt 0 only, or rotations only, leave most unobservable
     camera, stage: Nominal, a few degrees and millimetres from the truth, world frame; the tilt axis in its X-Z plane
-    free: Further parameters to fit, of aspect, k2, p1, p2, k3, tilt_scale, rotary_scale
-    on_evidence: Whether those are fitted, too, that the residuals ask for, given that the tilt changes
+    on_evidence: Whether those of aspect, k2, p1, p2, k3, tilt_scale and rotary_scale are fitted, too, that the
+        residuals ask for, given that the tilt changes
     angle_error_deg: Standard error of a reading of the stage
-    postures: Where pixels are predicted, and those that could be taken next; tilts to ±45° by default
     Raises InputError: The corners do not fit the rig, or are too few to start from
     """
-    wrong = [name for name in free if name not in OPTIONAL]
-    if wrong:
-        raise InputError(f"{', '.join(wrong)}: cannot be fitted; expected some of {', '.join(OPTIONAL)}")
     corners = _corners(views, board)
     prior, origin = nominal_prior(board, camera, stage or Stage(), angle_error_deg)
     start = start_from_views(np.where(np.isfinite(prior.mean), prior.mean, 0.0), origin, corners.seen, corners.pixels)
     start[0][BOARD_POSITION.stop - 1] = board.height
     tilted = bool(np.ptp(corners.seen.readings[:, 0]) >= _LEAST_TILTED)
-    fit = fit_jointly(corners, start, prior, extra=tuple(free), on_evidence=on_evidence and tilted)
+    fit = fit_jointly(corners, start, prior, on_evidence=on_evidence and tilted)
     fitted_camera, fitted_stage = _rig(fit, camera)
-    predicted_rms, gain = judge_postures(fit, board, corners.seen.readings, fitted_camera, postures)
+    predicted_rms, gain = judge_postures(fit, board, corners.seen.readings, fitted_camera)
     unit = np.array([np.degrees(1.0) if "rotation" in NAMES[i] or "elevation" in NAMES[i] else 1.0 for i in fit.free])
     return BoardFit(
         camera=fitted_camera,

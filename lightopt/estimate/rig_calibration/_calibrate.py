@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from lightopt.config import BoardTargetConfig, PartConfig, RigConfig, TargetsConfig, load_part, load_targets
+from lightopt.config import (
+    BoardTargetConfig,
+    PartConfig,
+    PlateTargetConfig,
+    RigConfig,
+    TargetsConfig,
+    load_part,
+    load_targets,
+)
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
@@ -15,13 +23,12 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, read_observations
 from lightopt.estimate.rig_calibration._ball_fit import BallFit, BallView, fit_ball, panel_names
 from lightopt.estimate.rig_calibration._ball_images import measure_ball
+from lightopt.estimate.rig_calibration._board import BoardImage, board_grid, find_corners, read_corners
 from lightopt.estimate.rig_calibration._board_fit import BoardFit, fit_board
-from lightopt.estimate.rig_calibration._board_images import BoardImage, find_corners, read_corners
-from lightopt.estimate.rig_calibration._charuco import charuco_board
 from lightopt.estimate.rig_calibration._deviations import displaced, square_root
 from lightopt.estimate.rig_calibration._photon_transfer import FramePair, PhotonTransfer, photon_transfer
 from lightopt.estimate.rig_calibration._plan import BALL, BOARD, PLATE, RIG_NAME, SENSOR, TARGETS_NAME
-from lightopt.estimate.rig_calibration._plate_fit import Plate, PlateFit, PlateView, fit_plate, plate_cells
+from lightopt.estimate.rig_calibration._plate_fit import PlateFit, PlateView, fit_plate, plate_cells
 from lightopt.images import dark_name, read_image_set, read_png
 from lightopt.lights import PanelLight
 from lightopt.scene import PinholeCamera, Stage, build_camera, build_lights, build_sensor, build_stage
@@ -132,7 +139,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
             )
         black = rig.camera.sensor.black_level if sensor is None else sensor.black_level.value
         known = np.asarray(np.kron(np.eye(len(lights)), _FILED), np.float64) if ball is None else ball.panels_covariance
-        plate = fit_plate(images.plate(camera, stage, black), lights=lights, panels_covariance=known)
+        plate = fit_plate(images.plate(targets.plate, camera, stage, black), lights=lights, panels_covariance=known)
         images.warnings.extend(plate.warnings)
         lights = plate.lights
     return RigCalibration(
@@ -169,13 +176,6 @@ class _Images:
     warnings: list[str] = field(default_factory=list[str])
 
     def board(self, target: BoardTargetConfig, camera: PinholeCamera, stage: Stage) -> BoardFit:
-        printed = charuco_board(target)
-        grid = printed.grid(
-            pitch=target.square_mm,
-            pitch_error=target.square_error,
-            height=target.height_mm,
-            height_error=target.height_error_mm,
-        )
         if (self.folder / CORNERS_NAME).is_file():
             views = read_corners(self.folder / CORNERS_NAME)
         else:
@@ -185,9 +185,10 @@ class _Images:
                 for p, some in of.items()
             ]
             full_scale = float(build_sensor(self.rig.camera).saturated_from)
-            views, problems = find_corners(images, printed, full_scale=full_scale)
-            self.warnings.extend(f"board {one.name}: {one.message}" for one in problems)
-        fit = fit_board(views, grid, camera=camera, stage=stage, angle_error_deg=self.targets.reading_error_deg)
+            views, problems = find_corners(images, target, full_scale=full_scale)
+            self.warnings.extend(f"board {text}" for text in problems)
+        error = self.targets.reading_error_deg
+        fit = fit_board(views, board_grid(target), camera=camera, stage=stage, angle_error_deg=error)
         self.warnings.extend(
             f"board {name}: this view does not fit the others; look at its image" for name in fit.faulty
         )
@@ -221,15 +222,7 @@ class _Images:
         self.warnings.extend(problems)
         return views
 
-    def plate(self, camera: PinholeCamera, stage: Stage, black: float) -> list[PlateView]:
-        target = self.targets.plate
-        assert target is not None
-        x, y = target.size_mm
-        flat = Plate(
-            corner=np.array([-0.5 * x, -0.5 * y, target.height_mm]),
-            side_x=np.array([x, 0.0, 0.0]),
-            side_y=np.array([0.0, y, 0.0]),
-        )
+    def plate(self, target: PlateTargetConfig, camera: PinholeCamera, stage: Stage, black: float) -> list[PlateView]:
         scale = build_sensor(self.rig.camera).max_level / self._part(PLATE).reflectance.full_scale
         cell = max(8, round(CELL_SHARE * camera.width))
         views: list[PlateView] = []
@@ -238,15 +231,9 @@ class _Images:
             longest = {o.light: o for o in mine if o.saturated.mean() < 0.01}
             for light, o in longest.items():
                 levels = (o.levels.astype(np.float64) - black) / (scale * o.exposure)
-                place: dict[str, Any] = {
-                    "posture": posture,
-                    "plate": flat,
-                    "camera": camera,
-                    "stage": stage,
-                    "cell": cell,
-                }
+                place: dict[str, Any] = {"posture": posture, "camera": camera, "stage": stage, "cell": cell}
                 try:
-                    views.append(plate_cells(levels, ~o.saturated, light=light, **place))
+                    views.append(plate_cells(levels, ~o.saturated, light=light, plate=target, **place))
                 except InputError as error:
                     self.warnings.extend(error.messages)
         return views

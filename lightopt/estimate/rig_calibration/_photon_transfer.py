@@ -50,7 +50,7 @@ class FramePair:
 class PhotonTransfer:
     """The sensor as the pairs show it; the names are those of :class:`lightopt.optics.Sensor`.
 
-    levels_per_electron, electrons_per_level: Conversion gain K [sensor level], and 1/K
+    electrons_per_level: 1/K of the conversion gain K [sensor level]
     saturation_level: Level at which the brightest frames pile up [sensor level]; None where none is saturated
     linearity_error: Largest deviation of the mean level from a straight line in the exposure time [% of the range]; NaN
         where not the exposure was varied but the light
@@ -58,7 +58,6 @@ class PhotonTransfer:
         rounding, shape (k,) [sensor level, sensor level²]
     """
 
-    levels_per_electron: Measured
     electrons_per_level: Measured
     read_noise_levels: Measured  # standard deviation of the noise without light, without rounding [sensor level]
     black_level: Measured  # mean level without light, before clipping at 0 [sensor level]
@@ -111,7 +110,6 @@ def photon_transfer(pairs: Sequence[FramePair], darks: Sequence[FramePair], *, b
         line = np.polynomial.Polynomial.fit(exposures[below], level, 1, w=weight)
         line_error = 100.0 * float(np.abs(level - line(exposures[below])).max()) / room
     return PhotonTransfer(
-        levels_per_electron=_jackknife(whole.gain, [e.gain for e in left_out]),
         electrons_per_level=_jackknife(1.0 / whole.gain, [1.0 / e.gain for e in left_out]),
         read_noise_levels=_jackknife(whole.noise, [e.noise for e in left_out]),
         black_level=_jackknife(whole.black, [e.black for e in left_out]),

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lightopt.config import RigConfig, TargetsConfig, load_targets
+from lightopt.config import BoardTargetConfig, RigConfig, TargetsConfig, load_targets
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.estimate.rig_calibration._charuco import CharucoBoard, board_mesh, charuco_board
+from lightopt.estimate.rig_calibration._board import board_mesh
 from lightopt.geometry import TriangleMesh, box_mesh, sphere_mesh, stl_bytes
 from lightopt.images import make_folder, write_bytes_atomic, write_text_atomic
 from lightopt.optics import Reflectance
@@ -42,7 +42,7 @@ class CalibrationPlan:
 
     folder: Path
     files: tuple[Path, ...]
-    board: CharucoBoard | None  # to print; None where there is none
+    board: BoardTargetConfig | None  # to print; None where there is none
     targets: tuple[str, ...]  # what is put on the stage, one sentence each
     commands: tuple[str, ...]  # to run one after another
     images: int  # number of images that they capture
@@ -70,12 +70,10 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     white = {"R_d": WHITE, "R_s": 0.0, "sigma_rad": 0.5}
     lights = [light.name for light in rig.lights]
     captured: list[tuple[str, str, Sequence[Posture], int]] = []
-    target: CharucoBoard | None = None
     if targets.board is not None:
         b = targets.board
-        target = charuco_board(b)
         postures = _postures(rig, BOARD_TILTS_DEG, BOARD_TURNS)
-        mesh = board_mesh(target, margin=0.5 * b.square_mm)
+        mesh = board_mesh(b, margin=0.5 * b.square_mm)
         files += _write_part(folder, BOARD, mesh, b.height_mm, postures, white, force)
         captured.append((BOARD, f" --light {lights[0]}", postures, 1))
     if targets.ball is not None:
@@ -111,7 +109,7 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     return CalibrationPlan(
         folder=folder,
         files=tuple(files),
-        board=target,
+        board=targets.board,
         targets=tuple(_sentences(folder, targets)),
         commands=tuple(commands),
         images=sum(len(postures) * count for _, _, postures, count in captured),
