@@ -83,7 +83,7 @@ class ScanPoint(Coefficients):
     value: float  # criterion at the scan's pixels [nat]
     drop: float  # how far twice the criterion of the estimate is below its maximum there [nat]
 
-    def as_dict(self, best: float) -> dict[str, float]:
+    def as_dict(self, best: float) -> dict[str, float | None]:
         """JSON form; `best` is the greatest value of the profile."""
         values = {"sigma_rad": self.sigma, "R_d": self.R_d, "R_s": self.R_s}
         below = significant(2.0 * (best - self.value), 6)

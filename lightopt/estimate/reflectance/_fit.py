@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
@@ -45,7 +44,7 @@ from lightopt.estimate.reflectance._result import (
     negative_black_level_warnings,
     separate_region_warnings,
 )
-from lightopt.estimate.reflectance._samples import Samples, evenly_lit, subsample, with_form
+from lightopt.estimate.reflectance._samples import Samples, relit, subsample
 from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, prepare_fit
 from lightopt.estimate.reflectance._validation import (
     ModelRow,
@@ -166,7 +165,6 @@ def fit_specular(
     options, run = options or FitOptions(), run or RunContext()
     if options.diffuse is not None and not options.joint:
         raise InputError("another form of the diffuse component has another R_d: fit that, too, with option 'joint'")
-    tried: list[tuple[FitResult, FitSetup, Samples, PointsRow | None]] = []
     choices: list[Points | None] = [*options.points] or [None]
 
     def prepared(points: Points | None, model: ModelName | None) -> FitSetup:
@@ -181,15 +179,11 @@ def fit_specular(
         result = _with_regions(_unfitted_outside(setup, error, "specular"), setup, _fit_specular_region)
         run.warn(*result.warnings)
         return result
-    for points in choices:
-        result, setup, samples = first if points == choices[0] else _fit_one(prepared(points, first[0].model.name))
-        row = None
-        if len(choices) > 1:
-            likelihood = None if result.estimate is None else result.estimate.mean_log_likelihood
-            row = compare_regions(setup, _parameters(result, setup), likelihood)
-        tried.append((result, setup, samples, row))
-    result, setup, samples, _ = max(tried, key=lambda one: 0.0 if one[3] is None else one[3].rank)
-    result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None), models=models)
+    tried = [first, *(_fit_one(prepared(points, first[0].model.name)) for points in choices[1:])]
+    rows = tuple(_points_row(result, setup) for result, setup, _ in tried) if len(tried) > 1 else ()
+    best = max(range(len(rows)), key=lambda number: rows[number].rank, default=0)
+    result, setup, samples = tried[best]
+    result = replace(result, rows=rows, models=models)
     if result.estimate is not None and "auto" not in options.points:
         result = replace(result, warnings=(*result.warnings, *_evenly_lit_warnings(setup, samples, result.estimate)))
     result = _with_regions(_validated((result, setup, samples), save_prediction), setup, _fit_specular_region)
@@ -309,10 +303,9 @@ def _fit_one(setup: FitSetup) -> _Fitted:
     if formed is not None:
         values = formed.values(found, values, samples.model)
     interval = next(v.interval for v in values if v.name == "R_s")
-    exposures = {o.exposure for o in setup.observations}
-    warnings = [*setup.warnings, *convergence_warnings(found)]
-    warnings += separate_region_warnings(values)
-    warnings += fit_warnings(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
+    shorter = len({o.exposure for o in setup.observations}) > 1
+    warnings = [*setup.warnings, *convergence_warnings(found), *separate_region_warnings(values)]
+    warnings += fit_warnings(found, quality, interval, shorter=shorter, placed=placed)
     result = _result("specular", setup, samples, found, quality, values, warnings)
     if isinstance(formed, FittedParameter):
         result = replace(result, fitted=(*result.fitted, values[-1].name))
@@ -339,7 +332,7 @@ def _with_fitted_form(setup: FitSetup, samples: Samples) -> tuple[FittedParamete
     model, form = changed_form(model, form, name, found.value)
     if name == "across":
         return found, setup.with_model(model), replace(samples, model=model)
-    return found, setup.with_form(form), with_form(samples, form, setup.caster)
+    return found, setup.with_form(form), relit(samples, setup.caster, form=form)
 
 
 def _result(
@@ -351,25 +344,23 @@ def _result(
     values: tuple[FittedValue, ...],
     warnings: Sequence[str],
 ) -> FitResult:
-    options = setup.options
-    specular = (*(("R_d",) if options.joint else ()), *fitted_names(samples.model))
+    options, own = setup.options, setup.scene.reflectance
     noise = measure_noise(samples, mean_levels(samples, found), describes=quality.describes)
     dark = fitted_dark(setup.scene, found) if options.dark else None
-    panels = setup.scene.lights if kind == "specular" else ()
-    coarse = (coarse_points(light, replace(setup.scene.reflectance, sigma=found.sigma)) for light in panels)
-    more = (
-        *(noise_warnings(noise) if options.write_noise else ()),
-        *(text for text in coarse if text is not None),
-        *negative_black_level_warnings(dark),
-    )
+    more = [*noise_warnings(noise)] if options.write_noise else []
+    fitted = ("R_d",)
+    if kind == "specular":
+        fitted = (*(fitted if options.joint else ()), *fitted_names(samples.model))
+        coarse = (coarse_points(light, replace(own, sigma=found.sigma)) for light in setup.scene.lights)
+        more += [text for text in coarse if text is not None]
     return FitResult(
         kind=kind,
         method="likelihood",
         model=samples.model,
-        diffuse=setup.scene.reflectance.diffuse,
+        diffuse=own.diffuse,
         points=setup.scene.lights[0].points,
         values=values,
-        fitted=("R_d",) if kind == "diffuse" else specular,
+        fitted=fitted,
         gains=fitted_gains(setup.scene, found) if options.gain else None,
         dark=dark,
         noise=noise,
@@ -380,19 +371,19 @@ def _result(
         observations=len(found.criterion.samples.sample),
         pixels=len(found.criterion.samples.diffuse),
         quality=quality,
-        warnings=(*warnings, *more),
+        warnings=(*warnings, *more, *negative_black_level_warnings(dark)),
         estimate=found,
     )
 
 
-def _parameters(result: FitResult, setup: FitSetup) -> Float64:
+def _points_row(result: FitResult, setup: FitSetup) -> PointsRow:
     if result.estimate is not None:
-        return result.estimate.x
+        return compare_regions(setup, result.estimate.x, result.estimate.mean_log_likelihood)
     x = np.zeros(FIRST_GAIN + len(setup.scene.lights))
     x[R_D] = result.value("R_d")
     x[LOG_R_S] = math.log(max(result.value("R_s"), LEAST_R_S))
     x[LOG_SIGMA] = math.log(result.value("sigma_rad"))
-    return x
+    return compare_regions(setup, x, None)
 
 
 def _diffuse_only(samples: Samples, found: Estimate) -> tuple[Samples, float]:
@@ -421,7 +412,7 @@ def _evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> 
     if any(light.points == "auto" or light.normalisation == "sum" for light in lights):
         return
     few = subsample(samples, SECOND_BUDGET)
-    even = evenly_lit(few, setup.caster)
+    even = relit(few, setup.caster, points="auto")
     freed, held = setup.options.freed, setup.held
     # the fit itself was the best of all σ; what evenly lit panels would give may lie far from it
     panels = fit_reflectance(even, freed=freed, held=held)

@@ -31,7 +31,7 @@ from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, FreeParam
 from lightopt.estimate.reflectance._fit_samples import USUAL_TABLE, climb
 from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._result import DIFFUSE_KEYS, FittedValue
-from lightopt.estimate.reflectance._samples import Samples, subsample, with_form
+from lightopt.estimate.reflectance._samples import Samples, relit, subsample
 from lightopt.estimate.reflectance._sigma_scan import SigmaScan, scan_budget, scan_sigma
 from lightopt.geometry import RayCaster
 from lightopt.optics import LAMBERT, DiffuseForm, SpecularModel
@@ -176,7 +176,7 @@ class _Profile:
         model, form = changed_form(self._few.model, LAMBERT, self._name, value)
         if self._name == "across":
             return replace(self._few, model=model)
-        return with_form(self._few, form, self._caster)
+        return relit(self._few, self._caster, form=form)
 
     def _least_squares(self, value: float) -> LeastSquares:
         some = self._samples(value)

@@ -92,9 +92,9 @@ def parameter_name(place: int, lights: tuple[str, ...]) -> str:
     return ("R_d", "R_s", "σ", "the dark level", *gains, *noise)[place]
 
 
-def significant(value: float, digits: int) -> float:
+def significant(value: float | None, digits: int) -> float | None:
     """A number for a file, with so many significant digits."""
-    return float(f"{value:.{digits}g}")
+    return None if value is None else float(f"{value:.{digits}g}")
 
 
 def sum_in_chunks(

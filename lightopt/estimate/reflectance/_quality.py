@@ -80,7 +80,7 @@ class Quality:
         """Whether the model describes the images badly."""
         return self.epsilon > POOR_EPSILON or self.typical > POOR_NOISE * self.floor
 
-    def as_dict(self) -> dict[str, float | bool]:
+    def as_dict(self) -> dict[str, float | bool | None]:
         return {name: value if isinstance(value, bool) else significant(value, 6) for name, value in vars(self).items()}
 
 
@@ -273,7 +273,7 @@ class MeasuredNoise:
     def as_dict(self) -> dict[str, Any]:
         names = ("read_noise_levels", "read_noise_standard_error", "electrons_per_level", "electrons_standard_error")
         values = (self.read_noise, self.read_noise_error, self.electrons, self.electrons_error)
-        numbers = {k: None if v is None else significant(v, 4) for k, v in zip(names, values, strict=True)}
+        numbers = {name: significant(value, 4) for name, value in zip(names, values, strict=True)}
         return {**numbers, "hindrance": self.hindrance or None}
 
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from lightopt.config import PartConfig, PlacementConfig, ReflectanceConfig, RigConfig, Source, copied_text, input_hashes
-from lightopt.core.errors import InputError
+from lightopt.config import PartConfig, PlacementConfig, ReflectanceConfig, RigConfig, copied_text, input_hashes
 from lightopt.core.provenance import provenance
 from lightopt.estimate.reflectance._estimate import Estimate, Interval, profile_regions
 from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
@@ -46,14 +45,11 @@ class FittedValue:
     def as_dict(self) -> dict[str, Any]:
         facts: dict[str, Any] = {
             "value": significant(self.value, 8),
-            "standard_error": significant(self.standard_error, 4) if self.standard_error else None,
-            "interval_95": None if self.interval is None else _rounded(self.interval),
+            "standard_error": significant(self.standard_error or None, 4),
+            "interval_95": None if self.interval is None else [significant(end, 8) for end in self.interval],
         }
-        return facts | ({"regions_95": [_rounded(region) for region in self.regions]} if self.regions else {})
-
-
-def _rounded(interval: Interval) -> list[float | None]:
-    return [None if end is None else significant(end, 8) for end in interval]
+        regions = [[significant(end, 8) for end in region] for region in self.regions]
+        return facts | ({"regions_95": regions} if regions else {})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,14 +113,9 @@ class FitResult:
     @property
     def not_left_out(self) -> tuple[str, ...]:
         """Parameters that validation takes from all images, also from those of the light that is left out."""
-        form = "".join(name for name in self.fitted if name in DIFFUSE_KEYS.values()) or None
-        freed = (
-            ("its own gain", self.gains),
-            ("the black level", self.dark),
-            ("the part's placement", self.placement),
-            (form or "", form),
-        )
-        return tuple(name for name, value in freed if value is not None)
+        freed = {"its own gain": self.gains, "the black level": self.dark, "the part's placement": self.placement}
+        form = (name for name in self.fitted if name in DIFFUSE_KEYS.values())
+        return (*(name for name, value in freed.items() if value is not None), *form)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form, without provenance."""
@@ -143,9 +134,8 @@ class FitResult:
             "points": self.points,
             "fitted": list(self.fitted),
             "values": {v.name: v.as_dict() for v in self.values},
-            "highlights_by": None
-            if self.highlights is None
-            else {"R_s": significant(self.highlights[0], 6), "sigma_rad": significant(self.highlights[1], 6)},
+            "highlights_by": self.highlights
+            and {"R_s": significant(self.highlights[0], 6), "sigma_rad": significant(self.highlights[1], 6)},
             "correlation_ln_R_s_ln_sigma": self.correlation,
             "gains": None if self.gains is None else {k: v.as_dict() for k, v in self.gains.items()},
             "black_level": facts(self.dark),
@@ -317,7 +307,6 @@ class FitFolder(ResultFolder):
         texts = {PART_NAME: _part_text(self.folder, result, part)}
         values = _rig_values(result, rig)
         if result.gains is not None or values:
-            _check_text(rig.source)
             texts[RIG_NAME] = copied_text(rig, self.folder, values)
         written = [self.write_text(name, text) for name, text in texts.items()]
         return [self.finish(result.as_dict()), *written]
@@ -331,7 +320,6 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
             values |= _reflectance_values(region.result, part.regions[i].reflectance, "regions", i, "reflectance")
     if result.file_placement is not None:
         values |= _placement_values(part, result.file_placement)
-    _check_text(part.source)
     return copied_text(part, folder, values)
 
 
@@ -390,10 +378,3 @@ def _rig_values(result: FitResult, rig: RigConfig) -> dict[tuple[str | int, ...]
         if figure is not None:
             values["camera", "sensor", key] = f"{figure:.4g}"
     return values
-
-
-def _check_text(source: Source) -> None:
-    if not source.text:
-        raise InputError(
-            f"{source.path}: built in code, so that there is no file to write the fitted values into; load it from one"
-        )

@@ -60,13 +60,13 @@ class Comparison:
             "rms_grey_levels": significant(self.rms, 5),
             "rms_sensor_levels": significant(self.rms_sensor, 5),
             "iou": None if self.iou is None else round(self.iou, 5),
-            "border_px": None if self.border is None else significant(self.border, 4),
+            "border_px": significant(self.border, 4),
             "saturated_px": self.area,
             "predicted_saturated_px": self.predicted_area,
         }
 
 
-def _rounded(found: Coefficients) -> dict[str, float]:
+def _rounded(found: Coefficients) -> dict[str, float | None]:
     values = {"R_d": found.R_d, "R_s": found.R_s, "sigma_rad": found.sigma}
     return {name: significant(value, 6) for name, value in values.items()}
 
@@ -215,8 +215,8 @@ class ModelRow:
     def as_dict(self) -> dict[str, Any]:
         return {
             "model": self.model,
-            "left_out_rms_sensor_levels": None if self.rms is None else significant(self.rms, 5),
-            "mean_log_likelihood": None if self.likelihood is None else significant(self.likelihood, 6),
+            "left_out_rms_sensor_levels": significant(self.rms, 5),
+            "mean_log_likelihood": significant(self.likelihood, 6),
             "refused": self.refused,
         }
 
@@ -259,7 +259,7 @@ class PointsRow(Coefficients):
             "measured_area_px": self.measured_area,
             "perimeter_px": round(self.perimeter, 1),
             "measured_perimeter_px": round(self.measured_perimeter, 1),
-            "mean_log_likelihood": None if self.likelihood is None else significant(self.likelihood, 6),
+            "mean_log_likelihood": significant(self.likelihood, 6),
         }
 
 

@@ -83,12 +83,8 @@ def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> Part
     # x_placed = R·x + t, inverted
     back = placement.rotation.T
     shift = -back @ placement.shift(scene.pivot)
-    return PartView(
-        camera=view.camera.moved(back, shift),
-        lights=tuple(light.moved(back, shift) for light in view.lights),
-        rotation=view.rotation,
-        translation=view.translation,
-    )
+    lights = tuple(light.moved(back, shift) for light in view.lights)
+    return replace(view, camera=view.camera.moved(back, shift), lights=lights)
 
 
 def _layers(

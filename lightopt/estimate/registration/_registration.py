@@ -252,17 +252,15 @@ def _result(solution: Solution, frame: PoseFrame, iterations: int, moved: float,
 def _convergence_warnings(solution: Solution, frame: PoseFrame, iterations: int, moved: float) -> tuple[str, ...]:
     # at most one
     if solution.at_limit[: frame.freedoms].any():
-        reach = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
-        if frame.freedoms == 6:
-            reach += f" in the plane, {frame.reach[3]:g} mm in height and {math.degrees(frame.reach[4]):g}° in tilt"
-        text = f"the part was searched up to {reach} from its nominal placement, and seems to be further away; "
-        return (text + "correct its placement in the part file",)
+        return (
+            f"the part was searched up to {frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}° from its nominal "
+            "placement, and seems to be further away; correct its placement in the part file",
+        )
+    if solution.converged and moved < SETTLED_PX:
+        return ()
+    why = f": its last stage moved the part by {moved:.1f} px"
     if not solution.converged:
         why = f"; the placement is the best of {iterations} steps"
-    elif moved >= SETTLED_PX:
-        why = f": its last stage moved the part by {moved:.1f} px"
-    else:
-        return ()
     return (f"the registration did not converge{why}. Its errors may be larger than stated",)
 
 
@@ -271,25 +269,12 @@ def _undetermined_warnings(directions: Float64, share: Float64) -> tuple[str, ..
     end = "cannot be determined from these images; assumed as in the part file"
     if len(directions) == len(share):
         return (f"the placement of the part {end}",)
-    names = (
-        "the shift along x",
-        "the shift along y",
-        "the rotation about the rotary axis",
-        "the height",
-        "the tilt about x",
-        "the tilt about y",
-    )[: len(share)]
+    shifts = ("the shift along x", "the shift along y", "the rotation about the rotary axis")
+    names = (*shifts, "the height", "the tilt about x", "the tilt about y")[: len(share)]
     named = [name for name, s in zip(names, share, strict=True) if s > ALONG_AXIS]
-    if len(named) == len(directions):
-        return tuple(f"{name} {end}" for name in named)
-    warnings: list[str] = []
-    for direction in directions:
-        x, y, turn = direction[:3]
-        if float(np.sum(direction[:3] ** 2)) < ALONG_AXIS:
-            mixed = ", ".join(name for name, part in zip(names, direction, strict=True) if part**2 > 1.0 - ALONG_AXIS)
-            warnings.append(f"a direction between {mixed} {end}")
-            continue
-        angle = math.degrees(math.atan2(y, x)) % 180.0
-        along = f"the shift along {angle:.0f}° from x"
-        warnings.append(f"{along} {end}" if turn**2 < 1.0 - ALONG_AXIS else f"{along} together with a rotation {end}")
-    return tuple(warnings)
+    if len(named) < len(directions):
+        named = []
+        for direction in directions:
+            mixed = [name for name, part in zip(names, direction, strict=True) if part**2 > 1.0 - ALONG_AXIS]
+            named.append(f"a direction between {', '.join(mixed)}")
+    return tuple(f"{name} {end}" for name in named)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from lightopt.config import RigConfig, copied_text, standing_at
-from lightopt.core.errors import InputError
 from lightopt.core.transforms import vector_of_rotation
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS
 from lightopt.estimate.rig_calibration._calibrate import RigCalibration
@@ -32,8 +31,6 @@ def calibrated_rig_text(found: RigCalibration) -> str:
     Raises InputError: The rig was built in code, or its file has anchors and aliases where values change
     """
     rig = found.rig
-    if not rig.source.text:
-        raise InputError(f"{rig.source.path}: the rig was built in code, so there is no file to write into")
     values: Values = {}
     if found.board is not None:
         values |= _camera_values(found) | _stage_values(found)

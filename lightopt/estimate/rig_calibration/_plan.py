@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightopt.config import BoardTargetConfig, RigConfig, TargetsConfig, load_targets
+from lightopt.config import BoardTargetConfig, RigConfig, load_targets
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._board import board_mesh
@@ -38,10 +38,8 @@ SIGMA = 0.004  # of the ball
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationPlan:
-    """Files of a calibration folder, and the commands that fill it."""
+    """What to put on the stage, and the commands that fill a calibration folder."""
 
-    folder: Path
-    files: tuple[Path, ...]
     board: BoardTargetConfig | None  # to print; None where there is none
     targets: tuple[str, ...]  # what is put on the stage, one sentence each
     commands: tuple[str, ...]  # to run one after another
@@ -57,46 +55,50 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     if size is None:
         raise InputError(f"{rig.source.at('camera')}: the view reaches beyond the table's horizon; no target fits it")
     make_folder(folder)
-    square = _rounded(BOARD_SHARE * min(size[0] / SQUARES[0], size[1] / SQUARES[1]))
-    marker, radius = _rounded(0.74 * square), _rounded(BALL_SHARE * min(size))
-    plate = _rounded(0.95 * size[0]), _rounded(0.95 * size[1])
-    text = _targets_text(rig, square, marker, radius, plate)
     # what the user has measured stays
     path = folder / TARGETS_NAME
     if not path.exists():
-        write_text_atomic(path, text, overwrite=False)
+        write_text_atomic(path, _targets_text(rig, size), overwrite=False)
     targets = load_targets(path)
-    files = [path]
     white = {"R_d": WHITE, "R_s": 0.0, "sigma_rad": 0.5}
     lights = [light.name for light in rig.lights]
-    captured: list[tuple[str, str, Sequence[Posture], int]] = []
-    if targets.board is not None:
-        b = targets.board
+    name = _quoted(rig.source.path)
+    sentences: list[str] = []
+    commands: list[str] = []
+    images = 0
+
+    def capture(
+        kind: str, options: str, postures: Sequence[Posture], mesh: TriangleMesh, height: float, look: dict[str, float]
+    ) -> None:
+        _write_part(folder, kind, mesh, height, postures, look, force)
+        target = _quoted(folder / kind)
+        commands.append(f"lightopt capture {name} {target}.yaml -o {target}{options} --no-check-lights")
+
+    if (board := targets.board) is not None:
+        sentences.append(f"print {folder / BOARD}.pdf without scaling, glue it to a flat plate, lay it on the stage")
         postures = _postures(rig, BOARD_TILTS_DEG, BOARD_TURNS)
-        mesh = board_mesh(b, margin=0.5 * b.square_mm)
-        files += _write_part(folder, BOARD, mesh, b.height_mm, postures, white, force)
-        captured.append((BOARD, f" --light {lights[0]}", postures, 1))
+        mesh = board_mesh(board, margin=0.5 * board.square_mm)
+        capture(BOARD, f" --light {lights[0]}", postures, mesh, board.height_mm, white)
+        images += len(postures)
     if targets.ball is not None:
+        sentences.append(
+            "fix a polished bearing ball near the rotary axis, and expose so that no highlight is saturated"
+        )
         postures = _postures(rig, BALL_TILTS_DEG, BALL_TURNS)
         r = targets.ball.radius_mm
         # off the rotary axis, which shows where the axis is
         sphere = sphere_mesh(r)
         mesh = replace(sphere, vertices=sphere.vertices + np.array([0.3 * r, 0.2 * r, r]))
         shine = {"R_d": BODY, "R_s": float(f"{MIRRORED / _plateau(rig, mesh, postures[0]):.4g}"), "sigma_rad": SIGMA}
-        files += _write_part(folder, BALL, mesh, 0.0, postures, shine, force)
-        captured.append((BALL, "", postures, len(lights)))
+        capture(BALL, "", postures, mesh, 0.0, shine)
+        images += len(postures) * len(lights)
     if targets.plate is not None:
+        sentences.append("lay a matt white plate on the stage, its sides along X and Y at rotation 0")
         x, y = targets.plate.size_mm
         mesh = box_mesh(np.array([[-0.5 * x, -0.5 * y, -PLATE_THICKNESS_MM], [0.5 * x, 0.5 * y, 0.0]]))
         postures = _postures(rig, PLATE_TILTS_DEG, 1)
-        files += _write_part(folder, PLATE, mesh, targets.plate.height_mm, postures, white, force)
-        captured.append((PLATE, "", postures, len(lights)))
-    name = _quoted(rig.source.path)
-    commands = [
-        f"lightopt capture {name} {_quoted(folder / kind)}.yaml -o {_quoted(folder / kind)}{options} --no-check-lights"
-        for kind, options, _, _ in captured
-    ]
-    if targets.plate is not None:
+        capture(PLATE, "", postures, mesh, targets.plate.height_mm, white)
+        images += len(postures) * len(lights)
         levels = ",".join(f"1/{round(1 / exposure)}" if exposure < 1.0 else "1" for exposure in SENSOR_EXPOSURES)
         own = 1 if rig.virtual_bench is None else rig.virtual_bench.seed
         seeds = ("", f" --seed {own + 1}") if rig.hardware is None else ("", "")  # another noise
@@ -105,27 +107,9 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
             f"--light {lights[0]} --exposures {levels} --dark{seed}"
             for kind, seed in zip(SENSOR, seeds, strict=True)
         ]
+    sentences.append(f"measure all of them, and correct {path}")
     commands.append(f"lightopt calibrate {name} {_quoted(folder)}")
-    return CalibrationPlan(
-        folder=folder,
-        files=tuple(files),
-        board=targets.board,
-        targets=tuple(_sentences(folder, targets)),
-        commands=tuple(commands),
-        images=sum(len(postures) * count for _, _, postures, count in captured),
-    )
-
-
-def _sentences(folder: Path, targets: TargetsConfig) -> list[str]:
-    found: list[str] = []
-    if targets.board is not None:
-        found.append(f"print {folder / BOARD}.pdf without scaling, glue it to a flat plate, lay it on the stage")
-    if targets.ball is not None:
-        found.append("fix a polished bearing ball near the rotary axis, and expose so that no highlight is saturated")
-    if targets.plate is not None:
-        found.append("lay a matt white plate on the stage, its sides along X and Y at rotation 0")
-    found.append(f"measure all of them, and correct {folder / TARGETS_NAME}")
-    return found
+    return CalibrationPlan(board=targets.board, targets=tuple(sentences), commands=tuple(commands), images=images)
 
 
 def _quoted(path: Path) -> str:
@@ -156,7 +140,8 @@ def _postures(rig: RigConfig, tilts: Sequence[float], turns: int) -> list[Postur
     ]
 
 
-def _targets_text(rig: RigConfig, square: float, marker: float, radius: float, plate: tuple[float, float]) -> str:
+def _targets_text(rig: RigConfig, size: tuple[float, float]) -> str:
+    square = _rounded(BOARD_SHARE * min(size[0] / SQUARES[0], size[1] / SQUARES[1]))
     return f"""\
 # Targets to calibrate {rig.name} with. Correct each size to what a caliper measures; delete what is not used.
 format: lightopt-targets/1
@@ -164,17 +149,17 @@ format: lightopt-targets/1
 board:                          # a printed ChArUco board
   squares: [{SQUARES[0]}, {SQUARES[1]}]
   square_mm: {square:g}               # measured over many squares
-  marker_mm: {marker:g}
+  marker_mm: {_rounded(0.74 * square):g}
   dictionary: DICT_4X4_250
   height_mm: 0                  # of the printed face above the table: the thickness of the board
   height_error_mm: 0.01         # standard deviation of it
 
 ball:                           # a polished bearing ball
-  radius_mm: {radius:g}
+  radius_mm: {_rounded(BALL_SHARE * min(size)):g}
   radius_error_mm: 0.001
 
 plate:                          # a matt white plate
-  size_mm: [{plate[0]:g}, {plate[1]:g}]
+  size_mm: [{_rounded(0.95 * size[0]):g}, {_rounded(0.95 * size[1]):g}]
   height_mm: 0                  # of its upper face
 
 panel_size_error_mm: 0.1        # of size_mm in the rig file; null if the sizes are not known
@@ -190,8 +175,8 @@ def _write_part(
     postures: Sequence[Posture],
     reflectance: dict[str, float],
     force: bool,
-) -> list[Path]:
-    part, shape = folder / f"{name}.yaml", folder / f"{name}.stl"
+) -> None:
+    shape = folder / f"{name}.stl"
     entries = "\n".join(
         f"  - {{elevation_deg: {p.elevation_deg:g}, rotation_deg: {p.rotation_deg:g}}}" for p in postures
     )
@@ -207,8 +192,7 @@ postures:
 {entries}
 """
     write_bytes_atomic(shape, stl_bytes(mesh), overwrite=force)
-    write_text_atomic(part, text, overwrite=force)
-    return [part, shape]
+    write_text_atomic(folder / f"{name}.yaml", text, overwrite=force)
 
 
 def _plateau(rig: RigConfig, mesh: TriangleMesh, posture: Posture) -> float:
