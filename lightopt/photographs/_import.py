@@ -21,8 +21,7 @@ from lightopt.core.transforms import rotation_x, vector_of_rotation
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.geometry import UNITLESS_SUFFIXES, sphere_mesh, stl_bytes
 from lightopt.images import read_photograph
-from lightopt.photographs._calibration import Intrinsics, Pose, read_intrinsics, read_pose
-from lightopt.photographs._light_table import TableRow, read_light_table
+from lightopt.photographs._input_files import Intrinsics, Pose, TableRow, read_intrinsics, read_light_table, read_pose
 from lightopt.rendering import cast_rays_at, set_manifest, trace_pixels
 from lightopt.scene import Distortion, Scene, build_scene, pixel_directions, pose_camera
 

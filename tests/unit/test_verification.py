@@ -252,7 +252,7 @@ def test_mean_of_clipped_levels():
     assert (high - low) / 0.001 == pytest.approx(slope, rel=1e-2)
 
 
-@pytest.mark.parametrize("name", VerifyLimits().as_dict())
+@pytest.mark.parametrize("name", vars(VerifyLimits()))
 @pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])
 def test_bad_limits(name, value):
     with pytest.raises(InputError, match=f"limit {name}: expected a number above 0"):

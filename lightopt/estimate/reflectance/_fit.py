@@ -57,7 +57,7 @@ from lightopt.estimate.reflectance._validation import (
 )
 from lightopt.images import ImageSet
 from lightopt.optics import LAMBERT, ModelName, Reflectance, farthest_exponent
-from lightopt.scene import coarse_points
+from lightopt.scene import coarse_points, scene_of_region
 
 HIGHLIGHT_LEVEL = 0.1  # pixels that a highlight lights by less than this are diffuse only [grey level at exposure 1]
 
@@ -241,17 +241,20 @@ def _with_regions(result: FitResult, setup: FitSetup, fit: Callable[[FitSetup], 
     # and the fits of the part's regions, with the placement, gains and dark level of the first
     if not setup.scene.regions:
         return result
-    gains = {} if result.gains is None else {name: gain.value for name, gain in result.gains.items()}
-    known = setup.with_photometry(gains, None if result.dark is None else result.dark.value)
-    known = replace(known, options=replace(setup.options, gain=False, dark=False))
+    scene, gains = setup.scene, {name: gain.value for name, gain in (result.gains or {}).items()}
+    lights = tuple(replace(light, gain=gains.get(light.name, light.gain)) for light in scene.lights)
+    black = scene.sensor.black_level if result.dark is None else result.dark.value
+    scene = replace(scene, lights=lights, sensor=replace(scene.sensor, black_level=black))
+    options = replace(setup.options, gain=False, dark=False)
 
     def fitted(number: int, name: str) -> RegionFit:
         try:
-            return RegionFit(name=name, result=fit(known.of_region(number)))
+            region = replace(setup, scene=scene_of_region(scene, number), options=options)
+            return RegionFit(name=name, result=fit(region))
         except InputError as error:
             return RegionFit(name=name, refused=error.args[0])
 
-    regions = tuple(fitted(number, region.name) for number, region in enumerate(setup.scene.regions, 1))
+    regions = tuple(fitted(number, region.name) for number, region in enumerate(scene.regions, 1))
     if not result.fitted and not any(region.result for region in regions):
         raise InputError(result.warnings[-1], *(f"region {one.name}: {one.refused}" for one in regions))
     noted = [f"region {one.name}: {text}" for one in regions for text in one.warnings]

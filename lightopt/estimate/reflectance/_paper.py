@@ -48,9 +48,6 @@ class PaperOptions:
     R_s_start: float = 255.0
     away: float = math.radians(20.0)
 
-    def as_dict(self) -> dict[str, float]:
-        return dict(vars(self))
-
     def problems(self) -> tuple[str, ...]:
         found = [
             f"option '{name}': expected a number above 0, found {value:g}"

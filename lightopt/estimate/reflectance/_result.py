@@ -282,34 +282,30 @@ def fitted_dark(scene: Scene, found: Estimate) -> FittedValue:
     return _fitted("black_level", float(black + found.x[DARK]), found, DARK, lambda end: black + end)
 
 
-def fit_provenance(rig: RigConfig, part: PartConfig, image_set: ImageSet, options: Mapping[str, Any]) -> dict[str, Any]:
-    """What a fit depends on, in the layout of :mod:`lightopt.core.provenance`."""
-    return provenance(inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}, options=options)
+def fit_folder(
+    folder: Path, rig: RigConfig, part: PartConfig, image_set: ImageSet, options: Mapping[str, Any], *, force: bool
+) -> ResultFolder:
+    """Open a folder that a fit is written to.
 
-
-class FitFolder(ResultFolder):
-    """A folder that a fit is written to.
-
-    folder: Made where it does not exist.
-    made_from: From :func:`fit_provenance`.
+    options: In JSON form
     Raises InputError: the folder holds a fit of other inputs, and `force` is False.
     """
+    made_from = provenance(inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}, options=options)
+    names = {"name": FIT_NAME, "format": "lightopt-fit/1", "what": "a fit"}
+    return ResultFolder(folder, made_from, **names, also=(PART_NAME, RIG_NAME), force=force)
 
-    def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
-        names = {"name": FIT_NAME, "format": "lightopt-fit/1", "what": "a fit"}
-        super().__init__(folder, made_from, **names, also=(PART_NAME, RIG_NAME), force=force)
 
-    def write(self, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
-        """Write the part, where gains, the dark level or the noise are written the rig, and at last ``fit.json``.
+def write_fit(folder: ResultFolder, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
+    """Write the part, where gains, the dark level or the noise are written the rig, and at last ``fit.json``.
 
-        Raises InputError: a file cannot be written.
-        """
-        texts = {PART_NAME: _part_text(self.folder, result, part)}
-        values = _rig_values(result, rig)
-        if result.gains is not None or values:
-            texts[RIG_NAME] = copied_text(rig, self.folder, values)
-        written = [self.write_text(name, text) for name, text in texts.items()]
-        return [self.finish(result.as_dict()), *written]
+    Raises InputError: a file cannot be written.
+    """
+    texts = {PART_NAME: _part_text(folder.folder, result, part)}
+    values = _rig_values(result, rig)
+    if result.gains is not None or values:
+        texts[RIG_NAME] = copied_text(rig, folder.folder, values)
+    written = [folder.write_text(name, text) for name, text in texts.items()]
+    return [folder.finish(result.as_dict()), *written]
 
 
 def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:

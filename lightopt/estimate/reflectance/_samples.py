@@ -218,7 +218,7 @@ def _entry(light: PanelLight) -> int | str:
 def relit(
     samples: Samples, caster: RayCaster, *, form: DiffuseForm | None = None, points: Literal["auto"] | None = None
 ) -> Samples:
-    """The same pixels with another form of the diffuse component, or other points of the panels; no ray is cast again."""
+    """The same pixels with another diffuse form, or with other points of the panels; no ray is cast again."""
 
     def again(layer: LightLayer) -> LightLayer:
         light = layer.light if points is None else replace(layer.light, points=points)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -28,7 +28,7 @@ from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet
 from lightopt.optics import LAMBERT, DiffuseForm, ModelName, Reflectance, SpecularModel
 from lightopt.rendering import cast_rays_at
-from lightopt.scene import Scene, build_scene, scene_of_region
+from lightopt.scene import Scene, build_scene
 
 Points = int | Literal["auto"]
 
@@ -94,18 +94,6 @@ class FitSetup:
         """R_d, R_s and σ of the part file."""
         reflectance = self.scene.reflectance
         return np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
-
-    def of_region(self, number: int) -> FitSetup:
-        """The same for the surface of a region, from 1; the part is registered already."""
-        return replace(self, scene=scene_of_region(self.scene, number))
-
-    def with_photometry(self, gains: Mapping[str, float], black_level: float | None) -> FitSetup:
-        """The same with known gains of some lights, and with a known black level [sensor level]."""
-        lights = tuple(replace(light, gain=gains.get(light.name, light.gain)) for light in self.scene.lights)
-        sensor = self.scene.sensor
-        if black_level is not None:
-            sensor = replace(sensor, black_level=black_level)
-        return replace(self, scene=replace(self.scene, lights=lights, sensor=sensor))
 
     def with_lobe(self, name: ModelName | None) -> FitSetup:
         """The same with a specular lobe of this form; None and that of the part file change nothing."""

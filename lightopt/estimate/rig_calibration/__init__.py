@@ -26,13 +26,13 @@ from lightopt.estimate.rig_calibration._calibrate import (
 )
 from lightopt.estimate.rig_calibration._deviations import (
     Measured as Measured,
-    displaced as displaced,
     read_covariance as read_covariance,
+    rig_deviations as rig_deviations,
     square_root as square_root,
 )
 from lightopt.estimate.rig_calibration._files import (
     REPORT_NAME as REPORT_NAME,
     figures as figures,
+    plan_calibration as plan_calibration,
     write_calibration as write_calibration,
 )
-from lightopt.estimate.rig_calibration._plan import plan_calibration as plan_calibration

@@ -25,14 +25,16 @@ from lightopt.estimate.rig_calibration._ball_fit import BallFit, BallView, fit_b
 from lightopt.estimate.rig_calibration._ball_images import measure_ball
 from lightopt.estimate.rig_calibration._board import BoardImage, board_grid, find_corners, read_corners
 from lightopt.estimate.rig_calibration._board_fit import BoardFit, fit_board
-from lightopt.estimate.rig_calibration._deviations import displaced, square_root
+from lightopt.estimate.rig_calibration._deviations import rig_deviations
 from lightopt.estimate.rig_calibration._photon_transfer import FramePair, PhotonTransfer, photon_transfer
-from lightopt.estimate.rig_calibration._plan import BALL, BOARD, PLATE, RIG_NAME, SENSOR, TARGETS_NAME
 from lightopt.estimate.rig_calibration._plate_fit import PlateFit, PlateView, fit_plate, plate_cells
 from lightopt.images import dark_name, read_image_set, read_png
 from lightopt.lights import PanelLight
 from lightopt.scene import PinholeCamera, Stage, build_camera, build_lights, build_sensor, build_stage
 
+TARGETS_NAME, RIG_NAME = "targets.yaml", "rig.calibrated.yaml"
+BOARD, BALL, PLATE, SENSOR = "board", "ball", "plate", ("sensor-a", "sensor-b")
+"""Image sets of a calibration, below its folder."""
 CORNERS_NAME = "board.json"
 """Corners of the board that another program found, in place of its image set."""
 
@@ -129,7 +131,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
             radius=targets.ball.radius_mm,
             radius_error=targets.ball.radius_error_mm,
             size_error=targets.panel_size_error_mm,
-            rig_deviations=() if board is None else rig_deviations(board),
+            rig_deviations=() if board is None else rig_deviations(camera, stage, board.names, board.covariance),
         )
         lights = ball.lights
     if PLATE in sets and targets.plate is not None:
@@ -155,14 +157,6 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         filed=filed,
         warnings=tuple(images.warnings),
     )
-
-
-def rig_deviations(board: BoardFit) -> list[tuple[PinholeCamera, Stage]]:
-    """Camera and stage, displaced by one standard deviation along each independent direction of their covariance."""
-    mine = [i for i, name in enumerate(board.names) if not name.startswith("board.")]
-    names = [board.names[i] for i in mine]
-    directions = square_root(board.covariance[np.ix_(mine, mine)]).T
-    return [displaced(board.camera, board.stage, names, direction) for direction in directions]
 
 
 @dataclass(frozen=True)

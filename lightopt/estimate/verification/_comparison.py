@@ -17,8 +17,8 @@ from scipy import ndimage, optimize
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import sensor_scale
-from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction, Work
 from lightopt.estimate.verification._fit import MISFIT_SHARE, Fit
+from lightopt.estimate.verification._parameters import CoarseImage, CoarsePrediction, Work
 from lightopt.optics import clipped_mean
 from lightopt.scene import Scene, project, view_from_part
 

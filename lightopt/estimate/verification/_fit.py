@@ -33,8 +33,15 @@ from lightopt.estimate.registration import (
     register as register_part,
     sensor_scale,
 )
-from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction, Work, blurred
-from lightopt.estimate.verification._parameters import SIGMA_STEP, Group, Parameters
+from lightopt.estimate.verification._parameters import (
+    SIGMA_STEP,
+    CoarseImage,
+    CoarsePrediction,
+    Group,
+    Parameters,
+    Work,
+    blurred,
+)
 from lightopt.optics import clipped_mean
 
 MOST_ENTRIES = 2_500_000  # of the matrix of derivatives

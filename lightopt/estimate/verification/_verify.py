@@ -23,7 +23,6 @@ from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, observed_postures, read_observations
-from lightopt.estimate.verification._coarse import Work
 from lightopt.estimate.verification._comparison import (
     LightComparison,
     compare_image,
@@ -43,7 +42,7 @@ from lightopt.estimate.verification._findings import (
     swap_findings,
 )
 from lightopt.estimate.verification._fit import alternatives, fit_faults
-from lightopt.estimate.verification._parameters import Parameters, VerifyLimits, calibrated_deviations
+from lightopt.estimate.verification._parameters import Parameters, VerifyLimits, Work, calibrated_deviations
 from lightopt.images import ImageSet, ResultFolder, csv_text, make_folder, write_text_atomic
 from lightopt.scene import Scene, build_scene
 
@@ -259,7 +258,7 @@ def verify_folder(
     inputs: dict[str, Any] = {**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}
     if baseline is not None:
         inputs["baseline"] = baseline.fingerprint
-    made_from = provenance(inputs=inputs, options={"limits": limits.as_dict(), "register": register})
+    made_from = provenance(inputs=inputs, options={"limits": vars(limits), "register": register})
     form = "lightopt-verification/1"
     return ResultFolder(folder, made_from, name="verify.json", format=form, what="a verification", force=force)
 
