@@ -20,7 +20,6 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import rotation_x, vector_of_rotation
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.geometry import UNITLESS_SUFFIXES, sphere_mesh, stl_bytes
-from lightopt.images import read_photograph
 from lightopt.photographs._input_files import Intrinsics, Pose, TableRow, read_intrinsics, read_light_table, read_pose
 from lightopt.rendering import cast_rays_at, set_manifest, trace_pixels
 from lightopt.scene import Distortion, Scene, build_scene, pixel_directions, pose_camera
@@ -52,13 +51,6 @@ def mesh_part(path: Path, *, units: str | None, folder: Path, about_x_deg: float
     return PhotographedPart(name=path.stem, file=file, units=units, rotate_deg=(about_x_deg, 0.0, 0.0))
 
 
-def sphere_part(radius: float, centre: Float64) -> PhotographedPart:
-    """A sphere [mm] about a point of the world, shape (3,)."""
-    x, y, z = centre.tolist()
-    content = stl_bytes(sphere_mesh(radius))
-    return PhotographedPart(name="sphere", file="sphere.stl", content=content, translate_mm=(x, y, z))
-
-
 def sphere_in_mask(mask: Bool, intrinsics: Intrinsics, radius: float) -> Float64:
     """Centre of a sphere in the camera's own axes [mm], shape (3,), from its disc; InputError where that is no disc."""
     camera = pose_camera(
@@ -88,23 +80,11 @@ def sphere_in_mask(mask: Bool, intrinsics: Intrinsics, radius: float) -> Float64
     return axis * (radius / sine)
 
 
-def read_mask(path: Path) -> Bool:
-    """Pixels of the part, (H, W): of half of full scale or more; InputError for no image or pixels of one kind."""
-    samples = read_photograph(path)
-    mask: Bool = samples.max(axis=2) > np.iinfo(samples.dtype).max // 2
-    if mask.all() or not mask.any():
-        raise InputError(
-            f"{path}: the mask is all {'white' if mask.all() else 'black'}; expected the part white on black"
-        )
-    return mask
-
-
 def _outline(mask: Bool) -> tuple[Float64, Float64]:
     """Columns and rows [px] of the middles of all pixel sides between the mask and what is around it."""
     rows, columns = np.nonzero(mask[:, 1:] != mask[:, :-1])
     below, beside = np.nonzero(mask[1:] != mask[:-1])
-    middles = np.array([np.append(columns + 1.0, beside + 0.5), np.append(rows + 0.5, below + 1.0)], dtype=np.float64)
-    return middles[0], middles[1]
+    return np.append(columns + 1.0, beside + 0.5), np.append(rows + 0.5, below + 1.0)
 
 
 _FAR_MM = 1e6  # a distant light: its direction differs by less than 0.06° over a part of 1 m
@@ -339,7 +319,12 @@ def _intrinsics(path: Path, shape: images.PhotographFormat) -> Intrinsics:
 
 
 def _mask(path: Path, shape: images.PhotographFormat, rows: Sequence[TableRow]) -> Bool:
-    mask = read_mask(path)
+    # pixels of the part, of half of full scale or more
+    samples = images.read_photograph(path)
+    mask: Bool = samples.max(axis=2) > np.iinfo(samples.dtype).max // 2
+    if mask.all() or not mask.any():
+        colour = "white" if mask.all() else "black"
+        raise InputError(f"{path}: the mask is all {colour}; expected the part white on black")
     if mask.shape != (shape.height, shape.width):
         raise InputError(f"{path}: {mask.shape[1]} × {mask.shape[0]} px, but the photographs have {shape}")
     if len({row.posture for row in rows}) > 1:
@@ -358,7 +343,9 @@ def _placed(
             raise InputError("option 'sphere': expected option 'mask', whose disc says where it is")
         centre = sphere_in_mask(mask, intrinsics, options.sphere)
         pose = pose or Pose(np.array([0.0, 0.0, options.sphere + float(centre[2])]), _DOWN)
-        return pose, sphere_part(options.sphere, pose.position + pose.rotation @ centre)
+        x, y, z = (pose.position + pose.rotation @ centre).tolist()
+        content = stl_bytes(sphere_mesh(options.sphere))
+        return pose, PhotographedPart(name="sphere", file="sphere.stl", content=content, translate_mm=(x, y, z))
     if options.mesh is None:
         raise InputError("expected option 'mesh' or option 'sphere': the part")
     if pose is None:

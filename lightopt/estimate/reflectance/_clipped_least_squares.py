@@ -15,9 +15,8 @@ from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
+from lightopt.estimate.reflectance._coefficients import DARK, LOG_SIGMA
 from lightopt.estimate.reflectance._likelihood import (
-    DARK,
-    LOG_SIGMA,
     Evaluation,
     add_slopes,
     clipped_levels,

@@ -14,16 +14,8 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._likelihood import (
-    FIRST_GAIN,
-    R_D,
-    Coefficients,
-    Criterion,
-    Evaluation,
-    Likelihood,
-    outlier_share,
-    significant,
-)
+from lightopt.estimate.reflectance._coefficients import FIRST_GAIN, R_D, Coefficients, outlier_share, significant
+from lightopt.estimate.reflectance._likelihood import Criterion, Evaluation, Likelihood
 
 Interval = tuple[float | None, float | None]  # 95 %; None for an end that the images do not bound
 
@@ -107,7 +99,7 @@ class Optimum:
 class Estimate(Coefficients):
     """The best fit and its uncertainty."""
 
-    x: Float64  # parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._likelihood`
+    x: Float64  # parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._coefficients`
     free: tuple[int, ...]  # places of the k parameters that were fitted
     covariance: Float64  # of those, shape (k, k), if the model is right
     inflation: Float64  # factor of each of their variances for what the model gets wrong, shape (k,)
@@ -354,26 +346,21 @@ def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float]
     regions = [_around(estimate, place, target)]
     for other in estimate.optima[1:]:
         drop = 2.0 * (best - other.top.value)
-        if drop < target:
-            at = float(other.top.x[place])
-            there = _at_optimum(estimate, other)
-            regions.append((at, at) if there is None else _around(there, place, target - drop))
+        if drop < target and other.criterion is None:
+            regions.append((float(other.top.x[place]),) * 2)
+        elif drop < target and other.criterion is not None:
+            # as if the other optimum were the estimate, with the covariance that its own curvature has
+            here = other.criterion.evaluate(other.top.x)
+            covariance = _inverse(here.curvature[np.ix_(estimate.free, estimate.free)])
+            top = replace(estimate.maximum, x=other.top.x, evaluation=here)
+            there = replace(estimate, x=top.x, criterion=other.criterion, maximum=top, covariance=covariance)
+            regions.append(_around(there, place, target - drop))
     # neighbours along the scan belong together
     for within, run in itertools.groupby(estimate.scan, key=lambda point: point.drop < target):
         if within:
             values = [float(point.x[place]) for point in run]
             regions.append((min(values), max(values)))
     return _joined(regions)
-
-
-def _at_optimum(estimate: Estimate, other: Optimum) -> Estimate | None:
-    # as if the other optimum were the estimate, with the covariance that its own curvature has
-    if other.criterion is None:
-        return None
-    here = other.criterion.evaluate(other.top.x)
-    covariance = _inverse(here.curvature[np.ix_(estimate.free, estimate.free)])
-    top = replace(estimate.maximum, x=other.top.x, evaluation=here)
-    return replace(estimate, x=top.x, criterion=other.criterion, maximum=top, covariance=covariance)
 
 
 def _joined(regions: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
+from lightopt.estimate.reflectance._coefficients import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance, refit
 from lightopt.estimate.reflectance._form_parameters import (
@@ -19,7 +20,6 @@ from lightopt.estimate.reflectance._form_parameters import (
     fit_form_parameter,
     fit_wide_lobe,
 )
-from lightopt.estimate.reflectance._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular, paper_diffuse, paper_specular
 from lightopt.estimate.reflectance._quality import (

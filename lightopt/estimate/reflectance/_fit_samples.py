@@ -22,6 +22,7 @@ from scipy.special import stdtrit
 from lightopt.core.arrays import Float64, Index
 from lightopt.core.run_context import RunContext, Share, part_of
 from lightopt.estimate.reflectance._clipped_least_squares import MOST_MISFIT, LeastSquares, SpecularTable, find_dust
+from lightopt.estimate.reflectance._coefficients import DARK, FIRST_GAIN, LOG_SIGMA, outlier_share
 from lightopt.estimate.reflectance._estimate import (
     CHI2_95,
     Estimate,
@@ -34,15 +35,7 @@ from lightopt.estimate.reflectance._estimate import (
     maximise,
     uncertainty,
 )
-from lightopt.estimate.reflectance._likelihood import (
-    DARK,
-    FIRST_GAIN,
-    LOG_SIGMA,
-    Likelihood,
-    likelihood_at,
-    outlier_share,
-    predicted,
-)
+from lightopt.estimate.reflectance._likelihood import Likelihood, likelihood_at, predicted
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._sigma_scan import (
     SAME_PEAK,

@@ -27,9 +27,9 @@ from lightopt.estimate.reflectance._clipped_least_squares import (
     SpecularTable,
     measure_misfit,
 )
+from lightopt.estimate.reflectance._coefficients import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, FreeParameters, Maximum, maximise
 from lightopt.estimate.reflectance._fit_samples import USUAL_TABLE, climb
-from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._result import DIFFUSE_KEYS, FittedValue
 from lightopt.estimate.reflectance._samples import Samples, relit, subsample
 from lightopt.estimate.reflectance._sigma_scan import SigmaScan, scan_budget, scan_sigma

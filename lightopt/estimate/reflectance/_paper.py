@@ -15,7 +15,7 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, ignore
-from lightopt.estimate.reflectance._likelihood import significant
+from lightopt.estimate.reflectance._coefficients import significant
 from lightopt.estimate.reflectance._samples import Samples
 
 MOST_ITERATIONS = 500
@@ -186,7 +186,10 @@ def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progr
     bright = np.minimum(mine.level - mine.sensor.black_level, room) - np.minimum(diffuse, room)
     total = float(bright.sum())
     steps: list[SigmaStep] = []
-    sigmas = _sweep(options)
+    # from the start upwards, then the rest of the range below it
+    up = np.arange(options.sigma_start, options.sigma_most + 1e-9, options.sigma_step)
+    down = np.arange(options.sigma_start - options.sigma_step, options.sigma_least - 1e-9, -options.sigma_step)
+    sigmas = [float(round(value, 9)) for value in (*up, *down) if value > 0.0]
     for sigma in sigmas:
         light = factor * mine.specular(sigma)[mine.sample]
         steps.append(_match_area(light, diffuse, room, measured, total, sigma, options))
@@ -208,13 +211,6 @@ def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progr
     alike = sorted(step.sigma for step in reached if abs(step.brightness - 1.0) <= options.lambda_s2)
     name = samples.images[image].name
     return PaperSpecular(best.R_s, best.sigma, name, measured, tuple(steps), matching_sigmas=tuple(alike))
-
-
-def _sweep(options: PaperOptions) -> list[float]:
-    # from the start upwards, then the rest of the range below it
-    up = np.arange(options.sigma_start, options.sigma_most + 1e-9, options.sigma_step)
-    down = np.arange(options.sigma_start - options.sigma_step, options.sigma_least - 1e-9, -options.sigma_step)
-    return [float(round(value, 9)) for value in (*up, *down) if value > 0.0]
 
 
 def _match_area(

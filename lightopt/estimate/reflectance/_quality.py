@@ -10,17 +10,17 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance._clipped_least_squares import MOST_MISFIT, image_noise
-from lightopt.estimate.reflectance._estimate import Estimate, Interval
-from lightopt.estimate.reflectance._likelihood import (
+from lightopt.estimate.reflectance._coefficients import (
     DARK,
     FIRST_GAIN,
     LOG_R_S,
     LOG_SIGMA,
     R_D,
     parameter_name,
-    predicted,
     significant,
 )
+from lightopt.estimate.reflectance._estimate import Estimate, Interval
+from lightopt.estimate.reflectance._likelihood import predicted
 from lightopt.estimate.reflectance._samples import Samples
 from lightopt.optics import Sensor, SpecularModel
 

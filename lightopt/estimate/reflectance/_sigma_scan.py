@@ -15,17 +15,9 @@ from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, ignore
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable, find_dust, measure_misfit
+from lightopt.estimate.reflectance._coefficients import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, Maximum, ScanPoint, maximise
-from lightopt.estimate.reflectance._likelihood import (
-    DARK,
-    FIRST_GAIN,
-    LOG_R_S,
-    LOG_SIGMA,
-    R_D,
-    Criterion,
-    parameter_count,
-    predicted,
-)
+from lightopt.estimate.reflectance._likelihood import Criterion, parameter_count, predicted
 from lightopt.estimate.reflectance._samples import Samples, subsample
 
 SCAN_SAMPLES = 50_000  # pixels of the scan over σ, in all

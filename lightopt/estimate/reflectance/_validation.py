@@ -14,9 +14,7 @@ from scipy.ndimage import binary_erosion
 from scipy.spatial import KDTree
 
 from lightopt.core.arrays import Bool, Float32, Float64
-from lightopt.estimate.reflectance._estimate import Estimate
-from lightopt.estimate.reflectance._fit_samples import refit
-from lightopt.estimate.reflectance._likelihood import (
+from lightopt.estimate.reflectance._coefficients import (
     DARK,
     FIRST_GAIN,
     LOG_R_S,
@@ -25,6 +23,8 @@ from lightopt.estimate.reflectance._likelihood import (
     Coefficients,
     significant,
 )
+from lightopt.estimate.reflectance._estimate import Estimate
+from lightopt.estimate.reflectance._fit_samples import refit
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Observation

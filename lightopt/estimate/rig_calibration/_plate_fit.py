@@ -164,7 +164,11 @@ def fit_plate(
     warnings: tuple[str, ...] = ()
     if exponent.value < 0.0:
         low, high = exponent.interval_95
-        warnings = (_below_zero(exponent.value, low, high),)
+        found = f"{exponent.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
+        text = f"plate: emission exponent {found}; 0 is taken, the least there is"
+        if high < 0.0:
+            text += ". The panels are brighter from the side than from ahead, or the plate is not matt"
+        warnings = (text,)
         # gains and panels are those of an exponent of 0; their errors are not less for that
         fit = replace(kept.solve(0.0, HELD), covariance=fit.covariance)
         exponent = Measured(value=0.0, error=exponent.error, interval_95=(0.0, max(0.0, high)))
@@ -200,15 +204,6 @@ def fit_plate(
         rms=float(np.sqrt(fit.mean_square)),
         warnings=warnings,
     )
-
-
-def _below_zero(value: float, low: float, high: float) -> str:
-    found = (
-        f"plate: emission exponent {value:.2f}, 95 % interval {low:.2f} to {high:.2f}; 0 is taken, the least there is"
-    )
-    if high >= 0.0:
-        return found
-    return f"{found}. The panels are brighter from the side than from ahead, or the plate is not matt"
 
 
 @dataclass(frozen=True)

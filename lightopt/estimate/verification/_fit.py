@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError
 from lightopt.core.least_squares import weighted_sums
 from lightopt.core.transforms import Posture
@@ -58,15 +58,6 @@ STEEP = 15.0
 CELLS = 24  # of neighbouring blocks, along the width of an image
 
 BLUR_PX = 1.5  # blur for the difference
-
-
-@dataclass(frozen=True)
-class Linearised:
-    """The model at some parameters: n rows, K parameters."""
-
-    residual: Float64  # measured minus predicted [standard deviation], shape (n,)
-    slope: Float64  # derivatives of what is predicted [standard deviation], shape (n, K)
-    used: Bool  # rows that count, shape (n,)
 
 
 class Model:
@@ -177,8 +168,12 @@ class Model:
         self._correction = good.measured - self.predicted(theta)[0]
         self._corrected = True
 
-    def linearise(self, theta: Float64) -> Linearised:
-        """Residuals and derivatives at some parameters."""
+    def linearise(self, theta: Float64) -> tuple[Float64, Float64, Bool]:
+        """The model of n rows at some parameters, shape (K,).
+
+        Measured minus predicted, shape (n,), and the derivatives of what is predicted, shape (n, K), both in standard
+        deviations; rows that count, shape (n,).
+        """
         p, sensor = self.parameters, self.scene.sensor
         level, specular, wider = self.levels(theta)
         middle = self._levels_at(theta)[0]
@@ -215,7 +210,7 @@ class Model:
                 size = np.abs(slope[:, group.where]).max(axis=1)
                 used &= ~(size > STEEP * np.quantile(size[used], 0.9))
         residual = np.where(used, (self.measured - np.where(used, mean, 0.0)) / noise, 0.0)
-        return Linearised(residual, np.where(used[:, None], slope, 0.0) / np.where(used, noise, 1.0)[:, None], used)
+        return residual, np.where(used[:, None], slope, 0.0) / np.where(used, noise, 1.0)[:, None], used
 
 
 # twice the logarithm of how much more likely it is, before there are images, that a group is as it was
@@ -285,24 +280,26 @@ class Evidence:
         return float(np.linalg.eigvalsh(own)[-1]) * group.limit**2 > 2.0 * PRIOR_ODDS
 
 
-def gather(parameters: Parameters, model: Linearised, theta: Float64, cells: Int32, deviations: Float64) -> Evidence:
-    """Sums of the model linearised at some parameters, with weights by what no fault explains.
+def gather(model: Model, theta: Float64, origin: Float64, deviations: Float64) -> Evidence:
+    """Sums of the model linearised at some parameters, with weights by what no fault from the origin explains.
 
     deviations: Of a calibrated rig from its file, independent ones of one standard deviation each, shape (K, D)
     """
-    slope, target = model.slope, model.residual + np.einsum("ij,j->i", model.slope, theta)
+    parameters = model.parameters
+    residual, slope, used = model.linearise(theta)
+    target = residual + np.einsum("ij,j->i", slope, theta - origin)
     ridge = np.diag(1.0 / np.square(parameters.priors))
-    weight = model.used.astype(np.float64)
+    weight = used.astype(np.float64)
     left = target
     for _ in range(ROUNDS):
         normal, toward = weighted_sums(slope, weight, target)
         left = target - np.einsum("ij,j->i", slope, np.linalg.solve(normal + ridge, toward))
-        spread = max(1.0, 1.4826 * float(np.median(np.abs(left[model.used])))) if model.used.any() else 1.0
-        weight = model.used * np.minimum(1.0, HUBER * spread / np.maximum(np.abs(left), 1e-12))
+        spread = max(1.0, 1.4826 * float(np.median(np.abs(left[used])))) if used.any() else 1.0
+        weight = used * np.minimum(1.0, HUBER * spread / np.maximum(np.abs(left), 1e-12))
     pull = weight * left
     # sums over cells of neighbours, against what independent residuals would have
-    sums = np.bincount(cells, pull)
-    expected = np.bincount(cells, np.square(weight))
+    sums = np.bincount(model.cell, pull)
+    expected = np.bincount(model.cell, np.square(weight))
     counted = expected > 3.0
     ratio = np.square(sums[counted]) / expected[counted]
     inflation = max(1.0, float(np.mean(ratio)) if ratio.size else 1.0)
@@ -417,7 +414,7 @@ def _descend(
         if step and work.moved_blocks(theta, at) > STALE_BLOCKS:
             at, predictions = theta, work.predict(theta)
             model = _model(work, images, good, predictions)
-        evidence = gather(p, model.linearise(theta), theta - origin, model.cell, deviations)
+        evidence = gather(model, theta, origin, deviations)
         chosen = choose(evidence)
         _, faults, covariance = evidence.solve(chosen)
         before, theta = theta, origin + faults + evidence.deviation(faults)
