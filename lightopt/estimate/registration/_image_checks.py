@@ -46,16 +46,10 @@ BLACK_SHARE = 0.02  # images with less than this share of the light that is pred
 MOST_SATURATED = 0.5  # images of which more pixels than this share are saturated are refused for that
 
 _ALL, _REVERSED = slice(None), slice(None, None, -1)
-
+_NO_TURN = "flip the images; a rotation, or another roll of the camera, does not undo this"
 FLIPS: dict[str, tuple[tuple[slice, slice], str]] = {
-    "mirrored left to right": (
-        (_ALL, _REVERSED),
-        "flip the images; a rotation, or another roll of the camera, does not undo this",
-    ),
-    "mirrored top to bottom": (
-        (_REVERSED, _ALL),
-        "flip the images; a rotation, or another roll of the camera, does not undo this",
-    ),
+    "mirrored left to right": ((_ALL, _REVERSED), _NO_TURN),
+    "mirrored top to bottom": ((_REVERSED, _ALL), _NO_TURN),
     "rotated by 180°": ((_REVERSED, _REVERSED), "rotate them, or correct the camera's roll in the rig file"),
 }
 """Flips of images: by name, the rows and columns that undo it, and the remedy."""

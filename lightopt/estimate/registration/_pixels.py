@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import Placement
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
-from lightopt.optics import DiffuseForm, Reflectance
+from lightopt.optics import Reflectance
 from lightopt.rendering import (
     UNLIT,
     WHOLE,
@@ -97,33 +97,20 @@ def _layers(
 ) -> Float64:
     # diffuse light, and specular light for each σ, of channels of a light or of one panel, shape (1 + σ, lights, n)
     first = reflectances[0]
+    channels = [light for light in group if isinstance(light, SurfaceLight)]
     layers = np.empty((1 + len(sigmas), len(group), len(surface)))
     for index, some, own in surface.by_material(reflectances):
         lobes = [replace(own, sigma=sigma * (own.sigma / first.sigma)) for sigma in sigmas]
+        if channels:
+            parts = [light_of_channels(some, channels, own.diffuse, threads=threads)[0]]
+            parts += [light_of_channels(some, channels, lobe, diffuse=False, threads=threads)[1] for lobe in lobes]
+        else:
+            layer = light_layer(some, group[0], caster, form=own.diffuse, threads=1)
+            parts = [layer.diffuse[None], *(layer.specular(lobe, threads=1)[None] for lobe in lobes)]
         shares = own.R_d / max(first.R_d, LEAST_R_D), own.R_s / max(first.R_s, LEAST_R_S)
-        for place, layer in enumerate(_layers_of_one(some, group, caster, own.diffuse, lobes, threads)):
-            layers[place][:, index] = layer if own is first else shares[place > 0] * layer
+        for place, part in enumerate(parts):
+            layers[place][:, index] = part if own is first else shares[place > 0] * part
     return layers
-
-
-def _layers_of_one(
-    surface: SurfacePoints,
-    group: Sequence[PanelLight],
-    caster: RayCaster,
-    form: DiffuseForm,
-    lobes: Sequence[Reflectance],
-    threads: int,
-) -> Iterator[Float64]:
-    channels = [light for light in group if isinstance(light, SurfaceLight)]
-    if channels:
-        yield light_of_channels(surface, channels, form, threads=threads)[0]
-        for lobe in lobes:
-            yield light_of_channels(surface, channels, lobe, diffuse=False, threads=threads)[1]
-        return
-    layer = light_layer(surface, group[0], caster, form=form, threads=1)
-    yield layer.diffuse[None]
-    for lobe in lobes:
-        yield layer.specular(lobe, threads=1)[None]
 
 
 def light_at(

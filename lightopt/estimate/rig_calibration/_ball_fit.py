@@ -61,10 +61,10 @@ def mirror_points(centre: Float64, radius: float, eye: Float64, points: Float64)
     low, high = np.zeros_like(gamma), gamma.copy()
     psi = 0.5 * gamma
     for _ in range(_MOST_STEPS):
-        off = _reflected_angle(a, radius, psi) - _reflected_angle(b, radius, gamma - psi)
+        (incidence, slope), (reflection, more) = _reflection(a, radius, psi), _reflection(b, radius, gamma - psi)
+        off = incidence - reflection
         low, high = np.where(off < 0.0, psi, low), np.where(off < 0.0, high, psi)
-        slope = _slope(a, radius, psi) + _slope(b, radius, gamma - psi)
-        step = psi - off / slope
+        step = psi - off / (slope + more)
         # Newton's step where it stays between the bounds, half of them elsewhere
         step = np.where((step >= low) & (step <= high), step, 0.5 * (low + high))
         done = np.abs(step - psi) <= _ANGLE_TOLERANCE
@@ -76,14 +76,12 @@ def mirror_points(centre: Float64, radius: float, eye: Float64, points: Float64)
     return centre + radius * (np.cos(psi) * first + np.sin(psi) * second)
 
 
-def _reflected_angle(distance: Float64, radius: float, psi: Float64) -> Float64:
-    return np.arctan2(distance * np.sin(psi), distance * np.cos(psi) - radius)
-
-
-def _slope(distance: Float64, radius: float, psi: Float64) -> Float64:
-    cosine = np.cos(psi)
+def _reflection(distance: Float64, radius: float, psi: Float64) -> tuple[Float64, Float64]:
+    # the angle of incidence or of reflection [rad], and its slope by ψ
+    sine, cosine = np.sin(psi), np.cos(psi)
     square = distance * distance - 2.0 * distance * radius * cosine + radius * radius
-    return (distance * distance - distance * radius * cosine) / square
+    angle = np.arctan2(distance * sine, distance * cosine - radius)
+    return angle, (distance * distance - distance * radius * cosine) / square
 
 
 def mirrored_image(camera: PinholeCamera, centre: Float64, radius: float, points: Float64) -> Float64:
