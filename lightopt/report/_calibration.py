@@ -12,6 +12,7 @@ from lightopt.estimate.rig_calibration import BoardFit, Measured, RigCalibration
 from lightopt.report._drawing import figure_image, fixed_style
 from lightopt.report._images import png_bytes
 from lightopt.report._page import Answer, Block, Facts, Note, Page, Picture, Section, Table, Warnings, page_html
+from lightopt.scene import build_lights
 
 
 def calibration_lines(found: RigCalibration) -> list[tuple[str, str]]:
@@ -78,7 +79,7 @@ def _sections(found: RigCalibration) -> Iterator[Section]:
         yield Section(heading="Camera and stage", blocks=blocks)
     if (ball := found.ball) is not None:
         header = ["light", "centre [mm]", "±", "direction ± [°]", "size [mm]", "moved by [mm]"]
-        filed = {light.name: light for light in found.filed}
+        filed = {light.name: light for light in build_lights(found.rig)}
         rows = []
         for light, width in zip(ball.lights, ball.half_widths_95, strict=True):
             centre, size = ", ".join(f"{c:.2f}" for c in light.centre), " × ".join(f"{side:.2f}" for side in light.size)

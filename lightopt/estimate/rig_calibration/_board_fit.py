@@ -98,15 +98,17 @@ def judge_postures(
     spread = np.einsum("kni,knj->ij", by_free, by_free) / inside[shown].sum()
     now = float(np.sqrt(np.sum(fit.of_free * spread)))
     information = inverse(fit.of_free)
-    gains: list[PostureGain] = []
     unit = fit.noise * fit.common
-    for number, slopes, own in zip(shown, by_free / unit, by_angles / unit, strict=True):
+
+    def gain(number: int, slopes: Float64, own: Float64) -> PostureGain:
         inner = own.T @ own + np.eye(2) / fit.angle_sd**2  # the new readings have errors, too
         cross = own.T @ slopes
         gained = slopes.T @ slopes - cross.T @ np.linalg.solve(inner, cross)
         rms = float(np.sqrt(np.sum(inverse(information + gained) * spread)))
-        gains.append(PostureGain(posture=postures[int(number)], predicted_rms=rms))
-    return now, min(gains, key=lambda gain: gain.predicted_rms)
+        return PostureGain(posture=postures[number], predicted_rms=rms)
+
+    gains = map(gain, shown.tolist(), by_free / unit, by_angles / unit)
+    return now, min(gains, key=lambda one: one.predicted_rms)
 
 
 def _facing(outline: Float64, in_views: Float64) -> Bool:
@@ -136,15 +138,11 @@ def nominal_prior(board: Board, camera: PinholeCamera, stage: Stage, angle_error
         ("camera.focal_px", focal, _FOCAL_SHARE * focal),
         ("camera.principal_x_px camera.principal_y_px", camera.axis_px, _PRINCIPAL_SHARE * camera.width),
         ("camera.aspect", camera.aspect, 0.01),
-        ("camera.k1", lens.k1, 0.5),
-        ("camera.k2", lens.k2, 5.0),
-        ("camera.p1", lens.p1, 0.05),
-        ("camera.p2", lens.p2, 0.05),
-        ("camera.k3", lens.k3, 50.0),
+        ("camera.k1 camera.k2 camera.k3", (lens.k1, lens.k2, lens.k3), (0.5, 5.0, 50.0)),
+        ("camera.p1 camera.p2", (lens.p1, lens.p2), 0.05),
         ("tilt_axis.elevation", np.arcsin(axis[2]), np.radians(_TILT_AXIS_DEG)),
         ("tilt_axis.position_y tilt_axis.position_z", (point - aside)[1:], _TILT_AXIS_MM),
-        ("tilt_axis.scale", stage.tilt_scale, 0.005),
-        ("rotary_axis.scale", stage.rotary_scale, 0.005),
+        ("tilt_axis.scale rotary_axis.scale", (stage.tilt_scale, stage.rotary_scale), 0.005),
         ("board.position_z", board.height, board.height_error),
         ("board.scale", 0.0, board.pitch_error),
         ("board.pitch_ratio", 0.0, 0.01),
@@ -201,11 +199,8 @@ def _plane_poses(points: Float64, rays: Float64) -> list[tuple[Float64, Float64]
     rows[::2, :3], rows[::2, 6:] = flat, -u[:, None] * flat
     rows[1::2, 3:6], rows[1::2, 6:] = flat, -v[:, None] * flat
     h = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
-    h = (
-        np.array([[size, 0.0, centre[0]], [0.0, size, centre[1]], [0.0, 0.0, 1.0]])
-        @ h
-        @ np.diag([1.0 / unit, 1.0 / unit, 1.0])
-    )
+    to_rays = np.array([[size, 0.0, centre[0]], [0.0, size, centre[1]], [0.0, 0.0, 1.0]])
+    h = to_rays @ h @ np.diag([1.0 / unit, 1.0 / unit, 1.0])
     h /= np.copysign(0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1])), h[2, 2])
     axes, shift = h[:, :2], h[:, 2]
     sight = shift / np.linalg.norm(shift)
@@ -364,18 +359,17 @@ def _rig(fit: JointFit, nominal: PinholeCamera) -> tuple[PinholeCamera, Stage]:
 def _residuals(views: Sequence[BoardView], fit: JointFit, seen: Sightings) -> tuple[ViewResidual, ...]:
     distance = np.linalg.norm(fit.residual, axis=1)
     most = _FAULTY_RATIO * float(np.median(distance))
-    found: list[ViewResidual] = []
-    for number, view in enumerate(views):
-        mine = seen.view == number
+
+    def one(view: BoardView, mine: Bool) -> ViewResidual:
         inliers, count = distance[mine & fit.inlier], len(view.ids)
         median = float(np.median(distance[mine])) if count else 0.0
         rms = float(np.sqrt(np.mean(np.square(inliers)))) if len(inliers) else 0.0
         outliers = count - len(inliers)
         faulty = outliers > _FAULTY_SHARE * count or median > most
-        found.append(
-            ViewResidual(view.name, view.posture, count, median, rms, outliers, faulty, view.pixels, fit.residual[mine])
-        )
-    return tuple(found)
+        offsets = fit.residual[mine]
+        return ViewResidual(view.name, view.posture, count, median, rms, outliers, faulty, view.pixels, offsets)
+
+    return tuple(one(view, seen.view == number) for number, view in enumerate(views))
 
 
 def _unobservable(fit: JointFit, tilted: bool) -> tuple[str, ...]:

@@ -61,7 +61,6 @@ class RigCalibration:
     camera: PinholeCamera
     stage: Stage
     lights: tuple[PanelLight, ...]
-    filed: tuple[PanelLight, ...]  # the lights as filed
     warnings: tuple[str, ...]
 
     @property
@@ -113,8 +112,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
             "lightopt calibrate --plan writes how to capture them"
         )
     images = _Images(rig, folder, targets, run or RunContext())
-    camera, stage, filed = build_camera(rig), build_stage(rig), build_lights(rig)
-    lights = filed
+    camera, stage, lights = build_camera(rig), build_stage(rig), build_lights(rig)
     sensor = images.sensor() if all(name in sets for name in SENSOR) else None
     board: BoardFit | None = None
     ball: BallFit | None = None
@@ -154,7 +152,6 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         camera=camera,
         stage=stage,
         lights=lights,
-        filed=filed,
         warnings=tuple(images.warnings),
     )
 

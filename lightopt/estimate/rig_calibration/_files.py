@@ -35,6 +35,8 @@ from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, build_camera, build_lights, build_sensor, build_stage, view_size
 
+COVARIANCE_NAME, FIGURES_NAME, REPORT_NAME = "rig.calibrated.npz", "calibration.json", "report.html"
+
 SQUARES = (12, 9)
 BOARD_SHARE = 0.9  # of the view that the board fills
 BOARD_TILTS_DEG, BOARD_TURNS = (0.0, 40.0, -40.0), 5
@@ -77,41 +79,39 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     lights = [light.name for light in rig.lights]
     name = _quoted(rig.source.path)
     sentences: list[str] = []
-    commands: list[str] = []
-    images = 0
-
-    def capture(
-        kind: str, options: str, postures: Sequence[Posture], mesh: TriangleMesh, height: float, look: dict[str, float]
-    ) -> None:
-        _write_part(folder, kind, mesh, height, postures, look, force)
-        target = _quoted(folder / kind)
-        commands.append(f"lightopt capture {name} {target}.yaml -o {target}{options} --no-check-lights")
-
+    # image set, options of its capture, postures, mesh, its height, its reflectance
+    parts: list[tuple[str, str, list[Posture], TriangleMesh, float, dict[str, float]]] = []
     if (board := targets.board) is not None:
         sentences.append(f"print {folder / BOARD}.pdf without scaling, glue it to a flat plate, lay it on the stage")
-        postures = _postures(rig, BOARD_TILTS_DEG, BOARD_TURNS)
         mesh = board_mesh(board, margin=0.5 * board.square_mm)
-        capture(BOARD, f" --light {lights[0]}", postures, mesh, board.height_mm, white)
-        images += len(postures)
+        postures = _postures(rig, BOARD_TILTS_DEG, BOARD_TURNS)
+        parts.append((BOARD, f" --light {lights[0]}", postures, mesh, board.height_mm, white))
     if targets.ball is not None:
         sentences.append(
-            "fix a polished bearing ball near the rotary axis, and expose so that no highlight is saturated"
+            "fix a polished bearing ball near the rotary axis; expose so that no highlight is saturated"
         )
-        postures = _postures(rig, BALL_TILTS_DEG, BALL_TURNS)
         r = targets.ball.radius_mm
         # off the rotary axis, which shows where the axis is
         sphere = sphere_mesh(r)
         mesh = replace(sphere, vertices=sphere.vertices + np.array([0.3 * r, 0.2 * r, r]))
+        postures = _postures(rig, BALL_TILTS_DEG, BALL_TURNS)
         shine = {"R_d": BODY, "R_s": float(f"{MIRRORED / _plateau(rig, mesh, postures[0]):.4g}"), "sigma_rad": SIGMA}
-        capture(BALL, "", postures, mesh, 0.0, shine)
-        images += len(postures) * len(lights)
+        parts.append((BALL, "", postures, mesh, 0.0, shine))
     if targets.plate is not None:
         sentences.append("lay a matt white plate on the stage, its sides along X and Y at rotation 0")
         x, y = targets.plate.size_mm
         mesh = box_mesh(np.array([[-0.5 * x, -0.5 * y, -PLATE_THICKNESS_MM], [0.5 * x, 0.5 * y, 0.0]]))
-        postures = _postures(rig, PLATE_TILTS_DEG, 1)
-        capture(PLATE, "", postures, mesh, targets.plate.height_mm, white)
-        images += len(postures) * len(lights)
+        parts.append((PLATE, "", _postures(rig, PLATE_TILTS_DEG, 1), mesh, targets.plate.height_mm, white))
+    sentences.append(f"measure all of them, and correct {path}")
+    commands: list[str] = []
+    images = 0
+    for kind, options, postures, mesh, height, reflectance in parts:
+        write_bytes_atomic(folder / f"{kind}.stl", stl_bytes(mesh), overwrite=force)
+        write_text_atomic(folder / f"{kind}.yaml", _part_text(kind, postures, height, reflectance), overwrite=force)
+        target = _quoted(folder / kind)
+        commands.append(f"lightopt capture {name} {target}.yaml -o {target}{options} --no-check-lights")
+        images += len(postures) * (1 if options else len(lights))
+    if targets.plate is not None:
         levels = ",".join(f"1/{round(1 / exposure)}" if exposure < 1.0 else "1" for exposure in SENSOR_EXPOSURES)
         own = 1 if rig.virtual_bench is None else rig.virtual_bench.seed
         seeds = ("", f" --seed {own + 1}") if rig.hardware is None else ("", "")  # another noise
@@ -120,7 +120,6 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
             f"--light {lights[0]} --exposures {levels} --dark{seed}"
             for kind, seed in zip(SENSOR, seeds, strict=True)
         ]
-    sentences.append(f"measure all of them, and correct {path}")
     commands.append(f"lightopt calibrate {name} {_quoted(folder)}")
     return CalibrationPlan(board=targets.board, targets=tuple(sentences), commands=tuple(commands), images=images)
 
@@ -180,32 +179,21 @@ reading_error_deg: 0.02         # of the stage's readings
 """
 
 
-def _write_part(
-    folder: Path,
-    name: str,
-    mesh: TriangleMesh,
-    height: float,
-    postures: Sequence[Posture],
-    reflectance: dict[str, float],
-    force: bool,
-) -> None:
-    shape = folder / f"{name}.stl"
+def _part_text(name: str, postures: Sequence[Posture], height: float, reflectance: dict[str, float]) -> str:
     entries = "\n".join(
         f"  - {{elevation_deg: {p.elevation_deg:g}, rotation_deg: {p.rotation_deg:g}}}" for p in postures
     )
     light = ", ".join(f"{key}: {value:g}" for key, value in reflectance.items())
-    text = f"""\
+    return f"""\
 # The {name} of a calibration in the postures to capture. Mesh and reflectance stand for it on the virtual bench.
 format: lightopt-part/1
 name: {json.dumps(f"calibration {name}")}
-mesh: {{file: {shape.name}, units: mm}}
+mesh: {{file: {name}.stl, units: mm}}
 placement: {{anchor: as_modelled, translate_mm: [0, 0, {height:g}]}}
 reflectance: {{{light}}}
 postures:
 {entries}
 """
-    write_bytes_atomic(shape, stl_bytes(mesh), overwrite=force)
-    write_text_atomic(folder / f"{name}.yaml", text, overwrite=force)
 
 
 def _plateau(rig: RigConfig, mesh: TriangleMesh, posture: Posture) -> float:
@@ -222,8 +210,6 @@ def _plateau(rig: RigConfig, mesh: TriangleMesh, posture: Posture) -> float:
     images = render_posture(scene, posture, caster=cast_rays_at(scene))
     return max(float(image.level.max()) for image in images.lights)
 
-
-COVARIANCE_NAME, FIGURES_NAME, REPORT_NAME = "rig.calibrated.npz", "calibration.json", "report.html"
 
 Interval = tuple[float, float]
 Values = dict[tuple[str | int, ...], str | None]
@@ -244,17 +230,17 @@ def calibrated_rig_text(found: RigCalibration) -> str:
         if found.plate is not None:
             values |= _light_values(found, index, light)
     if found.plate is not None:
-        v2, v4 = (_number(v.value) for v in found.plate.vignetting)
-        values["camera", "vignetting"] = f"{{v2: {v2}, v4: {v4}}}"
+        v2, v4 = (v.value for v in found.plate.vignetting)
+        values["camera", "vignetting"] = f"{{v2: {v2:.9g}, v4: {v4:.9g}}}"
     if found.sensor is not None:
         sensor = found.sensor
         for key in ("black_level", "read_noise_levels", "electrons_per_level"):
             measured: Measured = getattr(sensor, key)
-            values["camera", "sensor", key] = _number(max(0.0, measured.value))
+            values["camera", "sensor", key] = f"{max(0.0, measured.value):.9g}"
         if sensor.saturation_level is not None and sensor.saturation_level < 2**rig.camera.sensor.bit_depth - 1:
             values["camera", "sensor", "saturation_level"] = str(math.floor(sensor.saturation_level))
     of_rig = [(name, ends) for name, ends in intervals(found) if not name.startswith("board.")]
-    lines = "".join(f"\n    {json.dumps(name)}: [{_number(low)}, {_number(high)}]" for name, (low, high) in of_rig)
+    lines = "".join(f"\n    {json.dumps(name)}: [{low:.9g}, {high:.9g}]" for name, (low, high) in of_rig)
     values["calibration",] = f"\n  covariance: {COVARIANCE_NAME}\n  intervals:{lines}"
     # the covariance lies beside the new file, not beside the old one
     text = copied_text(rig.model_copy(update={"calibration": None}), found.folder, values)
@@ -273,14 +259,14 @@ def _camera_values(found: RigCalibration) -> Values:
         ("camera", "pose"): f"{{position_mm: {_vector(camera.position)}, rotation_vector_deg: {_vector(turn)}}}",
         ("camera", "focal_px"): _vector([focal, focal * camera.aspect]),
         ("camera", "principal_point_px"): _vector(camera.axis_px),
-        ("camera", "distortion"): f"{{{', '.join(f'{k}: {_number(v)}' for k, v in lens.items())}}}",
+        ("camera", "distortion"): f"{{{', '.join(f'{k}: {v:.9g}' for k, v in lens.items())}}}",
     }
 
 
 def _stage_values(found: RigCalibration) -> Values:
     point, direction = found.stage.tilt_axis
-    axis = f"{{point_mm: {_vector(point)}, direction: {_vector(direction)}, scale: {_number(found.stage.tilt_scale)}}}"
-    rotary = f"{{scale: {_number(found.stage.rotary_scale)}}}"
+    axis = f"{{point_mm: {_vector(point)}, direction: {_vector(direction)}, scale: {found.stage.tilt_scale:.9g}}}"
+    rotary = f"{{scale: {found.stage.rotary_scale:.9g}}}"
     if "stage" not in found.rig.model_fields_set:
         return {("stage",): f"{{tilt_axis: {axis}, rotary_axis: {rotary}}}"}
     return {("stage", "pivot_mm"): None, ("stage", "tilt_axis"): axis, ("stage", "rotary_axis"): rotary}
@@ -307,14 +293,14 @@ def _pose_values(rig: RigConfig, index: int, light: PanelLight) -> Values:
 
 def _light_values(found: RigCalibration, index: int, light: PanelLight) -> Values:
     at: tuple[str | int, ...] = ("lights", index)
-    values: Values = {(*at, "gain"): _number(light.gain)}
+    values: Values = {(*at, "gain"): f"{light.gain:.9g}"}
     assert found.plate is not None
     if found.plate.fall_off_decided:
         values[(*at, "falloff")] = found.plate.fall_off
     if light.inverse_square:
-        values[(*at, "reference_distance_mm")] = _number(light.reference_distance or light.distance)
+        values[(*at, "reference_distance_mm")] = f"{light.reference_distance or light.distance:.9g}"
     if found.plate.emission_fitted:
-        values[(*at, "emission_exponent")] = _number(light.emission_exponent)
+        values[(*at, "emission_exponent")] = f"{light.emission_exponent:.9g}"
     return values
 
 
@@ -409,9 +395,5 @@ def write_calibration(found: RigCalibration, *, force: bool = False) -> tuple[Pa
     return paths
 
 
-def _number(value: float) -> str:
-    return f"{value:.9g}"
-
-
 def _vector(values: Sequence[float] | Any) -> str:
-    return f"[{', '.join(_number(float(v)) for v in values)}]"
+    return f"[{', '.join(f'{float(v):.9g}' for v in values)}]"
