@@ -256,8 +256,8 @@ def _show(result: FitResult, verbose: bool) -> None:
         echo(_with_error(result.dark).replace("black_level", "black level:"))
     if result.write_noise and (noise := result.noise) is not None:
         figures = (
-            ("read noise {:.3g} ± {:.1g} levels", noise.read_noise, noise.read_noise_error),
-            ("{:.4g} ± {:.2g} electrons per level", noise.electrons, noise.electrons_error),
+            ("read noise {:.3g} ± {:.1g} levels", noise.read_noise_levels, noise.read_noise_standard_error),
+            ("{:.4g} ± {:.2g} electrons per level", noise.electrons_per_level, noise.electrons_standard_error),
         )
         if parts := [text.format(value, error) for text, value, error in figures if value is not None]:
             echo("noise written: " + ", ".join(parts))

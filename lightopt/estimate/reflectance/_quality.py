@@ -263,17 +263,15 @@ class MeasuredNoise:
     """Noise of the camera, from the variance of measured minus predicted level over the level."""
 
     # deviation without light, and its standard error [sensor level]; None where not determined
-    read_noise: float | None = None
-    read_noise_error: float | None = None
+    read_noise_levels: float | None = None
+    read_noise_standard_error: float | None = None
     # photo-electrons per level and their standard error; None where not determined
-    electrons: float | None = None
-    electrons_error: float | None = None
+    electrons_per_level: float | None = None
+    electrons_standard_error: float | None = None
     hindrance: str = ""  # why something is not determined, or empty
 
     def as_dict(self) -> dict[str, Any]:
-        names = ("read_noise_levels", "read_noise_standard_error", "electrons_per_level", "electrons_standard_error")
-        values = (self.read_noise, self.read_noise_error, self.electrons, self.electrons_error)
-        numbers = {name: significant(value, 4) for name, value in zip(names, values, strict=True)}
+        numbers = {name: significant(value, 4) for name, value in vars(self).items() if name != "hindrance"}
         return {**numbers, "hindrance": self.hindrance or None}
 
 
@@ -304,7 +302,7 @@ def measure_noise(samples: Samples, mean: Float64, *, describes: bool = True) ->
 
 def noise_warnings(noise: MeasuredNoise) -> Iterator[str]:
     """Warn where the noise is not, or only partly, written."""
-    if noise.read_noise is None and noise.electrons is None:
+    if noise.read_noise_levels is None and noise.electrons_per_level is None:
         yield f"the noise is not written: {noise.hindrance}"
     elif noise.hindrance:
         yield f"only a part of the noise is written: {noise.hindrance}"
@@ -322,7 +320,7 @@ def _photon_transfer(signal: Float64, variance: Float64, error: Float64, sensor:
     own = 0.0 if sensor.electrons_per_level is None else 1.0 / sensor.electrons_per_level
     shot = MeasuredNoise(hindrance="" if own else "no shot noise is seen beside the read noise")
     if b > SIGNIFICANT * b_error and b_error < WELL_KNOWN * b:
-        shot = MeasuredNoise(electrons=1.0 / b, electrons_error=b_error / b**2)
+        shot = MeasuredNoise(electrons_per_level=1.0 / b, electrons_standard_error=b_error / b**2)
     elif abs(own - b) > SIGNIFICANT * b_error:
         most = b + SIGNIFICANT * b_error
         least = f": there are at least {1.0 / most:.3g} electrons per level" if most > 0.0 else ""
@@ -339,7 +337,7 @@ def _photon_transfer(signal: Float64, variance: Float64, error: Float64, sensor:
     if a <= 0.0 or 0.5 * a_error > WELL_KNOWN * a:
         return replace(shot, hindrance="shot noise hides the read noise; add darker images")
     read = math.sqrt(a)
-    return replace(shot, read_noise=read, read_noise_error=0.5 * a_error / read)
+    return replace(shot, read_noise_levels=read, read_noise_standard_error=0.5 * a_error / read)
 
 
 def _variance(values: Float64) -> float:

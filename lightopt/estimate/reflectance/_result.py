@@ -369,8 +369,7 @@ def _rig_values(result: FitResult, rig: RigConfig) -> dict[tuple[str | int, ...]
     if result.dark is not None:
         values["camera", "sensor", "black_level"] = f"{max(result.dark.value, 0.0):.6g}"
     noise = result.noise if result.write_noise else None
-    figures = {} if noise is None else {"read_noise_levels": noise.read_noise, "electrons_per_level": noise.electrons}
-    for key, figure in figures.items():
-        if figure is not None:
+    for key in ("read_noise_levels", "electrons_per_level"):
+        if (figure := getattr(noise, key, None)) is not None:
             values["camera", "sensor", key] = f"{figure:.4g}"
     return values

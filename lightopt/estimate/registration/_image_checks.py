@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Index
 from lightopt.core.errors import InputError, counted
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._pixels import PixelSet, light_at, view_of_placed
-from lightopt.estimate.registration._placement import Placement
+from lightopt.estimate.registration._placement import PixelSet, Placement, light_at, view_of_placed
 from lightopt.geometry import RayCaster
 from lightopt.scene import Scene, screen_window, view_from_part
 

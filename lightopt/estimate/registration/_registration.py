@@ -28,8 +28,15 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration._image_checks import refuse_useless_images
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
-from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
+from lightopt.estimate.registration._placement import (
+    PixelSet,
+    Placement,
+    PoseFrame,
+    light_at,
+    place_part,
+    sensor_scale,
+    view_of_placed,
+)
 from lightopt.estimate.registration._refinement import (
     OUTLINE_PX,
     RefinementProblem,

@@ -87,9 +87,7 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
         postures = _postures(rig, BOARD_TILTS_DEG, BOARD_TURNS)
         parts.append((BOARD, f" --light {lights[0]}", postures, mesh, board.height_mm, white))
     if targets.ball is not None:
-        sentences.append(
-            "fix a polished bearing ball near the rotary axis; expose so that no highlight is saturated"
-        )
+        sentences.append("fix a polished bearing ball near the rotary axis; expose so that no highlight is saturated")
         r = targets.ball.radius_mm
         # off the rotary axis, which shows where the axis is
         sphere = sphere_mesh(r)

@@ -63,11 +63,6 @@ class Compared:
     expected: Bool  # where the prediction is saturated
     known: Bool  # where there is a difference
 
-    @property
-    def key(self) -> tuple[Posture, str, float]:
-        """Posture, light and exposure."""
-        return self.image.source.posture, self.image.source.light, self.image.source.exposure
-
 
 def compare_image(
     work: Work, fit: Fit, good: Fit | None, number: int, theta: Float64, predictions: Mapping[Posture, CoarsePrediction]

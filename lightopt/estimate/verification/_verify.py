@@ -193,7 +193,10 @@ def verify_observations(
         warnings=(_MANY_SPOTS,) if many else (),
         limits=limits,
         registered=fit.registered,
-        differences={a.key: np.stack([b.deviation, a.deviation]) for b, a in zip(before, after, strict=True)},
+        differences={
+            (o.posture, o.light, o.exposure): np.stack([b.deviation, a.deviation])
+            for o, b, a in zip(own, before, after, strict=True)
+        },
     )
 
 
