@@ -74,9 +74,7 @@ def sphere_in_mask(mask: Bool, intrinsics: Intrinsics, radius: float) -> Float64
     sine = math.sqrt(max(1.0 - cosine * cosine, 1e-24))
     off = float(np.sqrt(np.mean((angles / sine - 1.0) ** 2)))
     if not off < _ROUND:
-        raise InputError(
-            f"option 'mask': its outline is off a circle by {off:.0%} of the radius; expected the disc of the sphere"
-        )
+        raise InputError(f"option 'mask': off a circle by {off:.0%} of the radius; expected the disc of the sphere")
     return axis * (radius / sine)
 
 
@@ -253,9 +251,8 @@ def import_photographs(
     scene = build_scene(rig_config, part_config)
     facts = _facts(folder, table, rows, options)
     header = set_manifest("captured", rig_config, part_config, scene, options=facts)
-    writer = images.ImageSetWriter(
-        out, header, force=force, plan=[(row.light, row.posture, row.exposure) for row in rows]
-    )
+    plan = [(row.light, row.posture, row.exposure) for row in rows]
+    writer = images.ImageSetWriter(out, header, force=force, plan=plan)
     _warn_of_photographs(folder, rows, shape, options, run)
     overlap = None if mask is None else _overlap(scene, mask)
     if overlap is not None and overlap < _LEAST_OVERLAP:

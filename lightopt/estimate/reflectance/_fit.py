@@ -72,6 +72,7 @@ LEAST_PIXELS = 200  # so many pixels must be left
 LEAST_R_S = 1e-3
 
 _Fitted = tuple[FitResult, FitSetup, Samples]
+_FittedLobe = tuple[_Fitted, tuple[ModelRow, ...]]  # and the forms of the lobe that were tried
 
 # second opinions: their pixels per octave, light and posture, the least change of ln R_s or ln σ to report, and the
 # least for twice the logarithm of the likelihoods' ratio
@@ -191,9 +192,7 @@ def fit_specular(
     return result
 
 
-def _fit_lobe(
-    prepared: Callable[[ModelName | None], FitSetup], options: FitOptions
-) -> tuple[_Fitted, tuple[ModelRow, ...]]:
+def _fit_lobe(prepared: Callable[[ModelName | None], FitSetup], options: FitOptions) -> _FittedLobe:
     # with the form of the lobe that the options name or want chosen
     if options.model == "auto":
         return _choose_model(prepared, options)
@@ -261,9 +260,7 @@ def _with_regions(result: FitResult, setup: FitSetup, fit: Callable[[FitSetup], 
     return replace(result, regions=regions, warnings=(*result.warnings, *noted))
 
 
-def _choose_model(
-    prepared: Callable[[ModelName], FitSetup], options: FitOptions
-) -> tuple[_Fitted, tuple[ModelRow, ...]]:
+def _choose_model(prepared: Callable[[ModelName], FitSetup], options: FitOptions) -> _FittedLobe:
     # the fit of the form of the lobe that predicts lights that are left out best; the simplest of those about as good
     if options.method == "paper":
         raise InputError("the paper's method knows one Gaussian lobe: there is no form of the lobe to choose")
@@ -415,7 +412,7 @@ def _evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> 
     if any(light.points == "auto" or light.normalisation == "sum" for light in lights):
         return
     few = subsample(samples, SECOND_BUDGET)
-    even = relit(few, setup.caster, points="auto")
+    even = relit(few, setup.caster, evenly_lit=True)
     freed, held = setup.options.freed, setup.held
     # the fit itself was the best of all σ; what evenly lit panels would give may lie far from it
     panels = fit_reflectance(even, freed=freed, held=held)

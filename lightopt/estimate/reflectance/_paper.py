@@ -56,17 +56,13 @@ class PaperOptions:
         ]
         if found:
             return tuple(found)
-        if not self.sigma_least <= self.sigma_start <= self.sigma_most:
+        least, start, most = self.sigma_least, self.sigma_start, self.sigma_most
+        if not least <= start <= most:
+            found.append(f"option 'sigma_start': expected {least:g} to {most:g} rad, found {start:g}")
+        if (most - least) / self.sigma_step > MOST_STEPS:
             found.append(
-                f"option 'sigma_start': expected {self.sigma_least:g} to {self.sigma_most:g} rad, found "
-                f"{self.sigma_start:g}"
-            )
-        steps = (self.sigma_most - self.sigma_least) / self.sigma_step
-        if steps > MOST_STEPS:
-            least = (self.sigma_most - self.sigma_least) / MOST_STEPS
-            found.append(
-                f"option 'sigma_step': expected {least:.2g} rad or more, for a sweep of {MOST_STEPS} steps at most, "
-                f"found {self.sigma_step:g}"
+                f"option 'sigma_step': expected {(most - least) / MOST_STEPS:.2g} rad or more, for a sweep of "
+                f"{MOST_STEPS} steps at most, found {self.sigma_step:g}"
             )
         if self.away >= math.pi / 2.0:
             found.append(f"option 'away': expected less than 90°, found {math.degrees(self.away):g}")
@@ -145,21 +141,20 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
     # the image without specular reflection, or with the least of it: that with the largest share of such pixels
     share = counts / np.maximum(np.bincount(samples.image, minlength=len(samples.images)), 1)
     image = int(np.argmax(share))
+    name = samples.images[image].name
     mine = plain & (samples.image == image)
     factor = float(samples.facts.factor[image])
     measured = float(np.mean((samples.level[mine] - samples.sensor.black_level) / factor))
     unit = float(np.mean(samples.diffuse[samples.sample[mine]]))
     if measured <= 0.0:
-        raise InputError(f"{samples.images[image].name}: all diffuse-only pixels are black; expose longer")
+        raise InputError(f"{name}: all diffuse-only pixels are black; expose longer")
     r_d = options.R_d_start
     iterations: list[tuple[float, float, float]] = []
     for _ in range(MOST_ITERATIONS):
         simulated = r_d * unit
         iterations.append((r_d, simulated, abs(simulated - measured)))  # (6)
         if iterations[-1][2] <= options.lambda_d:
-            return PaperDiffuse(
-                R_d=r_d, image=samples.images[image].name, pixels=int(mine.sum()), iterations=tuple(iterations)
-            )
+            return PaperDiffuse(R_d=r_d, image=name, pixels=int(mine.sum()), iterations=tuple(iterations))
         r_d *= measured / simulated  # (5), (7), measured over simulated
     raise InputError(
         f"section 4.2 does not converge: after {MOST_ITERATIONS} rounds the mean brightness is still "

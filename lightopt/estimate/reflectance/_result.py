@@ -319,12 +319,11 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
     return copied_text(part, folder, values)
 
 
-def _reflectance_values(
-    result: FitResult, own: ReflectanceConfig, *keys: str | int
-) -> dict[tuple[str | int, ...], str | None]:
-    values: dict[tuple[str | int, ...], str | None] = {
-        (*keys, name): f"{result.value(name):.6g}" for name in result.fitted
-    }
+_Values = dict[tuple[str | int, ...], str | None]
+
+
+def _reflectance_values(result: FitResult, own: ReflectanceConfig, *keys: str | int) -> _Values:
+    values: _Values = {(*keys, name): f"{result.value(name):.6g}" for name in result.fitted}
     if result.model.name != own.model:
         values[(*keys, "model")] = result.model.name
         superseded = [name for name in fitted_names(SpecularModel(name=own.model)) if name not in result.fitted]
@@ -344,14 +343,14 @@ def _reflectance_values(
     return values
 
 
-def _placement_values(part: PartConfig, found: PlacementConfig) -> dict[tuple[str | int, ...], str]:
+def _placement_values(part: PartConfig, found: PlacementConfig) -> _Values:
     vectors = {"rotate_deg": found.rotate_deg, "translate_mm": found.translate_mm}
     lists = {key: "[" + ", ".join(f"{value:.6g}" for value in vector) + "]" for key, vector in vectors.items()}
     lines = part.source.lines
     if ("placement",) not in lines:
         inside = ", ".join(f"{key}: {text}" for key, text in lists.items())
         return {("placement",): f"{{anchor: {found.anchor}, {inside}}}"}
-    values: dict[tuple[str | int, ...], str] = {}
+    values: _Values = {}
     for key, vector in vectors.items():
         if ("placement", key) in lines:
             values |= {("placement", key, i): f"{value:.6g}" for i, value in enumerate(vector)}
@@ -360,8 +359,8 @@ def _placement_values(part: PartConfig, found: PlacementConfig) -> dict[tuple[st
     return values
 
 
-def _rig_values(result: FitResult, rig: RigConfig) -> dict[tuple[str | int, ...], str]:
-    values: dict[tuple[str | int, ...], str] = {}
+def _rig_values(result: FitResult, rig: RigConfig) -> _Values:
+    values: _Values = {}
     for index, light in enumerate(rig.lights):
         gain = None if result.gains is None else result.gains.get(light.name)
         if gain is not None and gain.interval is not None:  # the one that is held keeps its line in the file

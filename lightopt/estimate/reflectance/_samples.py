@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -215,13 +215,11 @@ def _entry(light: PanelLight) -> int | str:
     return light.entry if isinstance(light, SurfaceLight) else light.name
 
 
-def relit(
-    samples: Samples, caster: RayCaster, *, form: DiffuseForm | None = None, points: Literal["auto"] | None = None
-) -> Samples:
-    """The same pixels with another diffuse form, or with other points of the panels; no ray is cast again."""
+def relit(samples: Samples, caster: RayCaster, *, form: DiffuseForm | None = None, evenly_lit: bool = False) -> Samples:
+    """The same pixels with another diffuse form, or lit evenly instead of by point lights; no ray is cast again."""
 
     def again(layer: LightLayer) -> LightLayer:
-        light = layer.light if points is None else replace(layer.light, points=points)
+        light = replace(layer.light, points="auto") if evenly_lit else layer.light
         own = layer.form if form is None else form
         return light_layer(layer.surface, light, caster, form=own, threads=samples.threads)
 

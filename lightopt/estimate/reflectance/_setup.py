@@ -172,9 +172,8 @@ def register_with_fit(
     """Register the part, its placement refined with a first fit of the reflectance."""
 
     def first_reflectance(moved: Scene) -> Reflectance:
-        samples = collect_samples(
-            moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=run.threads
-        )
+        rays = cast_rays_at(moved)
+        samples = collect_samples(moved, observations, caster=rays, budget=PLACING_PER_OCTAVE, threads=run.threads)
         # least squares alone, without intervals, are good enough to find a part by
         found = scan_sigma(samples, freed or FreeParameters(), None).best
         return replace(moved.reflectance, R_d=found.R_d, R_s=found.R_s, sigma=found.sigma)

@@ -90,9 +90,8 @@ def scan_sigma(samples: Samples, freed: FreeParameters, held: Float64 | None, pr
 
     def search(some: Samples, starts_at: Callable[[int], list[Float64]]) -> tuple[LeastSquares, list[Maximum], Climbs]:
         criterion = LeastSquares(some, table)
-        by_sigma = {
-            at: LeastSquares(some, table, fixed=(at, column)) for at, column in zip(log_sigmas, columns, strict=True)
-        }
+        fixed = zip(log_sigmas, columns, strict=True)
+        by_sigma = {at: LeastSquares(some, table, fixed=(at, column)) for at, column in fixed}
         profile = profile_over_sigma(by_sigma.__getitem__, starts_at, log_sigmas, fitted, progress=progress)
         if LOG_SIGMA not in fitted:
             return by_sigma[log_sigmas[0]], profile, [(math.exp(log_sigmas[0]), profile[0])]

@@ -96,6 +96,7 @@ def leave_lights_out(
     if len(used) < 2:
         return ()
     scene, progress = setup.scene, setup.run.stage("validating")
+    scale = scene.sensor, scene.reflectance.full_scale
     few = subsample(samples, BUDGET)
     results: list[LeftOut] = []
     for done, light in enumerate(used):
@@ -105,10 +106,8 @@ def leave_lights_out(
         comparisons: list[Comparison] = []
         predicted = predict_images(scene, fitted.x, mine, caster=setup.caster, threads=samples.threads)
         for seen, levels, geometry in predicted:
-            others = None if geometry.material is None else geometry.material > 0
-            comparisons.append(
-                compare_image(seen, levels, geometry.hit, scene.sensor, scene.reflectance.full_scale, others=others)
-            )
+            regions = None if geometry.material is None else geometry.material > 0
+            comparisons.append(compare_image(seen, levels, geometry.hit, *scale, others=regions))
             if save_prediction is not None:
                 save_prediction(seen, levels)
         results.append(LeftOut(samples.lights[light], fitted.x, tuple(comparisons), fitted.maximum.converged))
@@ -186,9 +185,8 @@ def predict_images(
         shown = [o for o in observations if o.posture == posture]
         wanted = {o.light for o in shown}
         lights = tuple(light for light in scene.lights if light.name in wanted)
-        images = render_posture(
-            replace(scene, lights=lights, reflectance=reflectance), posture, caster=caster, threads=threads
-        )
+        fitted = replace(scene, lights=lights, reflectance=reflectance)
+        images = render_posture(fitted, posture, caster=caster, threads=threads)
         by_name = {image.light: image.level for image in images.lights}
         for o in shown:
             gain = math.exp(x[FIRST_GAIN + names.index(o.light)])

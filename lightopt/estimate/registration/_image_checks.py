@@ -107,9 +107,8 @@ def _coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[Pi
         if right <= left or bottom <= top:
             continue
         step = max(1, math.floor(math.sqrt((right - left) * (bottom - top) / PIXELS)))
-        column, row = (
-            a.ravel().astype(np.int32) for a in np.meshgrid(np.arange(left, right, step), np.arange(top, bottom, step))
-        )
+        grid = np.meshgrid(np.arange(left, right, step), np.arange(top, bottom, step))
+        column, row = (a.ravel().astype(np.int32) for a in grid)
         mine = sorted((o for o in observations if o.posture == posture), key=lambda o: o.exposure)
         longest = list({o.light: o for o in mine}.values())
         longest = longest[:: math.ceil(len(longest) / MOST_LIGHTS)]
@@ -196,10 +195,7 @@ def _other_cause(seen: Array, model: Array, full: Bool) -> str:
         )
     share = float(full.mean())
     if share > MOST_SATURATED:
-        return (
-            f"{100.0 * share:.0f} % of their evaluable pixels are saturated; capture them with a shorter exposure or "
-            "less light"
-        )
+        return f"{100.0 * share:.0f} % of their evaluable pixels are saturated; capture them with a shorter exposure"
     return (
         "check that rig, part, placement and postures are those of the images, and fit the reflectance first "
         "(lightopt fit-specular)"

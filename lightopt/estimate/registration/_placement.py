@@ -82,9 +82,8 @@ class Placement:
 
     def as_dict(self) -> dict[str, float | list[str]]:
         names = NAMES[: len(self.observable)]
-        found: dict[str, float | list[str]] = {
-            "observable": [name for name, seen in zip(names, self.observable, strict=True) if seen]
-        }
+        observable = [name for name, seen in zip(names, self.observable, strict=True) if seen]
+        found: dict[str, float | list[str]] = {"observable": observable}
         values = {name: getattr(self, name) for name in names}
         known = dict(zip(names, self.errors, strict=True))
         for digits, suffix, numbers in ((6, "", values), (3, "_error", known)):

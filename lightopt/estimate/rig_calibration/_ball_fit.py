@@ -305,9 +305,7 @@ def unmoved(lights: Sequence[PanelLight]) -> Float64:
 
 def _ball_start(views: Sequence[BallView], camera: PinholeCamera, stage: Stage, radius: float) -> Float64:
     """Ball parameters from the outlines alone, shape (5,)."""
-    ball = _Problem(
-        camera, stage, (), tuple(views), np.zeros(5), np.array([np.inf, np.inf, np.inf, np.inf, EDGE_PRIOR])
-    )
+    ball = _Problem(camera, stage, (), tuple(views), np.zeros(5), np.array([*[np.inf] * 4, EDGE_PRIOR]))
 
     def residuals(x: Float64) -> Float64:
         return ball.residuals(np.insert(x, 3, radius))
@@ -332,9 +330,8 @@ def _ordered(problem: _Problem) -> tuple[_Image, ...]:
             order = min(orders, key=lambda o: float(np.sum(np.square(image.corners[o] - offset - expected))))
             entries = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
             root = np.linalg.cholesky(image.covariance[np.ix_(entries, entries)])
-            images.append(
-                _Image(number, numbers[name], image.corners[order], np.asarray(np.linalg.inv(root), np.float64))
-            )
+            whitening = np.asarray(np.linalg.inv(root), np.float64)
+            images.append(_Image(number, numbers[name], image.corners[order], whitening))
     return tuple(images)
 
 

@@ -97,9 +97,7 @@ def opencv() -> Any:
         raise InputError(f"ChArUco boards need OpenCV, which is not there ({error}); {INSTALL}") from None
     found = tuple(int(digits) for digits in str(cv2.__version__).split(".")[:2])
     if found < _LEAST_OPENCV:
-        raise InputError(
-            f"OpenCV {cv2.__version__} finds ChArUco corners half a pixel off; expected 4.14 or later: {INSTALL}"
-        )
+        raise InputError(f"OpenCV {cv2.__version__} finds ChArUco corners half a pixel off; expected 4.14: {INSTALL}")
     if not hasattr(cv2, "aruco"):
         raise InputError(f"this OpenCV has no module aruco; {INSTALL}")
     return cv2

@@ -134,9 +134,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         lights = ball.lights
     if PLATE in sets and targets.plate is not None:
         if ball is None:
-            images.warnings.append(
-                "the plate was fitted to panels as the rig file has them: there is no image set of a ball"
-            )
+            images.warnings.append("the plate was fitted to panels as filed: there is no image set of a ball")
         black = rig.camera.sensor.black_level if sensor is None else sensor.black_level.value
         known = np.asarray(np.kron(np.eye(len(lights)), _FILED), np.float64) if ball is None else ball.panels_covariance
         plate = fit_plate(images.plate(targets.plate, camera, stage, black), lights=lights, panels_covariance=known)
@@ -171,18 +169,14 @@ class _Images:
             views = read_corners(self.folder / CORNERS_NAME)
         else:
             of = self._by_posture(BOARD)
-            images = [
-                BoardImage(str(p), p, np.mean([o.levels for o in some], axis=0, dtype=np.float64))
-                for p, some in of.items()
-            ]
+            means = {p: np.mean([o.levels for o in some], axis=0, dtype=np.float64) for p, some in of.items()}
+            images = [BoardImage(str(posture), posture, mean) for posture, mean in means.items()]
             full_scale = float(build_sensor(self.rig.camera).saturated_from)
             views, problems = find_corners(images, target, full_scale=full_scale)
             self.warnings.extend(f"board {text}" for text in problems)
         error = self.targets.reading_error_deg
         fit = fit_board(views, board_grid(target), camera=camera, stage=stage, angle_error_deg=error)
-        self.warnings.extend(
-            f"board {name}: this view does not fit the others; look at its image" for name in fit.faulty
-        )
+        self.warnings.extend(f"board {name}: does not fit the other views; look at its image" for name in fit.faulty)
         return fit
 
     def ball(self, camera: PinholeCamera, radius: float) -> list[BallView]:

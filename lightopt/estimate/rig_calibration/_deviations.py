@@ -59,9 +59,10 @@ def square_root(covariance: Float64) -> Float64:
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def displaced(
-    camera: PinholeCamera, stage: Stage, names: Sequence[str], deviation: Float64
-) -> tuple[PinholeCamera, Stage]:
+Rig = tuple[PinholeCamera, Stage]
+
+
+def displaced(camera: PinholeCamera, stage: Stage, names: Sequence[str], deviation: Float64) -> Rig:
     """Camera and stage with a deviation of their measured values, as `BoardFit.names` has them."""
     by = dict(zip(names, deviation.tolist(), strict=True))
 
@@ -94,9 +95,7 @@ def displaced(
     )
 
 
-def rig_deviations(
-    camera: PinholeCamera, stage: Stage, names: Sequence[str], covariance: Float64
-) -> list[tuple[PinholeCamera, Stage]]:
+def rig_deviations(camera: PinholeCamera, stage: Stage, names: Sequence[str], covariance: Float64) -> list[Rig]:
     """Camera and stage, displaced by one standard deviation along each independent direction of their covariance.
 
     names: Of the covariance's values; those of other things are left out

@@ -147,9 +147,8 @@ def predict(
     moves[:, :, BOARD_ROTATION] = np.einsum("nij,njk->nik", from_part, -_cross_matrices(turned))
     moves[:, :, BOARD_POSITION] = from_part
     in_plane = np.stack([flat, 0.5 * flat * [1.0, -1.0]], axis=2)  # by scale and ratio
-    moves[:, :, [AT["board.scale"], AT["board.pitch_ratio"]]] = from_part @ np.einsum(
-        "ij,njk->nik", board[:, :2], in_plane
-    )
+    stretched = np.einsum("ij,njk->nik", board[:, :2], in_plane)
+    moves[:, :, [AT["board.scale"], AT["board.pitch_ratio"]]] = from_part @ stretched
     moves[:, :, BOW] = np.einsum("nij,j,nk->nik", from_part, board[:, 2], bends)
     by_all = by_point @ moves
     by_all[:, :, AT["camera.focal_px"] : LENS.stop] = by_lens

@@ -224,9 +224,7 @@ def _check_frames(pairs: Sequence[FramePair], darks: Sequence[FramePair], top: i
                 f"{both.max()}: give the frames as the camera delivers them"
             )
         elif name == "dark pair" and np.mean(both == 0) > 0.5 and np.mean(both > 1) < LEAST_ABOVE_ONE:
-            problems.append(
-                f"{name}: nearly all pixels are at level 0, which hides the noise: raise the camera's black level"
-            )
+            problems.append(f"{name}: nearly all pixels are at 0, which hides noise: raise the camera's black level")
     refuse(f"photon transfer: {problem}" for problem in problems)
 
 

@@ -285,9 +285,8 @@ class _Problem:
         # For panels where the ball shows them, not where this fit has moved them: there, a rotation δ of a panel acts
         # through n·δ. Its prior would favour a small δ with a large n, and n would be 0.2 too large. Squares count: δ
         # dims a panel by n·δ²/2, as much as its gain is uncertain where there is no fall-off.
-        moved = [
-            _irradiance(*self._of_panels(step), exponent=exponent)[0] for step in (*np.diag(_STEP), *np.diag(-_STEP))
-        ]
+        steps = (*np.diag(_STEP), *np.diag(-_STEP))
+        moved = [_irradiance(*self._of_panels(step), exponent=exponent)[0] for step in steps]
         up, down = np.split(np.array(moved), 2)
         middle, _, _ = _irradiance(*self._cosines, exponent=exponent)
         self._slopes, self._bends = (up - down).T / (2.0 * _STEP), (up + down - 2.0 * middle).T / np.square(_STEP)

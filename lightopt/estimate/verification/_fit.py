@@ -128,14 +128,13 @@ class Model:
         own = self.scene.reflectance
         scale_s, scale_sigma = np.exp(theta[self.parameters.nuisance[:2]])
         sigmas = (own.sigma * scale_sigma, own.sigma * scale_sigma * (1.0 + SIGMA_STEP))
+        caster, threads = self._work.caster, self._work.run.threads
         out: list[Float64] = []
         for pixels in self._sets:
             view = self.parameters.view(self.scene, pixels.posture, theta)
             column, row = view.camera.axis_px
             view = replace(view, camera=replace(view.camera, principal_point=(column - x, row - y)))
-            diffuse, specular = light_at(
-                self.scene, pixels, view, self._work.caster, sigmas=sigmas, threads=self._work.run.threads
-            )
+            diffuse, specular = light_at(self.scene, pixels, view, caster, sigmas=sigmas, threads=threads)
             diffuse = max(own.R_d, LEAST_R_D) * diffuse.ravel()
             specular = max(own.R_s, LEAST_R_S) * scale_s * specular.reshape(2, -1)
             out.append(np.stack([diffuse + specular[0], specular[0], diffuse + specular[1]]))

@@ -158,9 +158,8 @@ class Parameters:
         # the part moved at posture (0, 0), x' = R·x + t, inverted
         back = rotation_from_vector(of("part_turn")).T
         shift = self.middle - back @ (self.middle + of("part_shift"))
-        return replace(
-            view, camera=view.camera.moved(back, shift), lights=tuple(light.moved(back, shift) for light in view.lights)
-        )
+        lights = tuple(light.moved(back, shift) for light in view.lights)
+        return replace(view, camera=view.camera.moved(back, shift), lights=lights)
 
 
 def _moved_camera(camera: PinholeCamera, shift: Float64, turn: Float64) -> PinholeCamera:
@@ -317,10 +316,8 @@ class Work:
         scene, threads = self.coarse, self.run.threads
         view = self.parameters.view(scene, posture, theta)
         log_s, log_sigma, blur = theta[self.parameters.nuisance]
-        changed = [
-            replace(one, R_s=one.R_s * math.exp(log_s), sigma=one.sigma * math.exp(log_sigma))
-            for one in scene.reflectances
-        ]
+        higher, wider = math.exp(log_s), math.exp(log_sigma)
+        changed = [replace(one, R_s=one.R_s * higher, sigma=one.sigma * wider) for one in scene.reflectances]
         world = replace(
             with_reflectances(scene, changed),
             camera=view.camera.moved(view.rotation, view.translation),

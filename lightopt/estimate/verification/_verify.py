@@ -154,9 +154,8 @@ def verify_observations(
         "register": register,
     }
     if baseline is not None:
-        good = fit_faults(
-            work, work.blocks(_matching(observations, baseline, where)), where="the known good set", **how
-        )
+        known = work.blocks(_matching(observations, baseline, where))
+        good = fit_faults(work, known, where="the known good set", **how)
     images = work.blocks(observations)
     exchanged = exchanged_lights(work.coarse, images, work.predict(np.zeros(work.parameters.size)))
     fit = fit_faults(work, renamed(images, exchanged), good, where=where, **how)
@@ -234,9 +233,7 @@ def plan_limits(path: Path, rig: RigConfig) -> dict[str, float]:
             "--pose-tolerance"
         ) from error
     if zero := [what for what, _, degrees in widest if degrees <= 0.0]:
-        raise InputError(
-            f"{path}: the plan has a tolerance of 0° for {zero[0]}, which no rig keeps; give limits instead"
-        )
+        raise InputError(f"{path}: the plan has a tolerance of 0° for {zero[0]}; give limits instead")
     distances = {light.entry_name: light.distance_mm for light in rig.lights}  # whose channels move together
     panels = [distances[what] * math.tan(math.radians(angle)) for what, _, angle in widest if what in distances]
     part = [degrees for what, _, degrees in widest if what == "part"]
