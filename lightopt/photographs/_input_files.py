@@ -232,9 +232,7 @@ def _row(where: str, cells: Mapping[str, str]) -> TableRow:
         place = np.array([number(name) for name in (_POSITION if near else _DIRECTION)])
     length = float(np.linalg.norm(place))
     if distant and abs(length - 1.0) > _UNIT_TOLERANCE:
-        problems.append(
-            f"{where}: expected a direction of length 1, found {length:.4g}; positions: x_mm, y_mm, z_mm"
-        )
+        problems.append(f"{where}: expected a direction of length 1, found {length:.4g}; positions: x_mm, y_mm, z_mm")
     exposure, intensity, tilt, rotation = (number(name) for name in _DEFAULTS)
     refuse(problems)
     place = place if near else place / length

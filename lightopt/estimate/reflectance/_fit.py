@@ -135,16 +135,28 @@ def _fit_diffuse(setup: FitSetup) -> FitResult:
             "the fitted lobe. If the true lobe has heavier tails than a Gaussian, R_d is too high"
         )
     values = fitted_values(found, full_scale=setup.scene.reflectance.full_scale, model=samples.model)[:1]
-    result = _result("diffuse", setup, plain, found, quality, (*values, *_unfitted(setup)), warnings)
+    held = _unfitted(setup, "diffuse").values[1:]
+    result = _result("diffuse", setup, plain, found, quality, (*values, *held), warnings)
     pixels, estimate = len(np.unique(found.criterion.samples.sample)), replace(found, scan=whole.scan)
     return replace(result, highlight_fit=None if found is whole else whole, pixels=pixels, estimate=estimate)
 
 
-def _unfitted(setup: FitSetup) -> tuple[FittedValue, FittedValue]:
-    # of the part file
+def _unfitted(setup: FitSetup, kind: Literal["diffuse", "specular"]) -> FitResult:
+    # with the values of the part file
     own = setup.scene.reflectance
-    width = own.model.width_factor * own.sigma
-    return FittedValue(name="R_s", value=own.R_s), FittedValue(name=own.model.width_key, value=width)
+    values = {"R_d": own.R_d, "R_s": own.R_s, own.model.width_key: own.model.width_factor * own.sigma}
+    return FitResult(
+        kind=kind,
+        method="likelihood",
+        model=own.model,
+        diffuse=own.diffuse,
+        points=setup.scene.lights[0].points,
+        values=tuple(FittedValue(name=name, value=value) for name, value in values.items()),
+        fitted=(),
+        registration=setup.registration,
+        file_placement=setup.file_placement,
+        warnings=setup.warnings,
+    )
 
 
 def fit_specular(
@@ -216,24 +228,10 @@ def _fit_specular_region(setup: FitSetup) -> FitResult:
 
 def _unfitted_outside(setup: FitSetup, error: InputError, kind: Literal["diffuse", "specular"]) -> FitResult:
     # of a part whose surface outside the regions is not determined by the images
-    options, own = setup.options, setup.scene.reflectance
-    if not setup.scene.regions or options.gain or options.dark:
+    if not setup.scene.regions or setup.options.gain or setup.options.dark:
         raise error
-    return FitResult(
-        kind=kind,
-        method="likelihood",
-        model=own.model,
-        diffuse=own.diffuse,
-        points=setup.scene.lights[0].points,
-        values=(FittedValue(name="R_d", value=own.R_d), *_unfitted(setup)),
-        fitted=(),
-        registration=setup.registration,
-        file_placement=setup.file_placement,
-        warnings=(
-            *setup.warnings,
-            f"outside the regions: not fitted, it keeps the reflectance of the part file: {error.args[0]}",
-        ),
-    )
+    refused = f"outside the regions: not fitted, it keeps the reflectance of the part file: {error.args[0]}"
+    return replace(_unfitted(setup, kind), warnings=(*setup.warnings, refused))
 
 
 def _with_regions(result: FitResult, setup: FitSetup, fit: Callable[[FitSetup], FitResult]) -> FitResult:
@@ -353,20 +351,15 @@ def _result(
         fitted = (*(fitted if options.joint else ()), *fitted_names(samples.model))
         coarse = (coarse_points(light, replace(own, sigma=found.sigma)) for light in setup.scene.lights)
         more += [text for text in coarse if text is not None]
-    return FitResult(
-        kind=kind,
-        method="likelihood",
+    return replace(
+        _unfitted(setup, kind),
         model=samples.model,
-        diffuse=own.diffuse,
-        points=setup.scene.lights[0].points,
         values=values,
         fitted=fitted,
         gains=fitted_gains(setup.scene, found) if options.gain else None,
         dark=dark,
         noise=noise,
         write_noise=options.write_noise,
-        registration=setup.registration,
-        file_placement=setup.file_placement,
         # least squares have done with fewer
         observations=len(found.criterion.samples.sample),
         pixels=len(found.criterion.samples.diffuse),
@@ -435,24 +428,18 @@ def _paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | Paper
     # R_d, or R_s and σ, as sections 4.2 and 4.3 of the paper find them; the others from the part file
     options, own = setup.options, setup.scene.reflectance
     if options.gain or options.dark or options.register or options.joint:
-        raise InputError(
-            "the paper's method has no free gains, dark level, placement or joint fit: it fits what sections 4.2 and "
-            "4.3 fit"
-        )
+        raise InputError("the paper's method has no free gains, dark level, placement or joint fit")
     if setup.scene.regions:
         raise InputError("the paper's method knows one reflectance: it cannot fit a part with regions")
     if own.model.name != "torrance-sparrow":
         raise InputError(f"the paper's method knows one Gaussian lobe: it cannot fit the model {own.model.name}")
     more = paper.warnings() if isinstance(paper, PaperSpecular) else ()
     fitted = {"R_d": paper.R_d} if isinstance(paper, PaperDiffuse) else {"R_s": paper.R_s, "sigma_rad": paper.sigma}
-    values = {"R_d": own.R_d, "R_s": own.R_s, "sigma_rad": own.sigma, **fitted}
-    return FitResult(
-        kind="diffuse" if isinstance(paper, PaperDiffuse) else "specular",
+    held = _unfitted(setup, "diffuse" if isinstance(paper, PaperDiffuse) else "specular")
+    return replace(
+        held,
         method="paper",
-        model=own.model,
-        diffuse=own.diffuse,
-        points=setup.scene.lights[0].points,
-        values=tuple(FittedValue(name=name, value=value) for name, value in values.items()),
+        values=tuple(replace(one, value=fitted.get(one.name, one.value)) for one in held.values),
         fitted=tuple(fitted),
         observations=len(samples.sample),
         pixels=len(samples.diffuse),

@@ -226,16 +226,10 @@ def fitted_values(found: Estimate, *, full_scale: float, model: SpecularModel) -
     """
     factor = model.width_factor
     r_s = _fitted("R_s", found.R_s, found, LOG_R_S, math.exp, slope=found.R_s)
-    width = _fitted(
-        model.width_key,
-        factor * found.sigma,
-        found,
-        LOG_SIGMA,
-        lambda end: factor * math.exp(end),
-        slope=factor * found.sigma,
-    )
+    width = factor * found.sigma
+    spread = _fitted(model.width_key, width, found, LOG_SIGMA, lambda end: factor * math.exp(end), slope=width)
     diffuse = _fitted("R_d", found.R_d, found, R_D, float)
-    values = [diffuse, r_s, width]
+    values = [diffuse, r_s, spread]
     if model.name != "torrance-sparrow":
         return tuple(values)
     over = math.log(max(found.R_s / full_scale, 1e-300))

@@ -148,13 +148,8 @@ def prepare_fit(
         setup = setup.with_form(LAMBERT)
     if not options.register:
         return setup
-    found = register_with_fit(
-        setup.scene,
-        observations,
-        caster=setup.caster,
-        freed=FreeParameters(gain=options.gain, dark=options.dark),
-        run=run,
-    )
+    freed = FreeParameters(gain=options.gain, dark=options.dark)
+    found = register_with_fit(setup.scene, observations, caster=setup.caster, freed=freed, run=run)
     moved = place_part(setup.scene, found.placement)
     file_placement = part_file_placement(scene, found.placement, part.placement)
     return replace(setup, scene=moved, caster=cast_rays_at(moved), registration=found, file_placement=file_placement)

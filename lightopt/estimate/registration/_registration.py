@@ -287,18 +287,10 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
     size = np.array([FIRST_STEP_MM, FIRST_STEP_MM, FIRST_STEP_RAD])
     reach = frame.reach / size
     # in units of the first steps, so that one tolerance serves shifts and turn
-    found = optimize.minimize(
-        lambda u: misfit(u * size),
-        best / size,
-        method="Nelder-Mead",
-        bounds=list(zip(-reach, reach, strict=True)),
-        options={
-            "initial_simplex": [best / size, *(best / size + step for step in np.eye(3))],
-            "xatol": 0.02,
-            "fatol": np.inf,
-            "maxfev": SEARCH_STEPS - len(values),
-        },
-    )
+    start, bounds = best / size, list(zip(-reach, reach, strict=True))
+    simplex = [start, *(start + step for step in np.eye(3))]
+    options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": np.inf, "maxfev": SEARCH_STEPS - len(values)}
+    found = optimize.minimize(lambda u: misfit(u * size), start, method="Nelder-Mead", bounds=bounds, options=options)
     pose = np.asarray(found.x, np.float64) * size if float(found.fun) < values[0] else np.zeros(3)
     return frame.placement(pose)
 
@@ -328,21 +320,15 @@ def refine_placement(
     iterations, moved = 0, math.inf
     number, stages = 0, STAGES
     while number < stages:
-        inner, edges = choose_pixels(
-            scene,
-            observations,
-            frame.placement(x[own]),
-            outline=outline,
-            reduced=reduced or number == 0,
-            threads=run.threads,
-        )
+        place, few = frame.placement(x[own]), reduced or number == 0
+        inner, edges = choose_pixels(scene, observations, place, outline=outline, reduced=few, threads=run.threads)
         if number == 0:
             hidden = unobservable_rotation(scene, frame, inner, x[own], caster=caster)
             limits = replace(limits, undetermined=np.pad(hidden, ((0, 0), (0, len(x) - 3))))
         problem = RefinementProblem(scene, frame, inner, edges, x, caster=caster, threads=run.threads)
         solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)
         iterations += solution.iterations
-        moved = frame.distance_px(frame.placement(x[own]), frame.placement(solution.x[own]))
+        moved = frame.distance_px(place, frame.placement(solution.x[own]))
         progress((number + 1) / (STAGES + OUTLINE_STAGES))
         if not outline and np.any(solution.errors[own] > OUTLINE_PX * frame.pixel_steps):
             # the inner pixels do not determine the place well enough: begin again, with the outline

@@ -182,6 +182,7 @@ class _Images:
     def ball(self, camera: PinholeCamera, radius: float) -> list[BallView]:
         distance = float(np.linalg.norm(camera.position)) - radius
         radius_px = camera.image_distance / camera.pixel_size * radius / distance
+        sensor = build_sensor(self.rig.camera)
         views: list[BallView] = []
         problems: list[str] = []
         for posture, observations in self._by_posture(BALL).items():
@@ -189,17 +190,11 @@ class _Images:
             # the longest exposure without a saturated pixel
             best = {o.light: o for o in mine if not o.saturated.any()}
             best = {**{o.light: o for o in reversed(mine)}, **best}
-            longest = {o.light: o for o in mine}
+            shown = {light: o.levels for light, o in best.items()}
+            longest = list({o.light: o.levels for o in mine}.values())
             try:
-                views.append(
-                    measure_ball(
-                        {light: o.levels for light, o in best.items()},
-                        posture=posture,
-                        sensor=build_sensor(self.rig.camera),
-                        radius_px=radius_px,
-                        outline_images=[o.levels for o in longest.values()],
-                    )
-                )
+                view = measure_ball(shown, posture=posture, radius_px=radius_px, sensor=sensor, outline_images=longest)
+                views.append(view)
             except InputError as error:
                 problems += error.messages
         if not views:
