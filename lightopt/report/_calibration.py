@@ -70,10 +70,11 @@ def _sections(found: RigCalibration) -> Iterator[Section]:
         shown = "Found less predicted corners of all views, on the image; a pattern means another lens or a bent board."
         png = png_bytes(residual_map(board, found.camera.width, found.camera.height))
         blocks: list[Block] = [Picture(png=png, alt=shown, caption=shown), Table(header=header, rows=rows)]
-        if (gain := board.next_posture) is not None:
+        if board.next_posture is not None:
+            posture, rms = board.next_posture
             text = (
-                f"Of further postures {gain.posture} would help most: pixels would be predicted to "
-                f"{gain.predicted_rms:.2g} px instead of {board.predicted_rms:.2g} px."
+                f"Of further postures {posture} would help most: pixels would be predicted to "
+                f"{rms:.2g} px instead of {board.predicted_rms:.2g} px."
             )
             blocks.append(Note(text=text))
         yield Section(heading="Camera and stage", blocks=blocks)

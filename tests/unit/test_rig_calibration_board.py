@@ -180,9 +180,9 @@ def test_the_next_posture_lowers_the_error_as_foretold():
     rig = hidden_rig(6)
     few = [Posture(0.0, 0.0), Posture(40.0, 0.0), Posture(-40.0, 0.0), Posture(0.0, 90.0)]
     fit = fitted(rig, rig.views(few))
-    more = fitted(rig, rig.views([*few, fit.next_posture.posture]))
-    assert fit.next_posture.predicted_rms < 0.6 * fit.predicted_rms
-    assert more.predicted_rms == pytest.approx(fit.next_posture.predicted_rms, rel=0.25)
+    more = fitted(rig, rig.views([*few, fit.next_posture[0]]))
+    assert fit.next_posture[1] < 0.6 * fit.predicted_rms
+    assert more.predicted_rms == pytest.approx(fit.next_posture[1], rel=0.25)
 
 
 @pytest.mark.parametrize(
@@ -264,7 +264,7 @@ def test_corner_lists_are_read(tmp_path):
     for wrong, message in [
         ("{", "no corner list can be read"),
         (json.dumps([1]), 'expected {"format": "lightopt-corners/1"'),
-        (json.dumps({"format": "lightopt-corners/1", "views": []}), "no views"),
+        (json.dumps({"format": "lightopt-corners/1", "views": []}), "with at least one view"),
         (json.dumps({"format": "lightopt-corners/1", "views": [{**view, "ids": [1]}]}), "view 1: a: expected n whole"),
         (json.dumps({"format": "lightopt-corners/1", "views": [view, {"ids": []}]}), "view 2: expected.*no 'elevation"),
         (json.dumps({"format": "lightopt-corners/1", "views": [{**view, "pixels": [["x", 1]]}]}), "view 1: expected"),

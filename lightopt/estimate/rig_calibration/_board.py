@@ -303,7 +303,7 @@ def _defects(grey: Float64, corners: Float64) -> list[str]:
     return found
 
 
-def read_corners(path: str | Path) -> list[BoardView]:
+def read_corners(path: Path) -> list[BoardView]:
     """Views of a board from a corner list.
 
     ``{"format": "lightopt-corners/1", "views": [{"name": .., "elevation_deg": .., "rotation_deg": .., "ids": [..],
@@ -312,17 +312,14 @@ def read_corners(path: str | Path) -> list[BoardView]:
 
     Raises InputError: The file cannot be read, or is no such list
     """
-    path = Path(path)
     try:
         found: Any = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: no corner list can be read: {error}") from None
-    if not isinstance(found, dict) or found.get("format") != FORMAT or not isinstance(found.get("views"), list):
-        raise InputError(f'{path}: expected {{"format": "{FORMAT}", "views": [..]}}')
-    views = [_view(f"{path}, view {number}", view) for number, view in enumerate(found["views"], start=1)]
-    if not views:
-        raise InputError(f"{path}: no views")
-    return views
+    views: Any = found.get("views") if isinstance(found, dict) and found.get("format") == FORMAT else None
+    if not isinstance(views, list) or not views:
+        raise InputError(f'{path}: expected {{"format": "{FORMAT}", "views": [..]}} with at least one view')
+    return [_view(f"{path}, view {number}", view) for number, view in enumerate(views, start=1)]
 
 
 def _view(where: str, view: Any) -> BoardView:

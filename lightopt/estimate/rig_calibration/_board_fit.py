@@ -64,17 +64,9 @@ _OF_LENS = ("focal length", "distance", "principal point", "lens distortion")
 _FAULTY_SHARE, _FAULTY_RATIO = 0.5, 4.0  # outliers in a view; its median residual to that of all
 
 
-@dataclass(frozen=True, kw_only=True)
-class PostureGain:
-    """A posture to take next, and the standard error of predicted pixels with it [px]."""
-
-    posture: Posture
-    predicted_rms: float
-
-
 def judge_postures(
     fit: JointFit, board: Board, taken: Float64, camera: PinholeCamera
-) -> tuple[float, PostureGain | None]:
+) -> tuple[float, tuple[Posture, float] | None]:
     """Standard error of a pixel predicted for points of the board over all postures that show it [px], and the best.
 
     taken: Readings of the views [rad], shape (K, 2)
@@ -100,15 +92,15 @@ def judge_postures(
     information = inverse(fit.of_free)
     unit = fit.noise * fit.common
 
-    def gain(number: int, slopes: Float64, own: Float64) -> PostureGain:
+    def gain(number: int, slopes: Float64, own: Float64) -> tuple[Posture, float]:
         inner = own.T @ own + np.eye(2) / fit.angle_sd**2  # the new readings have errors, too
         cross = own.T @ slopes
         gained = slopes.T @ slopes - cross.T @ np.linalg.solve(inner, cross)
         rms = float(np.sqrt(np.sum(inverse(information + gained) * spread)))
-        return PostureGain(posture=postures[number], predicted_rms=rms)
+        return postures[number], rms
 
     gains = map(gain, shown.tolist(), by_free / unit, by_angles / unit)
-    return now, min(gains, key=lambda one: one.predicted_rms)
+    return now, min(gains, key=lambda one: one[1])
 
 
 def _facing(outline: Float64, in_views: Float64) -> Bool:
@@ -259,7 +251,7 @@ class BoardFit:
     residuals: tuple[ViewResidual, ...] = field(repr=False)  # of each view
     unobservable: tuple[str, ...]  # what the images do not determine; it is near nominal
     predicted_rms: float  # standard error of a pixel predicted for a point of the board, over all postures [px]
-    next_posture: PostureGain | None
+    next_posture: tuple[Posture, float] | None
 
     @property
     def intervals(self) -> Mapping[str, tuple[float, float]]:

@@ -352,7 +352,7 @@ def figures(found: RigCalibration) -> dict[str, Any]:
             "reading_error_deg": board.angle_error_deg,
         }
         if board.next_posture is not None:
-            of_board["next_posture"] = board.next_posture.posture.as_dict()
+            of_board["next_posture"] = board.next_posture[0].as_dict()
         document["board"] = of_board
     if found.ball is not None:
         document["ball"] = {

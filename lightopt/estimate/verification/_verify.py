@@ -118,16 +118,9 @@ def verify_set(
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, defects=False)
     good = None if baseline is None else read_observations(baseline, rig, part, threads=run.threads)
     limits = limits or VerifyLimits()
-    return verify_observations(
-        scene,
-        observations,
-        baseline=good,
-        deviations=calibrated_deviations(rig, scene, Parameters.of(scene, limits)),
-        limits=limits,
-        register=register,
-        where=str(image_set.folder),
-        run=run,
-    )
+    deviations = calibrated_deviations(rig, scene, Parameters.of(scene, limits))
+    how: dict[str, Any] = {"baseline": good, "limits": limits, "register": register, "where": str(image_set.folder)}
+    return verify_observations(scene, observations, deviations=deviations, run=run, **how)
 
 
 def verify_observations(
@@ -225,12 +218,10 @@ def plan_limits(path: Path, rig: RigConfig) -> dict[str, float]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
         widest = [(str(w["what"]), str(w["angle"]), float(w["degrees"])) for w in found["tolerances"][-1]["widest"]]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}; give result.json of a plan") from error
-    except (ValueError, KeyError, TypeError, IndexError) as error:
+    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
         raise InputError(
-            f"{path}: no tolerance analysis in it; expected result.json of lightopt optimize --light-tolerance or "
-            "--pose-tolerance"
+            f"{path}: no tolerance analysis can be read: {error}; expected result.json of lightopt optimize "
+            "--light-tolerance or --pose-tolerance"
         ) from error
     if zero := [what for what, _, degrees in widest if degrees <= 0.0]:
         raise InputError(f"{path}: the plan has a tolerance of 0° for {zero[0]}; give limits instead")
