@@ -346,10 +346,8 @@ def _placed(
     if options.mesh is None:
         raise InputError("expected option 'mesh' or option 'sphere': the part")
     if pose is None:
-        raise InputError(
-            f"{options.pose or options.camera}: expected [R|t], as rvec and tvec, R and T, or a text of 3 × 4 numbers "
-            "(option 'pose'); only a sphere does not need it"
-        )
+        where = options.pose or options.camera
+        raise InputError(f"{where}: expected [R|t], as rvec and tvec, R and T, or 3 × 4 numbers (option 'pose')")
     return pose, mesh_part(options.mesh, units=options.mesh_units, folder=out, about_x_deg=options.turn_deg)
 
 

@@ -61,10 +61,7 @@ def read_intrinsics(path: Path) -> Intrinsics:
     given = _numbers(path, values, _DISTORTION)
     distortion = np.zeros(5) if given is None else given.ravel()
     if distortion[5:].any() or "fisheye_model" in values:
-        raise InputError(
-            f"{path}: the lens has a fisheye model or more than five coefficients; calibrate with OpenCV's k1, k2, p1, "
-            "p2, k3, or undistort the images"
-        )
+        raise InputError(f"{path}: a fisheye lens or more than five coefficients; undistort the images")
     size = [_numbers(path, values, (f"image_{side}",), ()) for side in ("width", "height")]
     return Intrinsics(
         focal=(float(fx), float(fy)),
@@ -98,15 +95,9 @@ def _rotation(path: Path, R: Float64) -> Float64:
     # the nearest rotation to entries that were rounded
     off = float(np.abs(R @ R.T - np.eye(3)).max())
     if off > _ROTATION_TOLERANCE:
-        raise InputError(
-            f"{path}: R is not a rotation: R·Rᵀ is off the identity by {off:.2g}; expected rows of length 1 at right "
-            "angles to each other"
-        )
+        raise InputError(f"{path}: R is not a rotation: R·Rᵀ is off the identity by {off:.2g}")
     if np.linalg.det(R) < 0.0:
-        raise InputError(
-            f"{path}: R is left-handed (its determinant is −1): one axis is mirrored; expected a rotation from a "
-            "right-handed world to x right, y down, z ahead"
-        )
+        raise InputError(f"{path}: R is left-handed (its determinant is −1): one axis is mirrored")
     u, _, v = np.linalg.svd(R)
     return u @ v
 
@@ -246,10 +237,7 @@ def _contradictions(rows: list[TableRow]) -> list[str]:
         first = seen.setdefault(("light", row.light.lower()), row)
         same = (first.light, first.near, first.intensity) == (row.light, row.near, row.intensity)
         if not same or not np.allclose(first.place, row.place, rtol=0.0, atol=1e-6):
-            problems.append(
-                f'{row.where}: light "{row.light}" has another place, intensity or spelling than in {first.where}; '
-                "rename one of them"
-            )
+            problems.append(f'{row.where}: "{row.light}" has another place, intensity or spelling in {first.where}')
         for key in (row.image, (row.light, row.posture, row.exposure)):
             if (before := seen.setdefault(key, row)) is not row:
                 what = row.image if key == row.image else f"{row.light} {row.posture}, exposure {row.exposure:g},"

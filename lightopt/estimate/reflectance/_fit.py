@@ -267,10 +267,7 @@ def _choose_model(prepared: Callable[[ModelName], FitSetup], options: FitOptions
     for model in MODELS:
         setup = prepared(model)
         if len({o.light for o in setup.observations}) < 2:
-            raise InputError(
-                "model auto: expected images under at least two lights, found one; the choice is made by predicting "
-                "each light from the others. Give the model"
-            )
+            raise InputError("model auto: expected images under at least two lights, to predict each; give the model")
         try:
             result, setup, samples = fits[model] = _fit_one(setup)
         except InputError as error:
@@ -316,10 +313,7 @@ def _with_fitted_form(setup: FitSetup, samples: Samples) -> tuple[FittedParamete
     name = options.diffuse if options.diffuse in ("exponent", "oren-nayar") else None
     if model.name == "two-lobe":
         if name is not None:
-            raise InputError(
-                "model two-lobe: the wide lobe and the form of the diffuse component are not fitted at once; give the "
-                "form in the part file"
-            )
+            raise InputError("model two-lobe: the diffuse form is not fitted at once; give it in the part file")
         wide = fit_wide_lobe(samples, freed=options.freed, held=setup.held, run=setup.run)
         return wide, setup.with_model(wide.model), replace(samples, model=wide.model)
     if name is None and options.joint and model.across_ratio > 1.0:

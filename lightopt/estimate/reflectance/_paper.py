@@ -170,10 +170,7 @@ def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progr
     image = int(np.argmax(counts))
     measured = int(counts[image])
     if measured == 0:
-        raise InputError(
-            "no saturated pixel in any image: the paper's method compares saturated areas. Expose longer, or use the "
-            "default method"
-        )
+        raise InputError("no saturated pixel in any image: expose longer, or use the default method")
     mine = samples.select(samples.image == image)
     factor = float(mine.facts.factor[image])
     diffuse = factor * R_d * mine.diffuse[mine.sample]

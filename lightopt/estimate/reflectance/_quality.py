@@ -208,10 +208,7 @@ def _rms(values: Float64) -> float:
 def refuse_out_of_range(found: Estimate, brightest: float, model: SpecularModel) -> None:
     """Refuse a `brightest` specular light [grey level] that determines nothing, and values that no real surface has."""
     if brightest < 1.0:
-        raise InputError(
-            "no highlight in any image: nothing determines R_s and σ. Add images under lights that the surface mirrors "
-            "into the camera, or at a longer exposure"
-        )
+        raise InputError("no highlight in any image: add images under other lights, or at a longer exposure")
     low, high = SIGMA_RANGE if model.name != "ggx" else GGX_SIGMA_RANGE
     width = f"{found.sigma:.3g} rad" if model.name != "ggx" else f"{found.sigma:.3g} rad (α {2.0 * found.sigma:.3g})"
     if found.sigma < low * EDGE:

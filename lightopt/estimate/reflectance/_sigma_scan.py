@@ -154,15 +154,9 @@ def _first_guess(samples: Samples) -> float:
     lit, full = diffuse > 0.0, samples.saturated
     above_black = samples.level - samples.sensor.black_level
     if not lit.any() or bool(np.all(full[lit])):
-        raise InputError(
-            "every pixel that the lights reach is saturated; the brightness of the surface is unknown. Add images "
-            "at a shorter exposure"
-        )
+        raise InputError("every pixel that the lights reach is saturated: add images at a shorter exposure")
     if bool(np.all(above_black[lit] <= 0.0)):
-        raise InputError(
-            "every pixel that the lights reach is black; the brightness of the surface is unknown. Add images at a "
-            "longer exposure, and check that the light was on"
-        )
+        raise InputError("every pixel that the lights reach is black: expose longer, and check that the light was on")
     usable = lit & ~full & (diffuse >= LEAST_DIFFUSE)
     if not usable.any():
         usable = lit & ~full

@@ -78,10 +78,7 @@ def refuse_useless_images(
     at = {p.posture: (p.row[lit[p.posture]], p.column[lit[p.posture]]) for p in sets}
     expected = [o for o in observations if o.posture in at]
     if all(bool(o.saturated[at[o.posture]].all()) for o in expected):
-        raise InputError(
-            f"{where}: every pixel of the part is saturated in each of {images}; capture them with a shorter exposure "
-            "or less light"
-        )
+        raise InputError(f"{where}: every pixel of the part is saturated in each of {images}; expose shorter")
     sensor = scene.sensor
     above = sensor.black_level + CLEAR * math.sqrt(sensor.noise_variance(0.0)) + 0.5
     seen = [o.levels[at[o.posture]] for o in expected]
@@ -189,17 +186,11 @@ def _other_cause(seen: Array, model: Array, full: Bool) -> str:
     # why images that are not flipped may be so far from the model
     mean, expected = float(seen.mean()), float(model.mean())
     if mean < BLACK_SHARE * expected:
-        return (
-            f"they are black: {max(mean, 0.0):.3g} grey levels on average, predicted {expected:.3g}; check the lens "
-            "cap, that the lights are on, and the exposure"
-        )
+        return f"they are black: {max(mean, 0.0):.3g} grey levels, predicted {expected:.3g}; check lens cap and lights"
     share = float(full.mean())
     if share > MOST_SATURATED:
         return f"{100.0 * share:.0f} % of their evaluable pixels are saturated; capture them with a shorter exposure"
-    return (
-        "check that rig, part, placement and postures are those of the images, and fit the reflectance first "
-        "(lightopt fit-specular)"
-    )
+    return "check that rig, part, placement and postures are those of the images, and fit the reflectance first"
 
 
 def _rms(values: Array) -> float:

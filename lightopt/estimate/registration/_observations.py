@@ -182,10 +182,7 @@ def dark_levels(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Float
         return None
     name = dark_name(entry.posture, entry.exposure)
     if name not in image_set.manifest.files:
-        raise InputError(
-            f"{image_set.folder}: captured with dark frames, but the manifest does not list {name}; resume "
-            "the capture, which takes what is missing"
-        )
+        raise InputError(f"{image_set.folder}: the manifest does not list the dark frame {name}; resume the capture")
     path = image_set.path(name)
     levels = read_png(path).astype(np.float64)
     mean = read_metadata(path).get("mean_level")

@@ -347,8 +347,5 @@ def _check(views: Sequence[BallView], lights: Sequence[PanelLight]) -> None:
         if name not in names
     ]
     if len({view.posture.elevation_deg for view in views}) < 2:
-        problems.append(
-            "all views have one tilt, which leaves the ball's height unknown and the panels centimetres off: add "
-            "views with another tilt, at best 40° apart"
-        )
+        problems.append("all views have one tilt: add views with another tilt, at best 40° apart")
     refuse(f"ball: {problem}" for problem in problems)

@@ -296,10 +296,8 @@ def _defects(grey: Float64, corners: Float64) -> list[str]:
             f"{_MOST_BLUR_PX:g}. Focus, stop the lens down, or wait until the stage stands still"
         )
     if np.mean(saturated) > _MOST_SATURATED:
-        found.append(
-            f"saturated: {percent(float(np.mean(saturated)))} of the pixels around corners are at full scale, which "
-            "moves corners. Expose less"
-        )
+        share = percent(float(np.mean(saturated)))
+        found.append(f"saturated: {share} of the pixels around corners are at full scale. Expose less")
     return found
 
 

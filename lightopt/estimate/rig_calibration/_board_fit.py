@@ -319,10 +319,7 @@ def _corners(views: Sequence[BoardView], board: Board) -> Corners:
     count = board.columns * board.rows
     for view in views:
         if len(view.ids) and not 0 <= view.ids.min() <= view.ids.max() < count:
-            raise InputError(
-                f"{view.name}: points {view.ids.min()} to {view.ids.max()}, expected 0 to {count - 1} on a board of "
-                f"{board.columns} × {board.rows}"
-            )
+            raise InputError(f"{view.name}: points {view.ids.min()} to {view.ids.max()}, expected 0 to {count - 1}")
     if not any(len(view.ids) for view in views):
         raise InputError("no image shows a point of the board")
     readings = np.radians([[view.posture.elevation_deg, view.posture.rotation_deg] for view in views])

@@ -96,10 +96,8 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
     Raises InputError: No image set, targets that do not fit the images, or a target of which too little is seen
     """
     if rig.stage.pivot_mm[:2] != (0.0, 0.0):
-        raise InputError(
-            f"{rig.source.at('stage', 'pivot_mm')}: a calibration puts the world's origin on the rotary axis; expected "
-            f"[0, 0, z], found {list(rig.stage.pivot_mm)}"
-        )
+        at, found = rig.source.at("stage", "pivot_mm"), list(rig.stage.pivot_mm)
+        raise InputError(f"{at}: expected [0, 0, z]: a calibration has its origin on the rotary axis; found {found}")
     if rig.source.path.resolve().parent == folder.resolve() and rig.source.path.name == RIG_NAME:
         raise InputError(f"{rig.source.path}: this is the result; give the rig file that was captured with")
     targets = load_targets(folder / TARGETS_NAME)

@@ -98,8 +98,7 @@ def photon_transfer(pairs: Sequence[FramePair], darks: Sequence[FramePair], *, b
     whole = _estimate(lit, dark, nearest, fitted)
     if not whole.gain > 0.0:
         raise InputError(
-            "photon transfer: the noise does not grow with the level: these are not frames as the camera delivers "
-            "them; switch off averaging, noise reduction and gamma"
+            "photon transfer: the noise does not grow with the level: switch off averaging, noise reduction and gamma"
         )
     left_out = [_estimate(lit[:, k], dark[:, k], nearest, fitted) for k in ~np.eye(lit.shape[1], dtype=np.bool_)]
     line_error = math.nan
@@ -244,10 +243,7 @@ def _check_pairs(pairs: Sequence[FramePair], lit: Float64, black: float) -> None
                 "is not steady yet; capture both in a row, with the light warmed up"
             )
         elif float(np.sqrt(np.mean(np.square(pattern)))) > PATTERN_SPREADS * noise + PATTERN_SHARE * signal:
-            problem = (
-                "the difference of the frames has a pattern: light, part or camera moved between them, or other light "
-                "comes in; fix them and capture the pair again"
-            )
+            problem = "the difference of the frames has a pattern: something moved, or other light came in"
         if problem:
             problems.append(f"photon transfer: pair at exposure {pair.exposure:g}: {problem}")
     refuse(problems)

@@ -115,11 +115,8 @@ def plate_cells(
     blocks = (whole.shape[0], cell, whole.shape[1], cell)
     cut = (slice(0, blocks[0] * cell), slice(0, blocks[2] * cell))
     whole &= usable[cut].reshape(blocks).all(axis=(1, 3))
-    if np.sum(whole) < 4:
-        raise InputError(
-            f"plate at {posture} under {light}: {int(np.sum(whole))} cells of {cell} pixels show it unsaturated: "
-            "expose it shorter, and check its corners"
-        )
+    if (count := int(np.sum(whole))) < 4:
+        raise InputError(f"plate at {posture} under {light}: {count} cells show it unsaturated: expose shorter")
     column, row = camera.axis_px
     return PlateView(
         posture=posture,
