@@ -387,10 +387,7 @@ def _diffuse_only(samples: Samples, found: Estimate) -> tuple[Samples, float]:
         plain = lit & (deflection > widening * found.sigma * reach)
         if np.count_nonzero(plain & ~samples.saturated) >= LEAST_PIXELS:
             return samples.select(plain | unlit), widening
-    raise InputError(
-        "no diffuse-only pixel: the highlights reach every pixel that is lit. Add images under lights that the surface "
-        "mirrors elsewhere, or fit all coefficients at once: fit-specular with option 'joint'"
-    )
+    raise InputError("no diffuse-only pixel: add images under other lights, or use fit-specular with option 'joint'")
 
 
 def _evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> Iterator[str]:

@@ -59,11 +59,9 @@ class PaperOptions:
         least, start, most = self.sigma_least, self.sigma_start, self.sigma_most
         if not least <= start <= most:
             found.append(f"option 'sigma_start': expected {least:g} to {most:g} rad, found {start:g}")
-        if (most - least) / self.sigma_step > MOST_STEPS:
-            found.append(
-                f"option 'sigma_step': expected {(most - least) / MOST_STEPS:.2g} rad or more, for a sweep of "
-                f"{MOST_STEPS} steps at most, found {self.sigma_step:g}"
-            )
+        least_step = (most - least) / MOST_STEPS
+        if self.sigma_step < least_step:
+            found.append(f"option 'sigma_step': expected {least_step:.2g} rad or more, found {self.sigma_step:g}")
         if self.away >= math.pi / 2.0:
             found.append(f"option 'away': expected less than 90°, found {math.degrees(self.away):g}")
         return tuple(found)
@@ -134,10 +132,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
     plain &= samples.diffuse[samples.sample] > 0.0
     counts = np.bincount(samples.image[plain], minlength=len(samples.images))
     if not counts.any():
-        raise InputError(
-            f"no diffuse-only pixel: none is unsaturated and {math.degrees(options.away):g}° from every highlight; "
-            "add images under lights that the surface mirrors elsewhere, or lower the angle `away`"
-        )
+        raise InputError("no diffuse-only pixel: add images under other lights, or lower the angle `away`")
     # the image without specular reflection, or with the least of it: that with the largest share of such pixels
     share = counts / np.maximum(np.bincount(samples.image, minlength=len(samples.images)), 1)
     image = int(np.argmax(share))
@@ -156,10 +151,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
         if iterations[-1][2] <= options.lambda_d:
             return PaperDiffuse(R_d=r_d, image=name, pixels=int(mine.sum()), iterations=tuple(iterations))
         r_d *= measured / simulated  # (5), (7), measured over simulated
-    raise InputError(
-        f"section 4.2 does not converge: after {MOST_ITERATIONS} rounds the mean brightness is still "
-        f"{iterations[-1][2]:.3g} levels off; λ_d = {options.lambda_d:g} is below rounding, raise it"
-    )
+    raise InputError(f"section 4.2 does not converge in {MOST_ITERATIONS} rounds: λ_d = {options.lambda_d:g}, raise it")
 
 
 def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progress: Share = ignore) -> PaperSpecular:
@@ -189,17 +181,11 @@ def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progr
     reached = [step for step in steps if step.reached]
     if not reached:
         raise InputError(
-            f"section 4.3 does not converge: at no σ from {options.sigma_least:g} to {options.sigma_most:g} rad does "
-            f"the number of saturated pixels come within λ_s1 = {options.lambda_s1:g} of the {measured} measured; "
-            "raise λ_s1, or use the default method"
+            f"section 4.3 does not converge: at no σ are {measured} pixels saturated within λ_s1; raise it"
         )
     best = min(reached, key=lambda step: abs(step.brightness - 1.0))  # S_2
-    if abs(best.brightness - 1.0) > options.lambda_s2:
-        raise InputError(
-            f"section 4.3 does not converge: the total specular brightness comes no closer than "
-            f"{100.0 * abs(best.brightness - 1.0):.1f} % to the measured one (σ = {best.sigma:g} rad), and "
-            f"λ_s2 = {options.lambda_s2:g}; raise it, or use the default method"
-        )
+    if (off := abs(best.brightness - 1.0)) > options.lambda_s2:
+        raise InputError(f"section 4.3 does not converge: the brightness is {100.0 * off:.1f} % off; raise λ_s2")
     alike = sorted(step.sigma for step in reached if abs(step.brightness - 1.0) <= options.lambda_s2)
     name = samples.images[image].name
     return PaperSpecular(best.R_s, best.sigma, name, measured, tuple(steps), matching_sigmas=tuple(alike))

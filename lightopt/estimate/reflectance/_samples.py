@@ -246,10 +246,7 @@ def _assemble(
 ) -> Samples:
     lights = tuple(light.name for light in scene.lights)
     if not any(group.layer is not None for group in groups):
-        raise InputError(
-            "no pixel of the images shows a surface that a panel lights wholly, away from silhouettes, creases, edges "
-            "of shadows and borders of regions; check the part's placement and the rig's lights"
-        )
+        raise InputError("no pixel shows a surface that a panel lights wholly; check placement and lights")
     scale = scene.sensor.max_level / scene.reflectance.full_scale
     facts = ImageFacts(
         factor=np.array([scale * o.exposure for o in images]),

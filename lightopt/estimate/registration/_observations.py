@@ -155,10 +155,7 @@ def _above_dark(
     if dark is None:
         return delivered.astype(np.float32), 0.0
     if dark.shape != delivered.shape:
-        raise InputError(
-            f"{image_set.path(entry.png or '')}: {delivered.shape[1]} × {delivered.shape[0]} px, but its frame without "
-            f"light has {dark.shape[1]} × {dark.shape[0]} px; capture both again"
-        )
+        raise InputError(f"{image_set.path(entry.png or '')}: its frame without light has another size; capture both")
     subtracted = dark - sensor.black_level
     levels = np.minimum(delivered, math.ceil(sensor.saturated_from)) - subtracted
     levels = np.where(delivered == 0, np.minimum(levels, 0.0), levels)

@@ -101,14 +101,12 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
     if rig.source.path.resolve().parent == folder.resolve() and rig.source.path.name == RIG_NAME:
         raise InputError(f"{rig.source.path}: this is the result; give the rig file that was captured with")
     targets = load_targets(folder / TARGETS_NAME)
-    sets = {name for name in (BOARD, BALL, PLATE, *SENSOR) if (folder / name).is_dir()}
+    names = (BOARD, BALL, PLATE, *SENSOR)
+    sets = {name for name in names if (folder / name).is_dir()}
     if (folder / CORNERS_NAME).is_file():
         sets.add(BOARD)
     if not sets:
-        raise InputError(
-            f"{folder}: no image set of a calibration; expected some of {', '.join((BOARD, BALL, PLATE, *SENSOR))}; "
-            "lightopt calibrate --plan writes how to capture them"
-        )
+        raise InputError(f"{folder}: no image set of a calibration; expected {', '.join(names)}; see --plan")
     images = _Images(rig, folder, targets, run or RunContext())
     camera, stage, lights = build_camera(rig), build_stage(rig), build_lights(rig)
     sensor = images.sensor() if all(name in sets for name in SENSOR) else None

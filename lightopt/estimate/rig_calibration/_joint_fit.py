@@ -290,10 +290,7 @@ def fit_jointly(corners: Corners, start: tuple[Float64, Origin], prior: Prior, *
         origin, prior = origin.moved(x), Prior(mean, prior.sd, prior.angle_sd)
         x[CAMERA_ROTATION] = x[BOARD_ROTATION] = 0.0
     if spread > _MOST_SPREAD_PX:
-        raise InputError(
-            f"board: the corners do not fit the rig, half of them are more than {spread / _MAD:.1f} px off. "
-            "Check the board's points and pitch, the readings of the stage and the nominal camera"
-        )
+        raise InputError(f"board: the corners do not fit the rig: half of them are over {spread / _MAD:.1f} px off")
     while True:
         fit = _polished(corners, x, angles, origin, prior, extra)
         rest = [name for name in OPTIONAL if name not in extra] if on_evidence else []

@@ -92,8 +92,7 @@ def photon_transfer(pairs: Sequence[FramePair], darks: Sequence[FramePair], *, b
     if np.sum(fitted) < LEAST_LEVELS:
         raise InputError(
             f"photon transfer: {int(np.sum(fitted))} of {len(pairs)} pairs are above dark and below "
-            f"{FITTED_SHARE:.0%} of saturation (level {limit:g}), {LEAST_LEVELS} are needed: use shorter exposures, "
-            f"spread between 5 and {FITTED_SHARE:.0%}"
+            f"{FITTED_SHARE:.0%} of saturation (level {limit:g}), {LEAST_LEVELS} are needed: use shorter exposures"
         )
     whole = _estimate(lit, dark, nearest, fitted)
     if not whole.gain > 0.0:
@@ -238,10 +237,7 @@ def _check_pairs(pairs: Sequence[FramePair], lit: Float64, black: float) -> None
         noise = math.sqrt(2.0 * max(float(variance), ROUNDING_VARIANCE) / float(sums[0, 0]))
         problem = ""
         if shift > PAIR_DIFFERENCE * signal + 5.0 * noise:
-            problem = (
-                f"the frames differ by {shift:.3g} levels of {signal:.3g}: they have different exposures, or the light "
-                "is not steady yet; capture both in a row, with the light warmed up"
-            )
+            problem = f"the frames differ by {shift:.3g} levels of {signal:.3g}: exposure or light changed between them"
         elif float(np.sqrt(np.mean(np.square(pattern)))) > PATTERN_SPREADS * noise + PATTERN_SHARE * signal:
             problem = "the difference of the frames has a pattern: something moved, or other light came in"
         if problem:

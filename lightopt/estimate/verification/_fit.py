@@ -385,10 +385,7 @@ def fit_faults(
         other = replace(_descend(work, images, good, deviations, origin, start), registered=True)
         fit = min(fit, other, key=lambda one: one.left.residual)
     if (evaluable := int(np.count_nonzero(fit.evidence.weight))) < LEAST_ROWS:
-        raise InputError(
-            f"{where}: only {evaluable} places of all images are neither saturated nor at an edge, expected at least "
-            f"{LEAST_ROWS}; capture them with a shorter exposure, or of a larger part"
-        )
+        raise InputError(f"{where}: {evaluable} places are neither saturated nor at an edge, expected {LEAST_ROWS}")
     if fit.left.mismatch:
         raise InputError(
             f"{where}: the images do not look like this part on this rig: measured minus predicted is "

@@ -147,7 +147,7 @@ def verify_observations(
         "register": register,
     }
     if baseline is not None:
-        known = work.blocks(_matching(observations, baseline, where))
+        known = work.blocks(_matching(observations, baseline))
         good = fit_faults(work, known, where="the known good set", **how)
     images = work.blocks(observations)
     exchanged = exchanged_lights(work.coarse, images, work.predict(np.zeros(work.parameters.size)))
@@ -192,17 +192,14 @@ def verify_observations(
     )
 
 
-def _matching(observations: Sequence[Observation], good: Sequence[Observation], where: str) -> tuple[Observation, ...]:
+def _matching(observations: Sequence[Observation], good: Sequence[Observation]) -> tuple[Observation, ...]:
     # the images of a known good set in the order of the others
     by_key = {(o.light, o.posture, round(o.exposure, 6)): o for o in good}
     found = [by_key.get((o.light, o.posture, round(o.exposure, 6))) for o in observations]
     missing = [o.name for o, other in zip(observations, found, strict=True) if other is None]
     if missing:
         more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
-        raise InputError(
-            f"{good[0].source.parent}: the known good set has no image {missing[0]}{more}, which {where} has; capture "
-            "it with the same lights, postures and exposures"
-        )
+        raise InputError(f"{good[0].source.parent}: the known good set has no image {missing[0]}{more}; capture it")
     return tuple(one for one in found if one is not None)
 
 
