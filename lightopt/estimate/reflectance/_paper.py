@@ -180,9 +180,7 @@ def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progr
         progress(len(steps) / len(sigmas))
     reached = [step for step in steps if step.reached]
     if not reached:
-        raise InputError(
-            f"section 4.3 does not converge: at no σ are {measured} pixels saturated within λ_s1; raise it"
-        )
+        raise InputError(f"section 4.3 does not converge: at no σ are {measured} pixels saturated; raise λ_s1")
     best = min(reached, key=lambda step: abs(step.brightness - 1.0))  # S_2
     if (off := abs(best.brightness - 1.0)) > options.lambda_s2:
         raise InputError(f"section 4.3 does not converge: the brightness is {100.0 * off:.1f} % off; raise λ_s2")

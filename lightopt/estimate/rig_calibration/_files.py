@@ -178,9 +178,7 @@ reading_error_deg: 0.02         # of the stage's readings
 
 
 def _part_text(name: str, postures: Sequence[Posture], height: float, reflectance: dict[str, float]) -> str:
-    entries = "\n".join(
-        f"  - {{elevation_deg: {p.elevation_deg:g}, rotation_deg: {p.rotation_deg:g}}}" for p in postures
-    )
+    lines = "\n".join(f"  - {{elevation_deg: {p.elevation_deg:g}, rotation_deg: {p.rotation_deg:g}}}" for p in postures)
     light = ", ".join(f"{key}: {value:g}" for key, value in reflectance.items())
     return f"""\
 # The {name} of a calibration in the postures to capture. Mesh and reflectance stand for it on the virtual bench.
@@ -190,7 +188,7 @@ mesh: {{file: {name}.stl, units: mm}}
 placement: {{anchor: as_modelled, translate_mm: [0, 0, {height:g}]}}
 reflectance: {{{light}}}
 postures:
-{entries}
+{lines}
 """
 
 

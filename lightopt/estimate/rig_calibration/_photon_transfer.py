@@ -96,9 +96,7 @@ def photon_transfer(pairs: Sequence[FramePair], darks: Sequence[FramePair], *, b
         )
     whole = _estimate(lit, dark, nearest, fitted)
     if not whole.gain > 0.0:
-        raise InputError(
-            "photon transfer: the noise does not grow with the level: switch off averaging, noise reduction and gamma"
-        )
+        raise InputError("photon transfer: the noise does not grow with the level: switch off averaging and gamma")
     left_out = [_estimate(lit[:, k], dark[:, k], nearest, fitted) for k in ~np.eye(lit.shape[1], dtype=np.bool_)]
     line_error = math.nan
     if len(np.unique(exposures[below])) > 2:

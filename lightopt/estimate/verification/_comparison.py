@@ -18,7 +18,7 @@ from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import sensor_scale
 from lightopt.estimate.verification._fit import MISFIT_SHARE, Fit
-from lightopt.estimate.verification._parameters import CoarseImage, CoarsePrediction, Work
+from lightopt.estimate.verification._parameters import CoarseImage, CoarsePrediction, Predictions, Work
 from lightopt.optics import clipped_mean
 from lightopt.scene import Scene, project, view_from_part
 
@@ -65,7 +65,7 @@ class Compared:
 
 
 def compare_image(
-    work: Work, fit: Fit, good: Fit | None, number: int, theta: Float64, predictions: Mapping[Posture, CoarsePrediction]
+    work: Work, fit: Fit, good: Fit | None, number: int, theta: Float64, predictions: Predictions
 ) -> Compared:
     """Compare an image of a fit, by its number, with predictions at some parameters.
 
@@ -103,7 +103,7 @@ def _delivered(
 
 
 def compare_lights(
-    work: Work, before: Sequence[Compared], after: Sequence[Compared], predictions: Mapping[Posture, CoarsePrediction]
+    work: Work, before: Sequence[Compared], after: Sequence[Compared], predictions: Predictions
 ) -> tuple[LightComparison, ...]:
     """Summaries by light, of the images against the prediction of the rig file and against that with its faults."""
     found: list[LightComparison] = []
@@ -155,9 +155,7 @@ def _rms(some: Sequence[Compared]) -> float:
     return float(np.sqrt(np.mean(np.square(ratio)))) if ratio.size else 0.0
 
 
-def exchanged_lights(
-    scene: Scene, images: Sequence[CoarseImage], predictions: Mapping[Posture, CoarsePrediction]
-) -> dict[str, str]:
+def exchanged_lights(scene: Scene, images: Sequence[CoarseImage], predictions: Predictions) -> dict[str, str]:
     """For each light whose image shows another one the name of that other one; empty if all are as named.
 
     By correlation over all postures of the images with the predictions of all lights; each light is shown once.
@@ -293,7 +291,7 @@ def _seen_again(
     one: Spot,
     places: Mapping[Posture, tuple[float, float]],
     scores: Mapping[Posture, Float32],
-    predictions: Mapping[Posture, CoarsePrediction],
+    predictions: Predictions,
 ) -> list[bool]:
     # of each other posture that could show it at the given place, whether it does
     seen: list[bool] = []

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError
 from lightopt.core.least_squares import weighted_sums
-from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import (
     LEAST_R_D,
     LEAST_R_S,
@@ -36,9 +35,9 @@ from lightopt.estimate.registration import (
 from lightopt.estimate.verification._parameters import (
     SIGMA_STEP,
     CoarseImage,
-    CoarsePrediction,
     Group,
     Parameters,
+    Predictions,
     Work,
     blurred,
 )
@@ -69,9 +68,7 @@ class Model:
     cell: Number of a cell of neighbouring blocks of an image.
     """
 
-    def __init__(
-        self, work: Work, images: Sequence[CoarseImage], predictions: Mapping[Posture, CoarsePrediction]
-    ) -> None:
+    def __init__(self, work: Work, images: Sequence[CoarseImage], predictions: Predictions) -> None:
         self._work = work
         self.scene, self.parameters = work.coarse, work.parameters
         budget = int(min(BLOCKS, max(200, MOST_ENTRIES // (len(images) * self.parameters.size))))
@@ -350,7 +347,7 @@ class Fit:
     covariance: Float64
     chosen: tuple[Group, ...]
     evidence: Evidence
-    predictions: dict[Posture, CoarsePrediction]  # of the rig with these faults
+    predictions: Predictions  # of the rig with these faults
     left: Agreement  # what they leave
     registered: bool = False  # whether the part was searched for
 
@@ -425,9 +422,7 @@ def _descend(
     return Fit(images, theta, faults, covariance, chosen, evidence, work.predict(theta), left)
 
 
-def _model(
-    work: Work, images: Sequence[CoarseImage], good: Fit | None, predictions: Mapping[Posture, CoarsePrediction]
-) -> Model:
+def _model(work: Work, images: Sequence[CoarseImage], good: Fit | None, predictions: Predictions) -> Model:
     model = Model(work, images, predictions)
     if good is not None:
         model.correct(Model(work, good.images, predictions), good.theta)

@@ -261,6 +261,9 @@ class CoarsePrediction:
     normals: Float32
 
 
+Predictions = dict[Posture, CoarsePrediction]
+
+
 class Work:
     """What is the same for all sets of a scene.
 
@@ -282,7 +285,7 @@ class Work:
         )
         self.coarse = replace(scene, camera=coarse)
         self.caster = cast_rays_at(scene)
-        self._kept: list[tuple[Float64, dict[Posture, CoarsePrediction]]] = []
+        self._kept: list[tuple[Float64, Predictions]] = []
 
     def blocks(self, observations: Sequence[Observation]) -> tuple[CoarseImage, ...]:
         """Block means of images."""
@@ -302,7 +305,7 @@ class Work:
 
         return tuple(in_threads(one, range(len(observations)), self.run.threads))
 
-    def predict(self, theta: Float64) -> dict[Posture, CoarsePrediction]:
+    def predict(self, theta: Float64) -> Predictions:
         """Images of the rig with some faults; those that were rendered before if they hardly differ."""
         for there, kept in self._kept:
             *lobe, blur = np.abs(theta - there)[self.parameters.nuisance]

@@ -267,19 +267,15 @@ def append_history(folder: Path, result: Verification, *, name: str, when: datet
         values = light.as_dict()
         row |= {f"{light.light} {key}": values[key] for key in ("overlap", "offset_px", "offset_deg", "residual")}
     path = folder / HISTORY_NAME
-    rows = _read_history(path) if path.exists() else []
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    rows = list(csv.DictReader(text.splitlines(), restval=""))
+    try:
+        numbers = [one[key] for one in rows for key in one if key not in ("time", "set", "within_tolerances")]
+        _ = [float(number) for number in numbers if number], [one["time"] for one in rows]
+    except (ValueError, KeyError, TypeError):
+        raise InputError(f"{path}: no table of lightopt verify, or damaged; remove it") from None
     rows.append({key: "" if value is None else str(value) for key, value in row.items()})
     columns = list(dict.fromkeys(key for one in rows for key in one))
     make_folder(folder)
     write_text_atomic(path, csv_text([columns, *([one.get(column, "") for column in columns] for one in rows)]))
-    return rows
-
-
-def _read_history(path: Path) -> list[dict[str, str]]:
-    rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines(), restval=""))
-    try:
-        numbers = [row[key] for row in rows for key in row if key not in ("time", "set", "within_tolerances")]
-        _ = [float(number) for number in numbers if number], [row["time"] for row in rows]
-    except (ValueError, KeyError, TypeError):
-        raise InputError(f"{path}: no table of lightopt verify, or damaged; remove it") from None
     return rows
