@@ -40,17 +40,6 @@ class PhotographedPart:
     translate_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def mesh_part(path: Path, *, units: str | None, folder: Path, about_x_deg: float) -> PhotographedPart:
-    """A part with a mesh file, which a part file in `folder` will name; InputError where mesh or unit is missing."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; expected a mesh or STEP file")
-    if path.suffix.lower() in UNITLESS_SUFFIXES and units is None:
-        raise InputError(f"option 'mesh_units': expected the unit of {path}: {path.suffix} files carry none")
-    path, folder = path.resolve(), folder.resolve()
-    file = Path(os.path.relpath(path, folder) if path.drive == folder.drive else path).as_posix()
-    return PhotographedPart(name=path.stem, file=file, units=units, rotate_deg=(about_x_deg, 0.0, 0.0))
-
-
 def sphere_in_mask(mask: Bool, intrinsics: Intrinsics, radius: float) -> Float64:
     """Centre of a sphere in the camera's own axes [mm], shape (3,), from its disc; InputError where that is no disc."""
     camera = pose_camera(
@@ -348,7 +337,14 @@ def _placed(
     if pose is None:
         where = options.pose or options.camera
         raise InputError(f"{where}: expected [R|t], as rvec and tvec, R and T, or 3 × 4 numbers (option 'pose')")
-    return pose, mesh_part(options.mesh, units=options.mesh_units, folder=out, about_x_deg=options.turn_deg)
+    if not options.mesh.is_file():
+        raise InputError(f"{options.mesh}: no such file; expected a mesh or STEP file")
+    if (suffix := options.mesh.suffix).lower() in UNITLESS_SUFFIXES and options.mesh_units is None:
+        raise InputError(f"option 'mesh_units': expected the unit of {options.mesh}: {suffix} files carry none")
+    path, folder = options.mesh.resolve(), out.resolve()
+    file = Path(os.path.relpath(path, folder) if path.drive == folder.drive else path).as_posix()
+    turned = (options.turn_deg, 0.0, 0.0)
+    return pose, PhotographedPart(name=path.stem, file=file, units=options.mesh_units, rotate_deg=turned)
 
 
 def _refuse_below(pose: Pose, rows: Sequence[TableRow], options: ImportOptions) -> None:

@@ -148,22 +148,18 @@ def compare_image(
     full, seen_full = (np.floor(levels + 0.5) >= top) & own, seen.saturated & own
     rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else 0.0
     both, either = int((full & seen_full).sum()), int((full | seen_full).sum())
+    border, (a, b) = None, (_border(full), _border(seen_full))
+    if len(a) and len(b):
+        border = 0.5 * (float(KDTree(b).query(a)[0].mean()) + float(KDTree(a).query(b)[0].mean()))
     return Comparison(
         image=seen.name,
         rms=full_scale / sensor.max_level * rms / seen.exposure,
         rms_sensor=rms,
         iou=both / either if either else None,
-        border=_border_distance(full, seen_full),
+        border=border,
         area=int(seen_full.sum()),
         predicted_area=int(full.sum()),
     )
-
-
-def _border_distance(first: Bool, second: Bool) -> float | None:
-    a, b = _border(first), _border(second)
-    if not len(a) or not len(b):
-        return None
-    return 0.5 * (float(KDTree(b).query(a)[0].mean()) + float(KDTree(a).query(b)[0].mean()))
 
 
 def _border(mask: Bool) -> Float64:

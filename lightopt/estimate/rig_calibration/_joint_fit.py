@@ -24,23 +24,13 @@ from lightopt.scene import Stage
 NAMES = (
     *(f"camera.rotation_{axis}" for axis in "xyz"),  # about the camera's own axes: x right, y down, z forward
     *(f"camera.position_{axis}" for axis in "xyz"),  # world
-    "camera.focal_px",
-    "camera.principal_x_px",
-    "camera.principal_y_px",
-    "camera.aspect",
+    *("camera.focal_px", "camera.principal_x_px", "camera.principal_y_px", "camera.aspect"),
     *(f"camera.{name}" for name in ("k1", "k2", "p1", "p2", "k3")),
-    "tilt_axis.elevation",  # ε
-    "tilt_axis.position_y",
-    "tilt_axis.position_z",
-    "tilt_axis.scale",
-    "rotary_axis.scale",
+    # ε, p_y and p_z
+    *("tilt_axis.elevation", "tilt_axis.position_y", "tilt_axis.position_z", "tilt_axis.scale", "rotary_axis.scale"),
     *(f"board.rotation_{axis}" for axis in "xyz"),  # about the world's axes at posture (0, 0)
     *(f"board.position_{axis}" for axis in "xyz"),
-    "board.scale",
-    "board.pitch_ratio",
-    "board.bow_xx",
-    "board.bow_xy",
-    "board.bow_yy",
+    *("board.scale", "board.pitch_ratio", "board.bow_xx", "board.bow_xy", "board.bow_yy"),
 )
 AT = {name: i for i, name in enumerate(NAMES)}
 CAMERA_ROTATION, CAMERA_POSITION = slice(0, 3), slice(3, 6)
