@@ -71,7 +71,8 @@ def _outline(mask: Bool) -> tuple[Float64, Float64]:
     """Columns and rows [px] of the middles of all pixel sides between the mask and what is around it."""
     rows, columns = np.nonzero(mask[:, 1:] != mask[:, :-1])
     below, beside = np.nonzero(mask[1:] != mask[:-1])
-    return np.append(columns + 1.0, beside + 0.5), np.append(rows + 0.5, below + 1.0)
+    across = np.concatenate([columns + 1.0, beside + 0.5], dtype=np.float64)
+    return across, np.concatenate([rows + 0.5, below + 1.0], dtype=np.float64)
 
 
 _FAR_MM = 1e6  # a distant light: its direction differs by less than 0.06° over a part of 1 m

@@ -193,9 +193,11 @@ def test_ctrl_c_ends_the_processes_of_this_machine_and_the_same_command_continue
     assert contents(out) == reference
 
 
+# Slurm copies the script before sbatch ends, and Dask removes it then
 SBATCH = """\
 #!/bin/sh
-sh "$1" >"$0.log" 2>&1 &
+cp "$1" "$0.job"
+sh "$0.job" >"$0.log" 2>&1 &
 echo "Submitted batch job $!"
 """
 SCANCEL = """\

@@ -347,7 +347,8 @@ def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float]
     for other in estimate.optima[1:]:
         drop = 2.0 * (best - other.top.value)
         if drop < target and other.criterion is None:
-            regions.append((float(other.top.x[place]),) * 2)
+            at = float(other.top.x[place])
+            regions.append((at, at))
         elif drop < target and other.criterion is not None:
             # as if the other optimum were the estimate, with the covariance that its own curvature has
             here = other.criterion.evaluate(other.top.x)
