@@ -193,11 +193,9 @@ def test_ctrl_c_ends_the_processes_of_this_machine_and_the_same_command_continue
     assert contents(out) == reference
 
 
-# Slurm copies the script before sbatch ends, and Dask removes it then
 SBATCH = """\
 #!/bin/sh
-cp "$1" "$0.job"
-sh "$0.job" >"$0.log" 2>&1 &
+sh "$1" >"$0.log" 2>&1 &
 echo "Submitted batch job $!"
 """
 SCANCEL = """\

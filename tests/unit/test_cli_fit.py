@@ -475,7 +475,7 @@ def test_the_form_of_the_lobe_is_chosen_and_written(cli, bench):
     rendered = cli("render", bench.rig, bench.part, "-o", images, "-q", "--noise", 2, "--exposures", "1,1/16")
     assert rendered.status == 0, rendered.err
     bench.edit("part.yaml", "model: ggx, R_s: 9000, alpha: 0.08", "R_s: 500, sigma_rad: 0.1")
-    options = ("--joint", "--model", "auto", "--pixels", 8000)
+    options = ("--joint", "--model", "auto", "--pixels", 20000)
     found = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, *options)
     assert found.status == 0, found.err
     assert re.search(r"ggx .*selected", found.out)

@@ -199,9 +199,7 @@ def test_the_deviation_that_has_a_score_is_the_inverse_of_the_law(rho):
         assert rank_scores(np.array([z]), 4, k, rho)[0] == pytest.approx(6.0, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    "common", [0.0, pytest.param(0.5, marks=pytest.mark.nightly), pytest.param(0.9, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("common", [0.0, 0.5, 0.9])
 def test_scores_on_texture_hold_their_rate(common):
     """Of 12 postures with 1 expected in 20, three or more happen with a probability of 2 %."""
     alarms = 0

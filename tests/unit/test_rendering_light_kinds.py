@@ -6,8 +6,6 @@ varies over them.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -234,14 +232,9 @@ OTHER_LOBES = {
 }
 
 
-def _other_lobes() -> Iterator[Any]:
-    """All models, kinds and widths; four of five, and those that take longest, are left to the nightly run."""
-    for number, (name, model, sigma) in enumerate(itertools.product(KINDS, OTHER_LOBES, SIGMAS)):
-        long = name in LONG_KINDS or (number + number // len(OTHER_LOBES)) % 5 != 0
-        yield pytest.param(model, name, sigma, marks=[pytest.mark.nightly] if long else [])
-
-
-@pytest.mark.parametrize(("model", "name", "sigma"), list(_other_lobes()))
+@pytest.mark.parametrize("sigma", SIGMAS)
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("model", OTHER_LOBES)
 def test_twice_as_many_nodes_change_nothing_for_other_lobes(model: str, name: str, sigma: float) -> None:
     light = built(**KINDS[name][0])[0]
     surface = sphere(300)
@@ -461,7 +454,7 @@ def test_a_light_shines_on_one_side() -> None:
 BLOCK = np.array([[12.0, -30.0, 15.0], [40.0, 30.0, 45.0]])
 
 
-@pytest.mark.parametrize("sigma", [0.01, 0.0475, pytest.param(0.15, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("sigma", [0.01, 0.0475, 0.15])
 @pytest.mark.parametrize("name", ["dome", "ring", "flat_dome", "fine display"])
 def test_a_part_hides_some_of_a_light(name: str, sigma: float) -> None:
     """A block beside the sphere, against a ray to each node of the reference.
