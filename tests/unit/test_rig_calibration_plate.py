@@ -161,7 +161,7 @@ def test_cells_are_on_the_plate_and_not_saturated():
     assert np.abs(on_stage[:, 2]).max() < 1e-9
     usable[600, 800] = False
     assert len(cells_of(POSTURES[1], usable=usable).levels) == len(view.levels) - 1
-    with pytest.raises(InputError, match="0 cells of 80 pixels"):
+    with pytest.raises(InputError, match="0 cells show it"):
         cells_of(POSTURES[1], usable=np.zeros(SHAPE, bool))
 
 

@@ -224,7 +224,7 @@ def refuse_out_of_range(found: Estimate, brightest: float, model: SpecularModel)
             "surface mirrors into the camera, and check the part's shape and its placement"
         )
     if found.R_s > MOST_R_S:
-        raise InputError(f"R_s: the best fit is at {found.R_s:.2g} grey levels, without bound: add a shorter exposure")
+        raise InputError(f"R_s: the best fit is at {found.R_s:.2g} grey levels, without an upper bound: expose shorter")
 
 
 def convergence_warnings(found: Estimate) -> Iterator[str]:
