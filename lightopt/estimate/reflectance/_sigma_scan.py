@@ -156,7 +156,7 @@ def _first_guess(samples: Samples) -> float:
     if not lit.any() or bool(np.all(full[lit])):
         raise InputError("every pixel that the lights reach is saturated: add images at a shorter exposure")
     if bool(np.all(above_black[lit] <= 0.0)):
-        raise InputError("every pixel that the lights reach is black: expose longer, and check that the light was on")
+        raise InputError("every pixel that the lights reach is black: use a longer exposure, and check the light")
     usable = lit & ~full & (diffuse >= LEAST_DIFFUSE)
     if not usable.any():
         usable = lit & ~full
