@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from lightopt import build_scene, load_part, load_rig, render
+from lightopt.config import BoardTargetConfig
 from lightopt.core.transforms import Posture, rotation_from_vector
-from lightopt.estimate.rig_calibration import BoardImage, CharucoBoard, board_mesh, find_corners, fit_board
+from lightopt.estimate.rig_calibration import BoardImage, board_grid, board_mesh, find_corners, fit_board
 from lightopt.geometry import stl_bytes
 from lightopt.report import board_sheet
 
 RIG = Path(__file__).parents[1] / "configs" / "rigs" / "four-panel.yaml"
-BOARD = CharucoBoard(squares=(12, 9), square=5.0, marker=3.75)
+BOARD = BoardTargetConfig(squares=(12, 9), square_mm=5.0, marker_mm=3.75)
 PART = """
 format: lightopt-part/1
 name: board
@@ -49,8 +50,8 @@ def main(folder: Path) -> None:
     brightest = max(image.pixels.max() for image in images)
     views, problems = find_corners(images, BOARD, full_scale=1.2 * brightest)
     for problem in problems:
-        print(f"{problem.name}: {problem.message}")
-    fit = fit_board(views, BOARD.grid(height=0.0), camera=nominal.camera, stage=nominal.stage)
+        print(problem)
+    fit = fit_board(views, board_grid(BOARD), camera=nominal.camera, stage=nominal.stage)
     print(f"corners ±{fit.noise:.3f} px, predicted pixels ±{fit.predicted_rms:.3f} px")
     print(f"not determined: {', '.join(fit.unobservable) or 'nothing'}")
     for name, (low, high) in fit.intervals.items():

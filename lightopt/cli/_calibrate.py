@@ -59,8 +59,8 @@ def calibrate(
     if found.unobservable:
         echo(f"not shown by these images, and as filed: {', '.join(found.unobservable)}")
     if found.board is not None and found.board.next_posture is not None:
-        gain = found.board.next_posture
-        echo(f"a view at {gain.posture} would help most: {found.board.predicted_rms:.2g} → {gain.predicted_rms:.2g} px")
+        posture, rms = found.board.next_posture
+        echo(f"a view at {posture} would help most: {found.board.predicted_rms:.2g} → {rms:.2g} px")
     echo_paths(written)
 
 

@@ -15,7 +15,8 @@ from lightopt.core.errors import CheckFailed, InputError, refuse
 
 if TYPE_CHECKING:
     from lightopt.config import RigConfig
-    from lightopt.estimate.reflectance import FitFolder, FitOptions, FitResult, FittedValue
+    from lightopt.estimate.reflectance import FitOptions, FitResult, FittedValue
+    from lightopt.images import ResultFolder
 
 
 paper_option = partial(typer.Option, rich_help_panel="The paper's procedure (--method paper)")
@@ -151,15 +152,14 @@ def _run(
     verbose: bool,
 ) -> bool:
     # whether the fit converged
-    from lightopt.estimate.reflectance import FitFolder, fit_diffuse, fit_provenance, fit_specular
+    from lightopt.estimate.reflectance import fit_diffuse, fit_folder, fit_specular, write_fit
     from lightopt.images import make_folder, read_image_set
     from lightopt.report import fit_chart
 
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     image_set = read_image_set(images)
-    arguments: dict[str, Any] = {**vars(options), "kind": kind, "paper": options.paper.as_dict()}
-    made_from = fit_provenance(loaded_rig, loaded_part, image_set, arguments)
-    folder = FitFolder(out, made_from, force=force)
+    arguments: dict[str, Any] = {**vars(options), "kind": kind, "paper": vars(options.paper)}
+    folder = fit_folder(out, loaded_rig, loaded_part, image_set, arguments, force=force)
     make_folder(out)
     with run_context(quiet=quiet, threads=threads) as run:
         if kind == "diffuse":
@@ -168,7 +168,7 @@ def _run(
             save = _save_residuals(folder, loaded_rig)
             result = fit_specular(loaded_rig, loaded_part, image_set, options=options, save_prediction=save, run=run)
     chart = fit_chart(result, lambda: folder.place("fit.png"))
-    written = folder.write(result, loaded_rig, loaded_part)
+    written = write_fit(folder, result, loaded_rig, loaded_part)
     if not quiet:
         _show(result, verbose)
         echo_paths((*written, *([chart] if chart else [])))
@@ -199,8 +199,8 @@ def _complete(kind: str, options: FitOptions, free: list[str] | None, points: st
     problems += [f"--points: {problem}" for m in chosen if (problem := points_problem(m)) is not None]
     problems += options.paper.problems()
     if options.method == "likelihood":
-        usual = PaperOptions().as_dict()
-        changed = [flag(name) for name, value in options.paper.as_dict().items() if value != usual[name]]
+        usual = vars(PaperOptions())
+        changed = [flag(name) for name, value in vars(options.paper).items() if value != usual[name]]
         problems += [f"{name}: has no effect without --method paper" for name in changed]
     elif options.model == "auto":
         problems.append("--method paper: knows one Gaussian lobe; omit --model auto")
@@ -212,7 +212,7 @@ def _complete(kind: str, options: FitOptions, free: list[str] | None, points: st
     return replace(options, gain="gain" in (free or ()), dark="dark" in (free or ()), points=chosen)
 
 
-def _save_residuals(folder: FitFolder, rig: RigConfig) -> Callable[[Any, Any], None]:
+def _save_residuals(folder: ResultFolder, rig: RigConfig) -> Callable[[Any, Any], None]:
     # a picture of measured minus predicted for each image that was left out
     from lightopt.images import png_name
     from lightopt.report import residual_picture
@@ -256,8 +256,8 @@ def _show(result: FitResult, verbose: bool) -> None:
         echo(_with_error(result.dark).replace("black_level", "black level:"))
     if result.write_noise and (noise := result.noise) is not None:
         figures = (
-            ("read noise {:.3g} ± {:.1g} levels", noise.read_noise, noise.read_noise_error),
-            ("{:.4g} ± {:.2g} electrons per level", noise.electrons, noise.electrons_error),
+            ("read noise {:.3g} ± {:.1g} levels", noise.read_noise_levels, noise.read_noise_standard_error),
+            ("{:.4g} ± {:.2g} electrons per level", noise.electrons_per_level, noise.electrons_standard_error),
         )
         if parts := [text.format(value, error) for text, value, error in figures if value is not None]:
             echo("noise written: " + ", ".join(parts))

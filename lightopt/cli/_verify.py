@@ -90,7 +90,7 @@ def verify(
 def _limits(given: list[str]) -> dict[str, float]:
     from lightopt.estimate.verification import VerifyLimits
 
-    names = tuple(VerifyLimits().as_dict())
+    names = tuple(vars(VerifyLimits()))
     values: dict[str, float] = {}
     for text in given:
         name, _, value = text.partition("=")

@@ -51,5 +51,8 @@ from lightopt.config._part import (
 from lightopt.config._pose import standing_at as standing_at
 from lightopt.config._ranges import RangesConfig as RangesConfig
 from lightopt.config._rig import LightConfig as LightConfig, RigConfig as RigConfig
-from lightopt.config._source_file import Source as Source
-from lightopt.config._targets import BoardTargetConfig as BoardTargetConfig, TargetsConfig as TargetsConfig
+from lightopt.config._targets import (
+    BoardTargetConfig as BoardTargetConfig,
+    PlateTargetConfig as PlateTargetConfig,
+    TargetsConfig as TargetsConfig,
+)

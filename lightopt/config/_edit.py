@@ -165,8 +165,10 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
 
     folder: Where the copy will lie
     values: Further values to change in the copy, as for :func:`with_values`
-    Raises InputError: As of :func:`with_values`
+    Raises InputError: As of :func:`with_values`, and where the configuration was built in code
     """
+    if not config.source.text:
+        raise InputError(f"{config.source.path}: there is no file to write changed values into; load it from one")
     changes: dict[Keys, str | None] = {}
     for keys, value in (values or {}).items():
         place = config.source.in_file(keys)

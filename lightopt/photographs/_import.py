@@ -2,6 +2,7 @@
 
 import json
 import math
+import os.path
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -12,17 +13,67 @@ from numpy.typing import NDArray
 
 from lightopt import images
 from lightopt.config import load_part, load_rig, standing_at
-from lightopt.core.arrays import Bool, UInt8
+from lightopt.core.arrays import Bool, Float64, UInt8
 from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import rotation_x, vector_of_rotation
 from lightopt.core.units import MM_PER_UNIT
-from lightopt.photographs._calibration import Intrinsics, Pose, read_intrinsics, read_pose
-from lightopt.photographs._light_table import TableRow, read_light_table
-from lightopt.photographs._part import PhotographedPart, mesh_part, read_mask, sphere_in_mask, sphere_part
+from lightopt.geometry import UNITLESS_SUFFIXES, sphere_mesh, stl_bytes
+from lightopt.photographs._input_files import Intrinsics, Pose, TableRow, read_intrinsics, read_light_table, read_pose
 from lightopt.rendering import cast_rays_at, set_manifest, trace_pixels
-from lightopt.scene import Scene, build_scene
+from lightopt.scene import Distortion, Scene, build_scene, pixel_directions, pose_camera
+
+_ROUND = 0.02  # share of its radius by which a disc's outline may be off a circle
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotographedPart:
+    """A part in the world."""
+
+    name: str
+    file: str  # as the part file names it
+    units: str | None = "mm"
+    content: bytes | None = None  # of a generated file; None for one of the user
+    # from the mesh's frame to the world's
+    rotate_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    translate_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def sphere_in_mask(mask: Bool, intrinsics: Intrinsics, radius: float) -> Float64:
+    """Centre of a sphere in the camera's own axes [mm], shape (3,), from its disc; InputError where that is no disc."""
+    camera = pose_camera(
+        position=np.zeros(3),
+        rotation=np.eye(3),
+        width=mask.shape[1],
+        height=mask.shape[0],
+        pixel_size=1.0 / intrinsics.focal[0],
+        image_distance=1.0,
+        distortion=Distortion(**intrinsics.distortion),
+        principal_point=intrinsics.principal_point,
+        aspect=intrinsics.focal[1] / intrinsics.focal[0],
+    )
+    rays = pixel_directions(camera, *_outline(mask))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    # rays u that graze a sphere make one angle α with its axis a: u · a / cos α = 1
+    axis = np.asarray(np.linalg.lstsq(rays, np.ones(len(rays)), rcond=None)[0], np.float64)
+    cosine = 1.0 / float(np.linalg.norm(axis))
+    axis *= cosine
+    angles = np.linalg.norm(np.cross(rays, axis), axis=1)
+    sine = math.sqrt(max(1.0 - cosine * cosine, 1e-24))
+    off = float(np.sqrt(np.mean((angles / sine - 1.0) ** 2)))
+    if not off < _ROUND:
+        raise InputError(f"option 'mask': off a circle by {off:.0%} of the radius; expected the disc of the sphere")
+    return axis * (radius / sine)
+
+
+def _outline(mask: Bool) -> tuple[Float64, Float64]:
+    """Columns and rows [px] of the middles of all pixel sides between the mask and what is around it."""
+    rows, columns = np.nonzero(mask[:, 1:] != mask[:, :-1])
+    below, beside = np.nonzero(mask[1:] != mask[:-1])
+    across = np.concatenate([columns + 1.0, beside + 0.5], dtype=np.float64)
+    return across, np.concatenate([rows + 0.5, below + 1.0], dtype=np.float64)
+
 
 _FAR_MM = 1e6  # a distant light: its direction differs by less than 0.06° over a part of 1 m
 
@@ -190,9 +241,8 @@ def import_photographs(
     scene = build_scene(rig_config, part_config)
     facts = _facts(folder, table, rows, options)
     header = set_manifest("captured", rig_config, part_config, scene, options=facts)
-    writer = images.ImageSetWriter(
-        out, header, force=force, plan=[(row.light, row.posture, row.exposure) for row in rows]
-    )
+    plan = [(row.light, row.posture, row.exposure) for row in rows]
+    writer = images.ImageSetWriter(out, header, force=force, plan=plan)
     _warn_of_photographs(folder, rows, shape, options, run)
     overlap = None if mask is None else _overlap(scene, mask)
     if overlap is not None and overlap < _LEAST_OVERLAP:
@@ -256,7 +306,12 @@ def _intrinsics(path: Path, shape: images.PhotographFormat) -> Intrinsics:
 
 
 def _mask(path: Path, shape: images.PhotographFormat, rows: Sequence[TableRow]) -> Bool:
-    mask = read_mask(path)
+    # pixels of the part, of half of full scale or more
+    samples = images.read_photograph(path)
+    mask: Bool = samples.max(axis=2) > np.iinfo(samples.dtype).max // 2
+    if mask.all() or not mask.any():
+        colour = "white" if mask.all() else "black"
+        raise InputError(f"{path}: the mask is all {colour}; expected the part white on black")
     if mask.shape != (shape.height, shape.width):
         raise InputError(f"{path}: {mask.shape[1]} × {mask.shape[0]} px, but the photographs have {shape}")
     if len({row.posture for row in rows}) > 1:
@@ -275,15 +330,22 @@ def _placed(
             raise InputError("option 'sphere': expected option 'mask', whose disc says where it is")
         centre = sphere_in_mask(mask, intrinsics, options.sphere)
         pose = pose or Pose(np.array([0.0, 0.0, options.sphere + float(centre[2])]), _DOWN)
-        return pose, sphere_part(options.sphere, pose.position + pose.rotation @ centre)
+        x, y, z = (pose.position + pose.rotation @ centre).tolist()
+        content = stl_bytes(sphere_mesh(options.sphere))
+        return pose, PhotographedPart(name="sphere", file="sphere.stl", content=content, translate_mm=(x, y, z))
     if options.mesh is None:
         raise InputError("expected option 'mesh' or option 'sphere': the part")
     if pose is None:
-        raise InputError(
-            f"{options.pose or options.camera}: expected [R|t], as rvec and tvec, R and T, or a text of 3 × 4 numbers "
-            "(option 'pose'); only a sphere does not need it"
-        )
-    return pose, mesh_part(options.mesh, units=options.mesh_units, folder=out, about_x_deg=options.turn_deg)
+        where = options.pose or options.camera
+        raise InputError(f"{where}: expected [R|t], as rvec and tvec, R and T, or 3 × 4 numbers (option 'pose')")
+    if not options.mesh.is_file():
+        raise InputError(f"{options.mesh}: no such file; expected a mesh or STEP file")
+    if (suffix := options.mesh.suffix).lower() in UNITLESS_SUFFIXES and options.mesh_units is None:
+        raise InputError(f"option 'mesh_units': expected the unit of {options.mesh}: {suffix} files carry none")
+    path, folder = options.mesh.resolve(), out.resolve()
+    file = Path(os.path.relpath(path, folder) if path.drive == folder.drive else path).as_posix()
+    turned = (options.turn_deg, 0.0, 0.0)
+    return pose, PhotographedPart(name=path.stem, file=file, units=options.mesh_units, rotate_deg=turned)
 
 
 def _refuse_below(pose: Pose, rows: Sequence[TableRow], options: ImportOptions) -> None:

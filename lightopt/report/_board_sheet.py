@@ -4,8 +4,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from lightopt.config import BoardTargetConfig
 from lightopt.core.errors import InputError
-from lightopt.estimate.rig_calibration import CharucoBoard, white_areas
+from lightopt.estimate.rig_calibration import white_areas
 from lightopt.images import write_bytes_atomic
 from lightopt.report._drawing import fixed_style
 
@@ -16,7 +17,7 @@ _CAPTION = 16.0  # height below the board for scale bar and text [mm]
 _DPI = 600.0  # of a PNG
 
 
-def board_sheet(target: CharucoBoard, path: str | Path, *, paper: str | None = None) -> None:
+def board_sheet(target: BoardTargetConfig, path: str | Path, *, paper: str | None = None) -> None:
     """Draw a ChArUco board in true size as PDF or PNG, with a scale bar and its parameters. Needs OpenCV.
 
     paper: a4, a3 or letter, landscape; by default a sheet just large enough. Print without scaling, and measure the
@@ -30,7 +31,8 @@ def board_sheet(target: CharucoBoard, path: str | Path, *, paper: str | None = N
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("pdf", "png"):
         raise InputError(f"{path}: expected a name that ends with .pdf or .png")
-    width, height = (float(side) for side in target.size)
+    columns, rows = target.squares
+    width, height = columns * target.square_mm, rows * target.square_mm
     least = width + 2.0 * _BORDER, height + 2.0 * _BORDER + _CAPTION
     if paper is not None and paper.lower() not in _PAPERS:
         raise InputError(f"paper {paper}: expected {', '.join(_PAPERS)}")
@@ -55,7 +57,9 @@ def board_sheet(target: CharucoBoard, path: str | Path, *, paper: str | None = N
         bar = max(length for length in (100.0, 50.0, 20.0, 10.0, 5.0) if length <= max(width, 5.0))
         left, line = -0.5 * width, -0.5 * height - 4.0
         axes.fill(*_rectangle(left, line - 1.0, left + bar, line), **black)
-        text = f"The bar is {bar:g} mm long. {target}"
+        sides = f"squares {target.square_mm:g} mm, markers {target.marker_mm:g} mm"
+        legacy = ", legacy pattern" if target.legacy_pattern else ""
+        text = f"The bar is {bar:g} mm long. {columns} × {rows} {sides}, {target.dictionary}{legacy}"
         axes.text(left, line - 3.0, text, fontsize=min(7.0, 0.05 * width), va="top")
         drawn = BytesIO()
         figure.savefig(drawn, format=kind, dpi=_DPI)

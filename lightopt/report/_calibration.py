@@ -12,6 +12,7 @@ from lightopt.estimate.rig_calibration import BoardFit, Measured, RigCalibration
 from lightopt.report._drawing import figure_image, fixed_style
 from lightopt.report._images import png_bytes
 from lightopt.report._page import Answer, Block, Facts, Note, Page, Picture, Section, Table, Warnings, page_html
+from lightopt.scene import build_lights
 
 
 def calibration_lines(found: RigCalibration) -> list[tuple[str, str]]:
@@ -69,16 +70,17 @@ def _sections(found: RigCalibration) -> Iterator[Section]:
         shown = "Found less predicted corners of all views, on the image; a pattern means another lens or a bent board."
         png = png_bytes(residual_map(board, found.camera.width, found.camera.height))
         blocks: list[Block] = [Picture(png=png, alt=shown, caption=shown), Table(header=header, rows=rows)]
-        if (gain := board.next_posture) is not None:
+        if board.next_posture is not None:
+            posture, rms = board.next_posture
             text = (
-                f"Of further postures {gain.posture} would help most: pixels would be predicted to "
-                f"{gain.predicted_rms:.2g} px instead of {board.predicted_rms:.2g} px."
+                f"Of further postures {posture} would help most: pixels would be predicted to "
+                f"{rms:.2g} px instead of {board.predicted_rms:.2g} px."
             )
             blocks.append(Note(text=text))
         yield Section(heading="Camera and stage", blocks=blocks)
     if (ball := found.ball) is not None:
         header = ["light", "centre [mm]", "±", "direction ± [°]", "size [mm]", "moved by [mm]"]
-        filed = {light.name: light for light in found.filed}
+        filed = {light.name: light for light in build_lights(found.rig)}
         rows = []
         for light, width in zip(ball.lights, ball.half_widths_95, strict=True):
             centre, size = ", ".join(f"{c:.2f}" for c in light.centre), " × ".join(f"{side:.2f}" for side in light.size)

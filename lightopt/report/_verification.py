@@ -53,7 +53,7 @@ def verification_report(result: Verification, *, part: str, rig: str, provenance
     inputs: Mapping[str, Any] = provenance["inputs"]
     facts = [(name, f"{inputs[name]['file']}, sha256 {inputs[name]['sha256'][:16]}") for name in ("rig", "part")]
     facts.append(("compared with", "a known good set" if "baseline" in inputs else "the model"))
-    facts += [(f"limit {name}", f"{value:g}") for name, value in result.limits.as_dict().items()]
+    facts += [(f"limit {name}", f"{value:g}") for name, value in vars(result.limits).items()]
     word = "Within tolerances" if result.within_tolerances else "Out of tolerances"
     causes = findings_table(result) if result.findings else Note(text="Nothing differs.")
     sections = [

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from lightopt import render
-from lightopt.estimate.reflectance._estimate import Estimate
+from lightopt.estimate.reflectance._estimate import Estimate, profile_regions
 from lightopt.estimate.reflectance._samples import Samples
-from lightopt.estimate.reflectance._uncertainty import profile_regions
 from lightopt.estimate.registration import Observation
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import PostureImages

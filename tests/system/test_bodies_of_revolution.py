@@ -19,8 +19,7 @@ from lightopt import build_scene
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, PoseFrame, place_part
 from lightopt.estimate.registration._refinement import choose_pixels
-from lightopt.estimate.registration._registration import refine_placement
-from lightopt.estimate.registration._revolution import unobservable_rotation
+from lightopt.estimate.registration._registration import refine_placement, unobservable_rotation
 from lightopt.rendering import cast_rays_at
 
 PROFILE = [[0, 0], [12, 0], [12, 4], [6, 8], [0, 9]]

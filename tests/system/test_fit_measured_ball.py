@@ -17,8 +17,8 @@ from measured_ball import Ball, Surface, hemisphere
 
 from lightopt import build_scene
 from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance._coefficients import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
-from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._quality import assess_quality
 from lightopt.estimate.reflectance._samples import collect_samples

@@ -14,8 +14,8 @@ import pytest
 from captured import PART, PARTS, RIG, captured
 
 from lightopt import build_scene
+from lightopt.estimate.reflectance._coefficients import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
-from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._samples import collect_samples
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.estimate.registration._registration import refine_placement

@@ -15,8 +15,7 @@ from lightopt import build_scene, render
 from lightopt.config import PlacementConfig
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, PoseFrame, part_file_placement, place_part, register
-from lightopt.estimate.registration._pixels import view_of_placed
-from lightopt.estimate.registration._placement import NAMES
+from lightopt.estimate.registration._placement import NAMES, view_of_placed
 from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, Stage, project, view_from_part

@@ -15,7 +15,7 @@ from lightopt.design import DetectionModel, luminance_matrix, planned_catalogue
 from lightopt.design.responses._image_evaluator import patch_points
 from lightopt.estimate.reflectance._samples import collect_samples
 from lightopt.estimate.registration import Observation, Placement
-from lightopt.estimate.registration._pixels import PixelSet, light_at, view_of_placed
+from lightopt.estimate.registration._placement import PixelSet, light_at, view_of_placed
 from lightopt.rendering import build_patches, cast_rays_at, render_posture
 from lightopt.scene import build_scene, lens_share, pixel_directions, project, view_from_part
 

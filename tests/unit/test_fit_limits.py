@@ -12,13 +12,13 @@ import pytest
 
 from lightopt import load_rig
 from lightopt.core.errors import InputError
-from lightopt.estimate.reflectance import FitResult, FittedValue, _fit, _likelihood_fit, format_interval
-from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint, has_settled, maximise
-from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_SIGMA, R_D, Evaluation, parameter_name
+from lightopt.estimate.reflectance import FitResult, FittedValue, _fit, _fit_samples, format_interval
+from lightopt.estimate.reflectance._coefficients import DARK, FIRST_GAIN, LOG_SIGMA, R_D, parameter_name
+from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint, has_settled, maximise, profile_regions
+from lightopt.estimate.reflectance._likelihood import Evaluation
 from lightopt.estimate.reflectance._quality import convergence_warnings, poor_fit_warnings, refuse_out_of_range
 from lightopt.estimate.reflectance._result import bounded, separate_region_warnings
 from lightopt.estimate.reflectance._sigma_scan import peaks, profile_over_sigma
-from lightopt.estimate.reflectance._uncertainty import profile_regions
 from lightopt.estimate.reflectance._validation import Comparison, LeftOut, validation_warnings
 from lightopt.optics import SpecularModel
 
@@ -110,7 +110,7 @@ def test_the_optimum_of_the_most_value_on_all_samples_is_the_best():
         return Optimum(0.1, top, None), None if far else SimpleNamespace(maximum=top)
 
     ends = [found(-3.0, 5.0), found(-2.0, 9.0), found(-2.01, 8.0), found(-1.0, -99.0, far=True)]
-    best, kept = _likelihood_fit.best_first(ends)
+    best, kept = _fit_samples.best_first(ends)
     assert best is ends[1][1]
     assert [optimum.top.value for optimum, _ in kept] == [9.0, 5.0, -99.0]
 
@@ -350,8 +350,8 @@ def test_what_did_not_converge_is_said_and_exits_1(cli, bench, noisy, monkeypatc
     def few_steps(criterion, x, free, **options):
         return maximise(criterion, x, free, **{**options, "most_steps": 2})
 
-    monkeypatch.setattr(_likelihood_fit, "maximise", few_steps)
-    monkeypatch.setattr(_likelihood_fit, "MOST_TABLES", 1)
+    monkeypatch.setattr(_fit_samples, "maximise", few_steps)
+    monkeypatch.setattr(_fit_samples, "MOST_TABLES", 1)
     # a fit that did not end is poor: other places are looked for, which is tested elsewhere
     monkeypatch.setattr(_fit, "refuse_unexplained_images", lambda *_, **__: None)
     ran = fit(cli, bench, noisy, bench.out, pixels=1500)
@@ -373,8 +373,8 @@ def test_the_first_fit_of_fit_diffuse_has_to_converge_too(cli, bench, noisy, mon
         whole = LOG_SIGMA in free
         return maximise(criterion, x, free, **({**options, "most_steps": 2} if whole else options))
 
-    monkeypatch.setattr(_likelihood_fit, "maximise", few_steps)
-    monkeypatch.setattr(_likelihood_fit, "MOST_TABLES", 1)
+    monkeypatch.setattr(_fit_samples, "maximise", few_steps)
+    monkeypatch.setattr(_fit_samples, "MOST_TABLES", 1)
     monkeypatch.setattr(_fit, "refuse_unexplained_images", lambda *_, **__: None)
     ran = cli("fit-diffuse", bench.rig, bench.part, noisy, "-o", bench.out, "--pixels", 6000)
     assert ran.status == 1

@@ -112,7 +112,7 @@ def test_mirrored_images_of_a_nearly_symmetric_part_are_refused(good):
     [
         (lambda level, top: level[:, ::-1, ::-1], "far better rotated by 180°.*rotate them, or correct the camera's"),
         (lambda level, top: level[:, :, ::-1], "far better mirrored left to right.*flip the images; a rotation"),
-        (lambda level, top: 0.0 * level, "they are black: 0 grey levels on average, predicted "),
+        (lambda level, top: 0.0 * level, "they are black: 0 grey levels, predicted "),
         (lambda level, top: np.where(level > 1.0, top, level), "100 % of their evaluable pixels are saturated"),
         (lambda level, top: np.roll(level, 20, 2), "check that rig, part, placement"),
     ],

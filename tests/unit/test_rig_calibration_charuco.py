@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from lightopt.config import BoardTargetConfig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.estimate.rig_calibration import BoardImage, CharucoBoard, board_mesh, find_corners, white_areas
+from lightopt.estimate.rig_calibration import BoardImage, board_grid, board_mesh, find_corners, white_areas
 from lightopt.geometry import face_areas, face_normals, load_mesh, stl_bytes
 from lightopt.report import board_sheet
 
-TARGET = CharucoBoard(squares=(8, 6), square=5.0, marker=3.75)
+TARGET = BoardTargetConfig(squares=(8, 6), square_mm=5.0, marker_mm=3.75)
 SCALE, ORIGIN = 11.3, np.array([260.37, 190.81])  # of a picture [px/mm], [px]
 
 
@@ -45,11 +46,11 @@ def corners_of(image, target=TARGET, **options):
 
 @pytest.mark.parametrize("legacy", [False, True])
 def test_corners_are_found_where_they_are(cv2, legacy):
-    target = CharucoBoard(squares=(8, 6), square=5.0, marker=3.75, legacy_pattern=legacy)
+    target = BoardTargetConfig(squares=(8, 6), square_mm=5.0, marker_mm=3.75, legacy_pattern=legacy)
     (view,), problems = corners_of(picture(target), target)
     assert problems == []
     assert sorted(view.ids) == list(range(35))
-    true = ORIGIN + SCALE * target.grid().points[view.ids] * [1, -1]
+    true = ORIGIN + SCALE * board_grid(target).points[view.ids] * [1, -1]
     assert np.abs((view.pixels - true).mean(axis=0)).max() < 0.02  # not half a pixel
     assert np.sqrt(np.mean(np.square(view.pixels - true))) < 0.1
 
@@ -80,8 +81,7 @@ def test_what_is_wrong_with_an_image_is_said(cv2, change, message, used):
     frame[: bad.shape[0], : bad.shape[1]] = bad
     views, (problem,) = find_corners([good, BoardImage("bad", Posture(0.0, 0.0), frame)], TARGET)
     assert [view.name for view in views] == ["good", "bad"][: 1 + used]
-    assert (problem.name, problem.used) == ("bad", used)
-    assert re.search(message, problem.message)
+    assert re.match("bad: " + message, problem)
 
 
 @pytest.mark.parametrize(
@@ -93,9 +93,9 @@ def test_what_is_wrong_with_an_image_is_said(cv2, change, message, used):
     ],
 )
 def test_another_board_is_recognised(cv2, other, message):
-    fields = {"squares": (8, 6), "square": 5.0, "marker": 3.75, **other}
+    fields = {"squares": (8, 6), "square_mm": 5.0, "marker_mm": 3.75, **other}
     with pytest.raises(InputError, match=message):
-        corners_of(picture(TARGET), CharucoBoard(**fields))
+        corners_of(picture(TARGET), BoardTargetConfig(**fields))
 
 
 def test_images_of_several_sizes_are_refused(cv2):
@@ -123,13 +123,12 @@ def test_an_opencv_that_is_missing_or_too_old_is_refused(monkeypatch, module, me
     [
         ({"dictionary": "DICT_9X9"}, "no dictionary DICT_9X9; expected one of DICT_4X4_100, "),
         ({"dictionary": "DICT_4X4_50", "squares": (20, 20)}, "DICT_4X4_50 has 50 markers; the board needs 200"),
-        ({"marker": 5.0}, "markers smaller than squares"),
-        ({"squares": (2, 6)}, "at least 3 × 3 squares"),
+        ({"marker_mm": 5.0}, "expected less than the squares"),
     ],
 )
 def test_boards_that_cannot_be_are_refused(cv2, fields, message):
     with pytest.raises(InputError, match=message):
-        white_areas(CharucoBoard(**{"squares": (8, 6), "square": 5.0, "marker": 3.75, **fields}))
+        white_areas(BoardTargetConfig(**{"squares": (8, 6), "square_mm": 5.0, "marker_mm": 3.75, **fields}))
 
 
 def test_a_board_is_a_mesh_of_its_white_areas(cv2, tmp_path):
@@ -154,7 +153,7 @@ def test_a_printed_board_has_its_true_size(cv2, tmp_path):
         assert image.info["dpi"] == pytest.approx((600, 600), abs=0.1)
         grey = np.asarray(image.convert("L"), np.float64)
     (view,), _ = corners_of(grey * 0.8)
-    off = view.pixels - TARGET.grid().points[view.ids] * [1, -1] * 600 / 25.4
+    off = view.pixels - board_grid(TARGET).points[view.ids] * [1, -1] * 600 / 25.4
     assert len(view.ids) == 35
     assert np.ptp(off, axis=0).max() < 2.0  # edges are on whole pixels of 0.04 mm
     assert (tmp_path / "board.pdf").read_bytes().startswith(b"%PDF")
@@ -164,7 +163,9 @@ def test_a_printed_board_has_its_true_size(cv2, tmp_path):
     with pytest.raises(InputError, match="paper b5: expected a4, a3, letter"):
         board_sheet(TARGET, tmp_path / "board.pdf", paper="b5")
     with pytest.raises(InputError, match="the board needs 320 × 286 mm, and a4 has 297 × 210 mm"):
-        board_sheet(CharucoBoard(squares=(6, 5), square=50.0, marker=40.0), tmp_path / "board.pdf", paper="a4")
+        board_sheet(
+            BoardTargetConfig(squares=(6, 5), square_mm=50.0, marker_mm=40.0), tmp_path / "board.pdf", paper="a4"
+        )
 
 
 @pytest.mark.slow
@@ -191,7 +192,7 @@ def test_corners_of_a_rendered_board_are_where_the_scene_has_them(cv2, tmp_path)
     level = images.lights[0].level
     (view,), _ = corners_of(level * (200.0 / level.max()))
     rotation, shift = scene.stage.transform(images.posture)
-    points = np.column_stack([TARGET.grid().points[view.ids], np.zeros(len(view.ids))]) @ rotation.T + shift
+    points = np.column_stack([board_grid(TARGET).points[view.ids], np.zeros(len(view.ids))]) @ rotation.T + shift
     columns, rows, _ = project(scene.camera, points)
     off = view.pixels - np.column_stack([columns, rows])
     assert len(view.ids) == 35

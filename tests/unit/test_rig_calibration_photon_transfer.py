@@ -67,7 +67,6 @@ def test_intervals_cover_as_often_as_they_say(sensor):
 
 def test_gain_is_the_inverse_and_curve_is_the_line():
     found = photon_transfer(*frames(SENSORS["12 bits"], np.random.default_rng(0)), bit_depth=12)
-    assert found.levels_per_electron.value * found.electrons_per_level.value == pytest.approx(1.0)
     assert np.allclose(found.variances[found.fitted], found.means[found.fitted] / 4.0 + 9.0, rtol=0.06)
     assert found.linearity_error < 0.05
     assert found.saturation_level is None
@@ -106,10 +105,10 @@ def test_what_is_wrong_with_the_frames_is_said():
     refused("no dark frames: cover the lens", darks=[])
     refused("5 levels, 6 are needed", pairs=pairs[:5])
     swapped = [*pairs[:3], replace(pairs[3], second=pairs[6].second), *pairs[4:]]
-    refused(r"pair at exposure 0\.3: the frames differ by .* different exposures", pairs=swapped)
+    refused(r"pair at exposure 0\.3: the frames differ by .* exposure or light changed", pairs=swapped)
     moved, _ = frames(EIGHT_BITS, rng, exposures=(0.3,), level=np.roll(flat((128, 160)), 40, axis=1))
     refused(
-        "has a pattern: light, part or camera moved",
+        "has a pattern: something moved",
         pairs=[*pairs[:3], replace(pairs[3], second=moved[0].second), *pairs[4:]],
     )
     bright, _ = frames(EIGHT_BITS, rng, exposures=np.linspace(0.8, 3.0, 12))
@@ -158,5 +157,5 @@ def test_emva1288_finds_the_same_in_its_own_camera(bit_depth, gain, monkeypatch)
     }  # fmt: skip
     theirs = results_module.Results1288({"temporal": temporal, "spatial": {}})
     ours = photon_transfer(pairs, [dark], bit_depth=bit_depth)
-    assert ours.levels_per_electron.value == pytest.approx(theirs.K, rel=0.02)
+    assert 1.0 / ours.electrons_per_level.value == pytest.approx(theirs.K, rel=0.02)
     assert ours.read_noise_levels.value == pytest.approx(theirs.sigma_d * theirs.K, rel=0.02)

@@ -10,16 +10,17 @@ import rig_targets as targets
 import trimesh
 from rig_targets import CAMERA, LIGHTS, STAGE
 
+from lightopt.config import PlateTargetConfig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._ball_fit import posed_panel
-from lightopt.estimate.rig_calibration._plate_fit import Plate, _cosines, _irradiance, fit_plate, plate_cells
+from lightopt.estimate.rig_calibration._plate_fit import _cosines, _irradiance, fit_plate, plate_cells
 from lightopt.geometry import TriangleMesh
 from lightopt.optics import Reflectance, Sensor
 from lightopt.rendering import render
 from lightopt.scene import Scene
 
-PLATE = Plate(corner=np.array([-25.0, -25.0, 0.0]), side_x=np.array([50.0, 0, 0]), side_y=np.array([0, 50.0, 0]))
+PLATE = PlateTargetConfig(size_mm=(50.0, 50.0))
 POSTURES = tuple(Posture(tilt, turn) for tilt in (-30.0, 0.0, 30.0) for turn in (0.0, 90.0, 180.0, 270.0))
 SHAPE = (CAMERA.height, CAMERA.width)
 
@@ -160,7 +161,7 @@ def test_cells_are_on_the_plate_and_not_saturated():
     assert np.abs(on_stage[:, 2]).max() < 1e-9
     usable[600, 800] = False
     assert len(cells_of(POSTURES[1], usable=usable).levels) == len(view.levels) - 1
-    with pytest.raises(InputError, match="0 cells of 80 pixels"):
+    with pytest.raises(InputError, match="0 cells show it"):
         cells_of(POSTURES[1], usable=np.zeros(SHAPE, bool))
 
 

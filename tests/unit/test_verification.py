@@ -252,7 +252,7 @@ def test_mean_of_clipped_levels():
     assert (high - low) / 0.001 == pytest.approx(slope, rel=1e-2)
 
 
-@pytest.mark.parametrize("name", VerifyLimits().as_dict())
+@pytest.mark.parametrize("name", vars(VerifyLimits()))
 @pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])
 def test_bad_limits(name, value):
     with pytest.raises(InputError, match=f"limit {name}: expected a number above 0"):
@@ -297,5 +297,5 @@ def test_limits_of_a_plan(tmp_path):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(InputError, match="no tolerance analysis"):
             plan_limits(path, rig)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no tolerance analysis"):
         plan_limits(tmp_path / "none.json", rig)

@@ -7,10 +7,10 @@ from lightopt.estimate.reflectance._paper import (
     PaperSpecular as PaperSpecular,
 )
 from lightopt.estimate.reflectance._result import (
-    FitFolder as FitFolder,
     FitResult as FitResult,
     FittedValue as FittedValue,
-    fit_provenance as fit_provenance,
+    fit_folder as fit_folder,
     format_interval as format_interval,
+    write_fit as write_fit,
 )
 from lightopt.estimate.reflectance._setup import FitOptions as FitOptions

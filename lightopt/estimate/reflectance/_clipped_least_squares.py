@@ -15,9 +15,8 @@ from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
+from lightopt.estimate.reflectance._coefficients import DARK, LOG_SIGMA
 from lightopt.estimate.reflectance._likelihood import (
-    DARK,
-    LOG_SIGMA,
     Evaluation,
     add_slopes,
     clipped_levels,
@@ -28,7 +27,6 @@ from lightopt.estimate.reflectance._likelihood import (
     specular_and_slope,
     sum_in_chunks,
 )
-from lightopt.estimate.reflectance._noise import image_noise
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
 
 # widths of lobes that are tried [rad]: somewhat beyond the documented range, so that an edge is seen as one
@@ -56,6 +54,7 @@ MOST_DUST = 0.1  # where more of a geometry's pixels than this are far off, that
 MOST_MISFIT = 1.25
 
 _CHUNK = 65_536
+_WINDOW = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
 
 
 class SpecularTable:
@@ -211,3 +210,27 @@ def measure_misfit(criterion: LeastSquares, x: Float64) -> float:
     squares = np.bincount(exposure, weights=weight * (level - model) ** 2)
     floors = np.bincount(exposure, weights=weight * variance)
     return math.sqrt(float(np.max(squares[floors > 0.0] / floors[floors > 0.0])))
+
+
+def image_noise(samples: Samples) -> float:
+    """Typical deviation of a lit pixel from the plane through its neighbours [sensor level]; 0 where there is none.
+
+    Immerkær 1996, doi:10.1006/cviu.1996.0060: what a 3 × 3 window leaves of anything that is a plane or a saddle.
+    """
+    row, column = samples.places
+    height, width = samples.images[0].levels.shape
+    use = (row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)
+    use &= (samples.diffuse[samples.sample] > 0.0) & (samples.level > 0.0) & ~samples.saturated
+    index = np.flatnonzero(use)
+    if not len(index):
+        return 0.0
+    index = index[np.argsort(samples.image[index], kind="stable")]
+    ends = np.searchsorted(samples.image[index], np.arange(1, len(samples.images)))
+    responses: list[Float64] = []  # 6 times the noise
+    for image, here in zip(samples.images, np.split(index, ends), strict=True):
+        r, c = row[here], column[here]
+        response = np.zeros(len(here))
+        for (y, x), factor in np.ndenumerate(_WINDOW):
+            response += factor * image.levels[r + y - 1, c + x - 1]
+        responses.append(response)
+    return 1.4826 * float(np.median(np.abs(np.concatenate(responses)))) / 6.0

@@ -8,15 +8,19 @@ from typing import Literal
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
+from lightopt.estimate.reflectance._coefficients import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance, refit
-from lightopt.estimate.reflectance._form_parameter import FittedParameter, changed_form, fit_form_parameter
-from lightopt.estimate.reflectance._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._form_parameters import (
+    FittedParameter,
+    WideLobe,
+    changed_form,
+    fit_form_parameter,
+    fit_wide_lobe,
+)
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
-from lightopt.estimate.reflectance._noise import measure_noise, noise_warnings
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular, paper_diffuse, paper_specular
 from lightopt.estimate.reflectance._quality import (
     Quality,
@@ -24,6 +28,8 @@ from lightopt.estimate.reflectance._quality import (
     convergence_warnings,
     fit_warnings,
     mean_levels,
+    measure_noise,
+    noise_warnings,
     poor_fit_warnings,
     refuse_out_of_range,
 )
@@ -38,7 +44,7 @@ from lightopt.estimate.reflectance._result import (
     negative_black_level_warnings,
     separate_region_warnings,
 )
-from lightopt.estimate.reflectance._samples import Samples, evenly_lit, subsample, with_form
+from lightopt.estimate.reflectance._samples import Samples, relit, subsample
 from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, prepare_fit
 from lightopt.estimate.reflectance._validation import (
     ModelRow,
@@ -49,10 +55,9 @@ from lightopt.estimate.reflectance._validation import (
     model_row,
     validation_warnings,
 )
-from lightopt.estimate.reflectance._wide_lobe import fit_wide_lobe
 from lightopt.images import ImageSet
 from lightopt.optics import LAMBERT, ModelName, Reflectance, farthest_exponent
-from lightopt.scene import coarse_points
+from lightopt.scene import coarse_points, scene_of_region
 
 HIGHLIGHT_LEVEL = 0.1  # pixels that a highlight lights by less than this are diffuse only [grey level at exposure 1]
 
@@ -67,6 +72,7 @@ LEAST_PIXELS = 200  # so many pixels must be left
 LEAST_R_S = 1e-3
 
 _Fitted = tuple[FitResult, FitSetup, Samples]
+_FittedLobe = tuple[_Fitted, tuple[ModelRow, ...]]  # and the forms of the lobe that were tried
 
 # second opinions: their pixels per octave, light and posture, the least change of ln R_s or ln σ to report, and the
 # least for twice the logarithm of the likelihoods' ratio
@@ -129,16 +135,28 @@ def _fit_diffuse(setup: FitSetup) -> FitResult:
             "the fitted lobe. If the true lobe has heavier tails than a Gaussian, R_d is too high"
         )
     values = fitted_values(found, full_scale=setup.scene.reflectance.full_scale, model=samples.model)[:1]
-    result = _result("diffuse", setup, plain, found, quality, (*values, *_unfitted(setup)), warnings)
+    held = _unfitted(setup, "diffuse").values[1:]
+    result = _result("diffuse", setup, plain, found, quality, (*values, *held), warnings)
     pixels, estimate = len(np.unique(found.criterion.samples.sample)), replace(found, scan=whole.scan)
     return replace(result, highlight_fit=None if found is whole else whole, pixels=pixels, estimate=estimate)
 
 
-def _unfitted(setup: FitSetup) -> tuple[FittedValue, FittedValue]:
-    # of the part file
+def _unfitted(setup: FitSetup, kind: Literal["diffuse", "specular"]) -> FitResult:
+    # with the values of the part file
     own = setup.scene.reflectance
-    width = own.model.width_factor * own.sigma
-    return FittedValue(name="R_s", value=own.R_s), FittedValue(name=own.model.width_key, value=width)
+    values = {"R_d": own.R_d, "R_s": own.R_s, own.model.width_key: own.model.width_factor * own.sigma}
+    return FitResult(
+        kind=kind,
+        method="likelihood",
+        model=own.model,
+        diffuse=own.diffuse,
+        points=setup.scene.lights[0].points,
+        values=tuple(FittedValue(name=name, value=value) for name, value in values.items()),
+        fitted=(),
+        registration=setup.registration,
+        file_placement=setup.file_placement,
+        warnings=setup.warnings,
+    )
 
 
 def fit_specular(
@@ -160,7 +178,6 @@ def fit_specular(
     options, run = options or FitOptions(), run or RunContext()
     if options.diffuse is not None and not options.joint:
         raise InputError("another form of the diffuse component has another R_d: fit that, too, with option 'joint'")
-    tried: list[tuple[FitResult, FitSetup, Samples, PointsRow | None]] = []
     choices: list[Points | None] = [*options.points] or [None]
 
     def prepared(points: Points | None, model: ModelName | None) -> FitSetup:
@@ -175,15 +192,11 @@ def fit_specular(
         result = _with_regions(_unfitted_outside(setup, error, "specular"), setup, _fit_specular_region)
         run.warn(*result.warnings)
         return result
-    for points in choices:
-        result, setup, samples = first if points == choices[0] else _fit_one(prepared(points, first[0].model.name))
-        row = None
-        if len(choices) > 1:
-            likelihood = None if result.estimate is None else result.estimate.mean_log_likelihood
-            row = compare_regions(setup, _parameters(result, setup), likelihood)
-        tried.append((result, setup, samples, row))
-    result, setup, samples, _ = max(tried, key=lambda one: 0.0 if one[3] is None else one[3].rank)
-    result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None), models=models)
+    tried = [first, *(_fit_one(prepared(points, first[0].model.name)) for points in choices[1:])]
+    rows = tuple(_points_row(result, setup) for result, setup, _ in tried) if len(tried) > 1 else ()
+    best = max(range(len(rows)), key=lambda number: rows[number].rank, default=0)
+    result, setup, samples = tried[best]
+    result = replace(result, rows=rows, models=models)
     if result.estimate is not None and "auto" not in options.points:
         result = replace(result, warnings=(*result.warnings, *_evenly_lit_warnings(setup, samples, result.estimate)))
     result = _with_regions(_validated((result, setup, samples), save_prediction), setup, _fit_specular_region)
@@ -191,9 +204,7 @@ def fit_specular(
     return result
 
 
-def _fit_lobe(
-    prepared: Callable[[ModelName | None], FitSetup], options: FitOptions
-) -> tuple[_Fitted, tuple[ModelRow, ...]]:
+def _fit_lobe(prepared: Callable[[ModelName | None], FitSetup], options: FitOptions) -> _FittedLobe:
     # with the form of the lobe that the options name or want chosen
     if options.model == "auto":
         return _choose_model(prepared, options)
@@ -217,50 +228,37 @@ def _fit_specular_region(setup: FitSetup) -> FitResult:
 
 def _unfitted_outside(setup: FitSetup, error: InputError, kind: Literal["diffuse", "specular"]) -> FitResult:
     # of a part whose surface outside the regions is not determined by the images
-    options, own = setup.options, setup.scene.reflectance
-    if not setup.scene.regions or options.gain or options.dark:
+    if not setup.scene.regions or setup.options.gain or setup.options.dark:
         raise error
-    return FitResult(
-        kind=kind,
-        method="likelihood",
-        model=own.model,
-        diffuse=own.diffuse,
-        points=setup.scene.lights[0].points,
-        values=(FittedValue(name="R_d", value=own.R_d), *_unfitted(setup)),
-        fitted=(),
-        registration=setup.registration,
-        file_placement=setup.file_placement,
-        warnings=(
-            *setup.warnings,
-            f"outside the regions: not fitted, it keeps the reflectance of the part file: {error.args[0]}",
-        ),
-    )
+    refused = f"outside the regions: not fitted, it keeps the reflectance of the part file: {error.args[0]}"
+    return replace(_unfitted(setup, kind), warnings=(*setup.warnings, refused))
 
 
 def _with_regions(result: FitResult, setup: FitSetup, fit: Callable[[FitSetup], FitResult]) -> FitResult:
     # and the fits of the part's regions, with the placement, gains and dark level of the first
     if not setup.scene.regions:
         return result
-    gains = {} if result.gains is None else {name: gain.value for name, gain in result.gains.items()}
-    known = setup.with_photometry(gains, None if result.dark is None else result.dark.value)
-    known = replace(known, options=replace(setup.options, gain=False, dark=False))
+    scene, gains = setup.scene, {name: gain.value for name, gain in (result.gains or {}).items()}
+    lights = tuple(replace(light, gain=gains.get(light.name, light.gain)) for light in scene.lights)
+    black = scene.sensor.black_level if result.dark is None else result.dark.value
+    scene = replace(scene, lights=lights, sensor=replace(scene.sensor, black_level=black))
+    options = replace(setup.options, gain=False, dark=False)
 
     def fitted(number: int, name: str) -> RegionFit:
         try:
-            return RegionFit(name=name, result=fit(known.of_region(number)))
+            region = replace(setup, scene=scene_of_region(scene, number), options=options)
+            return RegionFit(name=name, result=fit(region))
         except InputError as error:
             return RegionFit(name=name, refused=error.args[0])
 
-    regions = tuple(fitted(number, region.name) for number, region in enumerate(setup.scene.regions, 1))
+    regions = tuple(fitted(number, region.name) for number, region in enumerate(scene.regions, 1))
     if not result.fitted and not any(region.result for region in regions):
         raise InputError(result.warnings[-1], *(f"region {one.name}: {one.refused}" for one in regions))
     noted = [f"region {one.name}: {text}" for one in regions for text in one.warnings]
     return replace(result, regions=regions, warnings=(*result.warnings, *noted))
 
 
-def _choose_model(
-    prepared: Callable[[ModelName], FitSetup], options: FitOptions
-) -> tuple[_Fitted, tuple[ModelRow, ...]]:
+def _choose_model(prepared: Callable[[ModelName], FitSetup], options: FitOptions) -> _FittedLobe:
     # the fit of the form of the lobe that predicts lights that are left out best; the simplest of those about as good
     if options.method == "paper":
         raise InputError("the paper's method knows one Gaussian lobe: there is no form of the lobe to choose")
@@ -269,10 +267,7 @@ def _choose_model(
     for model in MODELS:
         setup = prepared(model)
         if len({o.light for o in setup.observations}) < 2:
-            raise InputError(
-                "model auto: expected images under at least two lights, found one; the choice is made by predicting "
-                "each light from the others. Give the model"
-            )
+            raise InputError("model auto: expected images under at least two lights, to predict each; give the model")
         try:
             result, setup, samples = fits[model] = _fit_one(setup)
         except InputError as error:
@@ -294,40 +289,34 @@ def _fit_one(setup: FitSetup) -> _Fitted:
         samples = setup.collect(uniform=True)
         record = paper_specular(samples, options.paper, R_d=reflectance.R_d, progress=setup.run.stage("sweeping σ"))
         return _paper_result(setup, samples, record), setup, samples
-    samples = setup.collect()
-    wide = None
-    formed, setup, samples = _with_form_parameter(setup, samples)
-    if samples.model.name == "two-lobe":
-        wide = fit_wide_lobe(samples, freed=options.freed, held=setup.held, run=setup.run)
-        setup, samples = setup.with_model(wide.model), replace(samples, model=wide.model)
+    formed, setup, samples = _with_fitted_form(setup, setup.collect())
     found = fit_reflectance(samples, freed=options.freed, held=setup.held, run=setup.run)
     quality = assess_quality(samples, found)
     placed = refuse_unexplained_images(setup, samples, found, quality)
     refuse_out_of_range(found, float(found.R_s * samples.specular(found.sigma).max()), samples.model)
-    values = fitted_values(found, full_scale=reflectance.full_scale, model=samples.model, wide=wide)
+    values = fitted_values(found, full_scale=reflectance.full_scale, model=samples.model)
     if formed is not None:
         values = formed.values(found, values, samples.model)
     interval = next(v.interval for v in values if v.name == "R_s")
-    exposures = {o.exposure for o in setup.observations}
-    warnings = [*setup.warnings, *convergence_warnings(found)]
-    warnings += separate_region_warnings(values)
-    warnings += fit_warnings(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
+    shorter = len({o.exposure for o in setup.observations}) > 1
+    warnings = [*setup.warnings, *convergence_warnings(found), *separate_region_warnings(values)]
+    warnings += fit_warnings(found, quality, interval, shorter=shorter, placed=placed)
     result = _result("specular", setup, samples, found, quality, values, warnings)
-    if formed is not None:
+    if isinstance(formed, FittedParameter):
         result = replace(result, fitted=(*result.fitted, values[-1].name))
     return replace(result, correlation=found.correlation(LOG_R_S, LOG_SIGMA)), setup, samples
 
 
-def _with_form_parameter(setup: FitSetup, samples: Samples) -> tuple[FittedParameter | None, FitSetup, Samples]:
-    # the parameter of the form that is fitted, and setup and samples with it
+def _with_fitted_form(setup: FitSetup, samples: Samples) -> tuple[FittedParameter | WideLobe | None, FitSetup, Samples]:
+    # what of the form is fitted, and setup and samples with it
     options, model, form = setup.options, samples.model, setup.scene.reflectance.diffuse
     name = options.diffuse if options.diffuse in ("exponent", "oren-nayar") else None
-    if model.name == "two-lobe" and name is not None:
-        raise InputError(
-            "model two-lobe: the wide lobe and the form of the diffuse component are not fitted at once; give the "
-            "form in the part file"
-        )
-    if name is None and options.joint and model.across_ratio > 1.0 and model.name != "two-lobe":
+    if model.name == "two-lobe":
+        if name is not None:
+            raise InputError("model two-lobe: the diffuse form is not fitted at once; give it in the part file")
+        wide = fit_wide_lobe(samples, freed=options.freed, held=setup.held, run=setup.run)
+        return wide, setup.with_model(wide.model), replace(samples, model=wide.model)
+    if name is None and options.joint and model.across_ratio > 1.0:
         name = "across"
     if name is None:
         return None, setup, samples
@@ -335,7 +324,7 @@ def _with_form_parameter(setup: FitSetup, samples: Samples) -> tuple[FittedParam
     model, form = changed_form(model, form, name, found.value)
     if name == "across":
         return found, setup.with_model(model), replace(samples, model=model)
-    return found, setup.with_form(form), with_form(samples, form, setup.caster)
+    return found, setup.with_form(form), relit(samples, setup.caster, form=form)
 
 
 def _result(
@@ -347,48 +336,41 @@ def _result(
     values: tuple[FittedValue, ...],
     warnings: Sequence[str],
 ) -> FitResult:
-    options = setup.options
-    specular = (*(("R_d",) if options.joint else ()), *fitted_names(samples.model))
+    options, own = setup.options, setup.scene.reflectance
     noise = measure_noise(samples, mean_levels(samples, found), describes=quality.describes)
     dark = fitted_dark(setup.scene, found) if options.dark else None
-    panels = setup.scene.lights if kind == "specular" else ()
-    coarse = (coarse_points(light, replace(setup.scene.reflectance, sigma=found.sigma)) for light in panels)
-    more = (
-        *(noise_warnings(noise) if options.write_noise else ()),
-        *(text for text in coarse if text is not None),
-        *negative_black_level_warnings(dark),
-    )
-    return FitResult(
-        kind=kind,
-        method="likelihood",
+    more = [*noise_warnings(noise)] if options.write_noise else []
+    fitted = ("R_d",)
+    if kind == "specular":
+        fitted = (*(fitted if options.joint else ()), *fitted_names(samples.model))
+        coarse = (coarse_points(light, replace(own, sigma=found.sigma)) for light in setup.scene.lights)
+        more += [text for text in coarse if text is not None]
+    return replace(
+        _unfitted(setup, kind),
         model=samples.model,
-        diffuse=setup.scene.reflectance.diffuse,
-        points=setup.scene.lights[0].points,
         values=values,
-        fitted=("R_d",) if kind == "diffuse" else specular,
+        fitted=fitted,
         gains=fitted_gains(setup.scene, found) if options.gain else None,
         dark=dark,
         noise=noise,
         write_noise=options.write_noise,
-        registration=setup.registration,
-        file_placement=setup.file_placement,
         # least squares have done with fewer
         observations=len(found.criterion.samples.sample),
         pixels=len(found.criterion.samples.diffuse),
         quality=quality,
-        warnings=(*warnings, *more),
+        warnings=(*warnings, *more, *negative_black_level_warnings(dark)),
         estimate=found,
     )
 
 
-def _parameters(result: FitResult, setup: FitSetup) -> Float64:
+def _points_row(result: FitResult, setup: FitSetup) -> PointsRow:
     if result.estimate is not None:
-        return result.estimate.x
+        return compare_regions(setup, result.estimate.x, result.estimate.mean_log_likelihood)
     x = np.zeros(FIRST_GAIN + len(setup.scene.lights))
     x[R_D] = result.value("R_d")
     x[LOG_R_S] = math.log(max(result.value("R_s"), LEAST_R_S))
     x[LOG_SIGMA] = math.log(result.value("sigma_rad"))
-    return x
+    return compare_regions(setup, x, None)
 
 
 def _diffuse_only(samples: Samples, found: Estimate) -> tuple[Samples, float]:
@@ -405,10 +387,7 @@ def _diffuse_only(samples: Samples, found: Estimate) -> tuple[Samples, float]:
         plain = lit & (deflection > widening * found.sigma * reach)
         if np.count_nonzero(plain & ~samples.saturated) >= LEAST_PIXELS:
             return samples.select(plain | unlit), widening
-    raise InputError(
-        "no diffuse-only pixel: the highlights reach every pixel that is lit. Add images under lights that the surface "
-        "mirrors elsewhere, or fit all coefficients at once: fit-specular with option 'joint'"
-    )
+    raise InputError("no diffuse-only pixel: add images under other lights, or use fit-specular with option 'joint'")
 
 
 def _evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> Iterator[str]:
@@ -417,7 +396,7 @@ def _evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> 
     if any(light.points == "auto" or light.normalisation == "sum" for light in lights):
         return
     few = subsample(samples, SECOND_BUDGET)
-    even = evenly_lit(few, setup.caster)
+    even = relit(few, setup.caster, evenly_lit=True)
     freed, held = setup.options.freed, setup.held
     # the fit itself was the best of all σ; what evenly lit panels would give may lie far from it
     panels = fit_reflectance(even, freed=freed, held=held)
@@ -440,24 +419,18 @@ def _paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | Paper
     # R_d, or R_s and σ, as sections 4.2 and 4.3 of the paper find them; the others from the part file
     options, own = setup.options, setup.scene.reflectance
     if options.gain or options.dark or options.register or options.joint:
-        raise InputError(
-            "the paper's method has no free gains, dark level, placement or joint fit: it fits what sections 4.2 and "
-            "4.3 fit"
-        )
+        raise InputError("the paper's method has no free gains, dark level, placement or joint fit")
     if setup.scene.regions:
         raise InputError("the paper's method knows one reflectance: it cannot fit a part with regions")
     if own.model.name != "torrance-sparrow":
         raise InputError(f"the paper's method knows one Gaussian lobe: it cannot fit the model {own.model.name}")
     more = paper.warnings() if isinstance(paper, PaperSpecular) else ()
     fitted = {"R_d": paper.R_d} if isinstance(paper, PaperDiffuse) else {"R_s": paper.R_s, "sigma_rad": paper.sigma}
-    values = {"R_d": own.R_d, "R_s": own.R_s, "sigma_rad": own.sigma, **fitted}
-    return FitResult(
-        kind="diffuse" if isinstance(paper, PaperDiffuse) else "specular",
+    held = _unfitted(setup, "diffuse" if isinstance(paper, PaperDiffuse) else "specular")
+    return replace(
+        held,
         method="paper",
-        model=own.model,
-        diffuse=own.diffuse,
-        points=setup.scene.lights[0].points,
-        values=tuple(FittedValue(name=name, value=value) for name, value in values.items()),
+        values=tuple(replace(one, value=fitted.get(one.name, one.value)) for one in held.values),
         fitted=tuple(fitted),
         observations=len(samples.sample),
         pixels=len(samples.diffuse),

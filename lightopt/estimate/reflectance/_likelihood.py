@@ -18,10 +18,8 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
+from lightopt.estimate.reflectance._coefficients import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
-
-# places in the vector of parameters: R_d, ln R_s, ln σ, dark level, then ln gain per light, ln τ², logit ε
-R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
 
 # share of the unexplained pixels that are black, and of those that are saturated: dust and glints; the rest is spread
 # evenly over the levels between
@@ -54,47 +52,9 @@ class Criterion(Protocol):
     def evaluate(self, x: Float64) -> Evaluation: ...
 
 
-class Coefficients:
-    """R_d, R_s and σ in a vector of parameters."""
-
-    x: Float64  # shape (K,)
-
-    @property
-    def R_d(self) -> float:  # noqa: N802
-        """[grey level]."""
-        return float(self.x[R_D])
-
-    @property
-    def R_s(self) -> float:  # noqa: N802
-        """[grey level]."""
-        return math.exp(self.x[LOG_R_S])
-
-    @property
-    def sigma(self) -> float:
-        """[rad]."""
-        return math.exp(self.x[LOG_SIGMA])
-
-
 def parameter_count(samples: Samples) -> int:
     """Number of parameters K of a criterion of samples."""
     return FIRST_GAIN + len(samples.lights) + 2
-
-
-def outlier_share(x: Float64) -> float:
-    """Share ε of the pixels that a vector of parameters takes for dust, glints and the like."""
-    return 1.0 / (1.0 + math.exp(-x[-1]))
-
-
-def parameter_name(place: int, lights: tuple[str, ...]) -> str:
-    """Name of a place in the vector of parameters, for messages."""
-    gains = (f"the gain of {light}" for light in lights)
-    noise = ("the deviation beside the noise", "the share of outliers")
-    return ("R_d", "R_s", "σ", "the dark level", *gains, *noise)[place]
-
-
-def significant(value: float, digits: int) -> float:
-    """A number for a file, with so many significant digits."""
-    return float(f"{value:.{digits}g}")
 
 
 def sum_in_chunks(

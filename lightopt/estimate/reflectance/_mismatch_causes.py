@@ -87,8 +87,11 @@ def _displacement(
     scene: Scene, observations: Sequence[Observation], samples: Samples, quality: Quality
 ) -> tuple[str | None, bool]:
     # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one
+    # in lights picked at random, since rigs list rings of lights in turns: a place is found, not measured
+    lights = list(dict.fromkeys(o.light for o in observations))
+    few = np.random.default_rng(0).permutation(len(lights))[:TRIAL_LIGHTS]
+    some, run = [o for o in observations if lights.index(o.light) in few], RunContext(threads=samples.threads)
     try:
-        some, run = _light_subset(observations), RunContext(threads=samples.threads)
         registration = register_with_fit(scene, some, caster=cast_rays_at(scene), reduced=True, run=run)
     except InputError:  # a trial: those few lights show nothing
         return None, False
@@ -115,13 +118,6 @@ def _displacement(
         f"the model explains {100.0 * explains:.0f} % of the residual"
     )
     return text, False
-
-
-def _light_subset(observations: Sequence[Observation]) -> list[Observation]:
-    # picked at random, since rigs list rings of lights in turns: a place is found, not measured
-    lights = list(dict.fromkeys(o.light for o in observations))
-    some = np.random.default_rng(0).permutation(len(lights))[:TRIAL_LIGHTS]
-    return [o for o in observations if lights.index(o.light) in some]
 
 
 def _excess_residual(samples: Samples, noise: float) -> Float64:

@@ -15,7 +15,7 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, ignore
-from lightopt.estimate.reflectance._likelihood import significant
+from lightopt.estimate.reflectance._coefficients import significant
 from lightopt.estimate.reflectance._samples import Samples
 
 MOST_ITERATIONS = 500
@@ -48,9 +48,6 @@ class PaperOptions:
     R_s_start: float = 255.0
     away: float = math.radians(20.0)
 
-    def as_dict(self) -> dict[str, float]:
-        return dict(vars(self))
-
     def problems(self) -> tuple[str, ...]:
         found = [
             f"option '{name}': expected a number above 0, found {value:g}"
@@ -59,18 +56,12 @@ class PaperOptions:
         ]
         if found:
             return tuple(found)
-        if not self.sigma_least <= self.sigma_start <= self.sigma_most:
-            found.append(
-                f"option 'sigma_start': expected {self.sigma_least:g} to {self.sigma_most:g} rad, found "
-                f"{self.sigma_start:g}"
-            )
-        steps = (self.sigma_most - self.sigma_least) / self.sigma_step
-        if steps > MOST_STEPS:
-            least = (self.sigma_most - self.sigma_least) / MOST_STEPS
-            found.append(
-                f"option 'sigma_step': expected {least:.2g} rad or more, for a sweep of {MOST_STEPS} steps at most, "
-                f"found {self.sigma_step:g}"
-            )
+        least, start, most = self.sigma_least, self.sigma_start, self.sigma_most
+        if not least <= start <= most:
+            found.append(f"option 'sigma_start': expected {least:g} to {most:g} rad, found {start:g}")
+        least_step = (most - least) / MOST_STEPS
+        if self.sigma_step < least_step:
+            found.append(f"option 'sigma_step': expected {least_step:.2g} rad or more, found {self.sigma_step:g}")
         if self.away >= math.pi / 2.0:
             found.append(f"option 'away': expected less than 90°, found {math.degrees(self.away):g}")
         return tuple(found)
@@ -141,33 +132,26 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
     plain &= samples.diffuse[samples.sample] > 0.0
     counts = np.bincount(samples.image[plain], minlength=len(samples.images))
     if not counts.any():
-        raise InputError(
-            f"no diffuse-only pixel: none is unsaturated and {math.degrees(options.away):g}° from every highlight; "
-            "add images under lights that the surface mirrors elsewhere, or lower the angle `away`"
-        )
+        raise InputError("no diffuse-only pixel: add images under other lights, or lower the angle `away`")
     # the image without specular reflection, or with the least of it: that with the largest share of such pixels
     share = counts / np.maximum(np.bincount(samples.image, minlength=len(samples.images)), 1)
     image = int(np.argmax(share))
+    name = samples.images[image].name
     mine = plain & (samples.image == image)
     factor = float(samples.facts.factor[image])
     measured = float(np.mean((samples.level[mine] - samples.sensor.black_level) / factor))
     unit = float(np.mean(samples.diffuse[samples.sample[mine]]))
     if measured <= 0.0:
-        raise InputError(f"{samples.images[image].name}: all diffuse-only pixels are black; expose longer")
+        raise InputError(f"{name}: all diffuse-only pixels are black; expose longer")
     r_d = options.R_d_start
     iterations: list[tuple[float, float, float]] = []
     for _ in range(MOST_ITERATIONS):
         simulated = r_d * unit
         iterations.append((r_d, simulated, abs(simulated - measured)))  # (6)
         if iterations[-1][2] <= options.lambda_d:
-            return PaperDiffuse(
-                R_d=r_d, image=samples.images[image].name, pixels=int(mine.sum()), iterations=tuple(iterations)
-            )
+            return PaperDiffuse(R_d=r_d, image=name, pixels=int(mine.sum()), iterations=tuple(iterations))
         r_d *= measured / simulated  # (5), (7), measured over simulated
-    raise InputError(
-        f"section 4.2 does not converge: after {MOST_ITERATIONS} rounds the mean brightness is still "
-        f"{iterations[-1][2]:.3g} levels off; λ_d = {options.lambda_d:g} is below rounding, raise it"
-    )
+    raise InputError(f"section 4.2 does not converge in {MOST_ITERATIONS} rounds: λ_d = {options.lambda_d:g}, raise it")
 
 
 def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progress: Share = ignore) -> PaperSpecular:
@@ -178,10 +162,7 @@ def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progr
     image = int(np.argmax(counts))
     measured = int(counts[image])
     if measured == 0:
-        raise InputError(
-            "no saturated pixel in any image: the paper's method compares saturated areas. Expose longer, or use the "
-            "default method"
-        )
+        raise InputError("no saturated pixel in any image: expose longer, or use the default method")
     mine = samples.select(samples.image == image)
     factor = float(mine.facts.factor[image])
     diffuse = factor * R_d * mine.diffuse[mine.sample]
@@ -189,35 +170,23 @@ def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progr
     bright = np.minimum(mine.level - mine.sensor.black_level, room) - np.minimum(diffuse, room)
     total = float(bright.sum())
     steps: list[SigmaStep] = []
-    sigmas = _sweep(options)
+    # from the start upwards, then the rest of the range below it
+    up = np.arange(options.sigma_start, options.sigma_most + 1e-9, options.sigma_step)
+    down = np.arange(options.sigma_start - options.sigma_step, options.sigma_least - 1e-9, -options.sigma_step)
+    sigmas = [float(round(value, 9)) for value in (*up, *down) if value > 0.0]
     for sigma in sigmas:
         light = factor * mine.specular(sigma)[mine.sample]
         steps.append(_match_area(light, diffuse, room, measured, total, sigma, options))
         progress(len(steps) / len(sigmas))
     reached = [step for step in steps if step.reached]
     if not reached:
-        raise InputError(
-            f"section 4.3 does not converge: at no σ from {options.sigma_least:g} to {options.sigma_most:g} rad does "
-            f"the number of saturated pixels come within λ_s1 = {options.lambda_s1:g} of the {measured} measured; "
-            "raise λ_s1, or use the default method"
-        )
+        raise InputError(f"section 4.3 does not converge: at no σ are {measured} pixels saturated; raise λ_s1")
     best = min(reached, key=lambda step: abs(step.brightness - 1.0))  # S_2
-    if abs(best.brightness - 1.0) > options.lambda_s2:
-        raise InputError(
-            f"section 4.3 does not converge: the total specular brightness comes no closer than "
-            f"{100.0 * abs(best.brightness - 1.0):.1f} % to the measured one (σ = {best.sigma:g} rad), and "
-            f"λ_s2 = {options.lambda_s2:g}; raise it, or use the default method"
-        )
+    if (off := abs(best.brightness - 1.0)) > options.lambda_s2:
+        raise InputError(f"section 4.3 does not converge: the brightness is {100.0 * off:.1f} % off; raise λ_s2")
     alike = sorted(step.sigma for step in reached if abs(step.brightness - 1.0) <= options.lambda_s2)
     name = samples.images[image].name
     return PaperSpecular(best.R_s, best.sigma, name, measured, tuple(steps), matching_sigmas=tuple(alike))
-
-
-def _sweep(options: PaperOptions) -> list[float]:
-    # from the start upwards, then the rest of the range below it
-    up = np.arange(options.sigma_start, options.sigma_most + 1e-9, options.sigma_step)
-    down = np.arange(options.sigma_start - options.sigma_step, options.sigma_least - 1e-9, -options.sigma_step)
-    return [float(round(value, 9)) for value in (*up, *down) if value > 0.0]
 
 
 def _match_area(

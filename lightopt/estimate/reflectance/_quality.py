@@ -1,28 +1,28 @@
-"""How well the model describes the images, and warnings and refusals of fits."""
+"""How well the model describes the images, the noise that they show, and warnings and refusals of fits."""
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
-from lightopt.estimate.reflectance._clipped_least_squares import MOST_MISFIT
-from lightopt.estimate.reflectance._estimate import Estimate, Interval
-from lightopt.estimate.reflectance._likelihood import (
+from lightopt.estimate.reflectance._clipped_least_squares import MOST_MISFIT, image_noise
+from lightopt.estimate.reflectance._coefficients import (
     DARK,
     FIRST_GAIN,
     LOG_R_S,
     LOG_SIGMA,
     R_D,
     parameter_name,
-    predicted,
     significant,
 )
-from lightopt.estimate.reflectance._noise import image_noise
+from lightopt.estimate.reflectance._estimate import Estimate, Interval
+from lightopt.estimate.reflectance._likelihood import predicted
 from lightopt.estimate.reflectance._samples import Samples
-from lightopt.optics import SpecularModel
+from lightopt.optics import Sensor, SpecularModel
 
 POOR_EPSILON = 0.02
 POOR_NOISE = 3.0
@@ -38,6 +38,16 @@ GGX_SIGMA_RANGE = 0.001, 0.5  # α up to 1, as part files allow
 
 MOST_R_S = 1e11  # beyond this, R_s runs away along the ridge [grey level]
 EDGE = 1.01  # a value within this factor of an edge is at it
+
+LEVEL_BINS, LEAST_PER_BIN = 12, 150
+# levels nearer than this many deviations to black or to saturation are clipped, and show less noise than there is
+CLEAR_OF_ENDS = 4.0
+
+# residuals beyond this many deviations are dust; what is left of a Gaussian's variance within
+TRIM, TRIMMED_VARIANCE = 3.0, 0.97334
+
+SIGNIFICANT = 3.0
+WELL_KNOWN = 0.3  # a figure is determined where its standard error is no more than this share of it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +80,7 @@ class Quality:
         """Whether the model describes the images badly."""
         return self.epsilon > POOR_EPSILON or self.typical > POOR_NOISE * self.floor
 
-    def as_dict(self) -> dict[str, float | bool]:
+    def as_dict(self) -> dict[str, float | bool | None]:
         return {name: value if isinstance(value, bool) else significant(value, 6) for name, value in vars(self).items()}
 
 
@@ -198,10 +208,7 @@ def _rms(values: Float64) -> float:
 def refuse_out_of_range(found: Estimate, brightest: float, model: SpecularModel) -> None:
     """Refuse a `brightest` specular light [grey level] that determines nothing, and values that no real surface has."""
     if brightest < 1.0:
-        raise InputError(
-            "no highlight in any image: nothing determines R_s and σ. Add images under lights that the surface mirrors "
-            "into the camera, or at a longer exposure"
-        )
+        raise InputError("no highlight in any image: add images under other lights, or at a longer exposure")
     low, high = SIGMA_RANGE if model.name != "ggx" else GGX_SIGMA_RANGE
     width = f"{found.sigma:.3g} rad" if model.name != "ggx" else f"{found.sigma:.3g} rad (α {2.0 * found.sigma:.3g})"
     if found.sigma < low * EDGE:
@@ -217,10 +224,7 @@ def refuse_out_of_range(found: Estimate, brightest: float, model: SpecularModel)
             "surface mirrors into the camera, and check the part's shape and its placement"
         )
     if found.R_s > MOST_R_S:
-        raise InputError(
-            f"R_s: the best fit is at {found.R_s:.2g} grey levels, without an upper bound: only saturated pixels show "
-            "the highlights. Add images at a shorter exposure"
-        )
+        raise InputError(f"R_s: the best fit is at {found.R_s:.2g} grey levels, without an upper bound: expose shorter")
 
 
 def convergence_warnings(found: Estimate) -> Iterator[str]:
@@ -246,3 +250,94 @@ def convergence_warnings(found: Estimate) -> Iterator[str]:
                 f"{optimum.top.sigma:.3g} rad before convergence, with a result not worse than the best: there may be "
                 "another optimum"
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredNoise:
+    """Noise of the camera, from the variance of measured minus predicted level over the level."""
+
+    # deviation without light, and its standard error [sensor level]; None where not determined
+    read_noise_levels: float | None = None
+    read_noise_standard_error: float | None = None
+    # photo-electrons per level and their standard error; None where not determined
+    electrons_per_level: float | None = None
+    electrons_standard_error: float | None = None
+    hindrance: str = ""  # why something is not determined, or empty
+
+    def as_dict(self) -> dict[str, Any]:
+        numbers = {name: significant(value, 4) for name, value in vars(self).items() if name != "hindrance"}
+        return {**numbers, "hindrance": self.hindrance or None}
+
+
+def measure_noise(samples: Samples, mean: Float64, *, describes: bool = True) -> MeasuredNoise:
+    """Read noise, and shot noise where the variance grows with the level (EMVA Standard 1288, photon transfer)."""
+    if not describes:
+        return MeasuredNoise(hindrance="the model does not describe these images, and its error is not noise")
+    typical = image_noise(samples)
+    # by the level that is predicted: that of a pixel itself would be chosen along with its noise
+    clear = (mean > CLEAR_OF_ENDS * typical) & (mean < samples.sensor.saturated_from - CLEAR_OF_ENDS * typical)
+    clear &= (samples.diffuse[samples.sample] > 0.0) & ~samples.saturated
+    # a mean of N frames has an N-th of the variance
+    frames = samples.facts.frames[samples.image][clear]
+    signal = np.maximum(mean - samples.sensor.black_level, 0.0)[clear]
+    residual = (samples.level[clear] - mean[clear]) * np.sqrt(frames)
+    if len(signal) < 2 * LEAST_PER_BIN:
+        return MeasuredNoise(hindrance="too few lit pixels that are neither black nor saturated")
+    order = np.argsort(signal, kind="stable")
+    bins = np.array_split(order, min(LEVEL_BINS, len(order) // LEAST_PER_BIN))
+    rounding = float(np.mean(frames)) / 12.0
+    at = np.array([float(np.mean(signal[b])) for b in bins])
+    variance = np.array([_variance(residual[b]) for b in bins]) - rounding
+    error = (variance + rounding) * np.sqrt(2.0 / np.array([len(b) for b in bins]))
+    if np.median(variance) < rounding:
+        return MeasuredNoise(hindrance="the noise is less than that of rounding to whole levels")
+    return _photon_transfer(at, variance, error, samples.sensor)
+
+
+def noise_warnings(noise: MeasuredNoise) -> Iterator[str]:
+    """Warn where the noise is not, or only partly, written."""
+    if noise.read_noise_levels is None and noise.electrons_per_level is None:
+        yield f"the noise is not written: {noise.hindrance}"
+    elif noise.hindrance:
+        yield f"only a part of the noise is written: {noise.hindrance}"
+
+
+def _photon_transfer(signal: Float64, variance: Float64, error: Float64, sensor: Sensor) -> MeasuredNoise:
+    # the line through variance over level: read noise squared at 0, levels per electron its slope
+    design = np.stack([np.ones(len(signal)), signal], axis=1) / error[:, None]
+    inverse = np.linalg.pinv(design.T @ design)
+    line = inverse @ design.T @ (variance / error)
+    freedom = max(1, len(signal) - 2)
+    spread = max(1.0, float(np.sum((design @ line - variance / error) ** 2)) / freedom)
+    a, b = (float(value) for value in line)
+    a_error, b_error = (math.sqrt(spread * float(inverse[k, k])) for k in (0, 1))
+    own = 0.0 if sensor.electrons_per_level is None else 1.0 / sensor.electrons_per_level
+    shot = MeasuredNoise(hindrance="" if own else "no shot noise is seen beside the read noise")
+    if b > SIGNIFICANT * b_error and b_error < WELL_KNOWN * b:
+        shot = MeasuredNoise(electrons_per_level=1.0 / b, electrons_standard_error=b_error / b**2)
+    elif abs(own - b) > SIGNIFICANT * b_error:
+        most = b + SIGNIFICANT * b_error
+        least = f": there are at least {1.0 / most:.3g} electrons per level" if most > 0.0 else ""
+        return MeasuredNoise(
+            hindrance=f"the images show less shot noise than the rig file's electrons_per_level gives{least}"
+            if own > b
+            else "the noise changes with the level, but not significantly enough to separate read noise from shot "
+            "noise; add images of other levels"
+        )
+    else:
+        weight = 1.0 / error**2
+        a = float(np.sum(weight * (variance - own * signal)) / np.sum(weight))
+        a_error = math.sqrt(spread / float(np.sum(weight)))
+    if a <= 0.0 or 0.5 * a_error > WELL_KNOWN * a:
+        return replace(shot, hindrance="shot noise hides the read noise; add darker images")
+    read = math.sqrt(a)
+    return replace(shot, read_noise_levels=read, read_noise_standard_error=0.5 * a_error / read)
+
+
+def _variance(values: Float64) -> float:
+    # without the tails: edges and dust
+    spread = max(1.4826 * float(np.median(np.abs(values))), 0.2)
+    for _ in range(2):
+        inside = values[np.abs(values) <= TRIM * spread]
+        spread = math.sqrt(float(np.mean(inside**2)) / TRIMMED_VARIANCE)
+    return spread**2

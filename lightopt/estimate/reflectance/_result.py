@@ -8,19 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
-from lightopt.config import PartConfig, PlacementConfig, ReflectanceConfig, RigConfig, Source, copied_text, input_hashes
-from lightopt.core.errors import InputError
+from lightopt.config import PartConfig, PlacementConfig, ReflectanceConfig, RigConfig, copied_text, input_hashes
 from lightopt.core.provenance import provenance
-from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Interval
-from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
-from lightopt.estimate.reflectance._noise import MeasuredNoise
+from lightopt.estimate.reflectance._coefficients import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
+from lightopt.estimate.reflectance._estimate import Estimate, Interval, profile_regions
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
-from lightopt.estimate.reflectance._quality import Quality, convergence_warnings
-from lightopt.estimate.reflectance._uncertainty import profile_regions
+from lightopt.estimate.reflectance._quality import MeasuredNoise, Quality, convergence_warnings
 from lightopt.estimate.reflectance._validation import LeftOut, ModelRow, PointsRow
-from lightopt.estimate.reflectance._wide_lobe import WideLobe
 from lightopt.estimate.registration import Placement, Registration
 from lightopt.images import ImageSet, ResultFolder
 from lightopt.optics import LAMBERT, DiffuseForm, SpecularModel
@@ -51,14 +45,11 @@ class FittedValue:
     def as_dict(self) -> dict[str, Any]:
         facts: dict[str, Any] = {
             "value": significant(self.value, 8),
-            "standard_error": significant(self.standard_error, 4) if self.standard_error else None,
-            "interval_95": None if self.interval is None else _rounded(self.interval),
+            "standard_error": significant(self.standard_error or None, 4),
+            "interval_95": None if self.interval is None else [significant(end, 8) for end in self.interval],
         }
-        return facts | ({"regions_95": [_rounded(region) for region in self.regions]} if self.regions else {})
-
-
-def _rounded(interval: Interval) -> list[float | None]:
-    return [None if end is None else significant(end, 8) for end in interval]
+        regions = [[significant(end, 8) for end in region] for region in self.regions]
+        return facts | ({"regions_95": regions} if regions else {})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,14 +113,9 @@ class FitResult:
     @property
     def not_left_out(self) -> tuple[str, ...]:
         """Parameters that validation takes from all images, also from those of the light that is left out."""
-        form = "".join(name for name in self.fitted if name in DIFFUSE_KEYS.values()) or None
-        freed = (
-            ("its own gain", self.gains),
-            ("the black level", self.dark),
-            ("the part's placement", self.placement),
-            (form or "", form),
-        )
-        return tuple(name for name, value in freed if value is not None)
+        freed = {"its own gain": self.gains, "the black level": self.dark, "the part's placement": self.placement}
+        form = (name for name in self.fitted if name in DIFFUSE_KEYS.values())
+        return (*(name for name, value in freed.items() if value is not None), *form)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form, without provenance."""
@@ -148,9 +134,8 @@ class FitResult:
             "points": self.points,
             "fitted": list(self.fitted),
             "values": {v.name: v.as_dict() for v in self.values},
-            "highlights_by": None
-            if self.highlights is None
-            else {"R_s": significant(self.highlights[0], 6), "sigma_rad": significant(self.highlights[1], 6)},
+            "highlights_by": self.highlights
+            and {"R_s": significant(self.highlights[0], 6), "sigma_rad": significant(self.highlights[1], 6)},
             "correlation_ln_R_s_ln_sigma": self.correlation,
             "gains": None if self.gains is None else {k: v.as_dict() for k, v in self.gains.items()},
             "black_level": facts(self.dark),
@@ -234,38 +219,17 @@ def _fitted(
     return FittedValue(name, value, error, interval, regions=regions if len(regions) > 1 else ())
 
 
-def fitted_values(
-    found: Estimate, *, full_scale: float, model: SpecularModel, wide: WideLobe | None = None
-) -> tuple[FittedValue, ...]:
+def fitted_values(found: Estimate, *, full_scale: float, model: SpecularModel) -> tuple[FittedValue, ...]:
     """R_d, R_s and the lobe's width, with standard errors and intervals.
 
     Of a Gaussian lobe also the saturated half-angle under a point light.
-
-    wide: The wider of two lobes, where it was fitted
     """
     factor = model.width_factor
     r_s = _fitted("R_s", found.R_s, found, LOG_R_S, math.exp, slope=found.R_s)
-    width = _fitted(
-        model.width_key,
-        factor * found.sigma,
-        found,
-        LOG_SIGMA,
-        lambda end: factor * math.exp(end),
-        slope=factor * found.sigma,
-    )
+    width = factor * found.sigma
+    spread = _fitted(model.width_key, width, found, LOG_SIGMA, lambda end: factor * math.exp(end), slope=width)
     diffuse = _fitted("R_d", found.R_d, found, R_D, float)
-    if model.name == "two-lobe":
-        height, spread = found.R_s * model.wide_share, found.sigma * model.wide_ratio
-        if wide is None:
-            return diffuse, r_s, width, FittedValue("R_s_wide", height), FittedValue("sigma_wide_rad", spread)
-        lobes = (
-            ("R_s", found.R_s, 0, 0),
-            ("sigma_rad", found.sigma, 1, 0),
-            ("R_s_wide", height, 0, 1),
-            ("sigma_wide_rad", spread, 1, 1),
-        )
-        return diffuse, *(_of_two_lobes(found, wide, *one) for one in lobes)
-    values = [diffuse, r_s, width]
+    values = [diffuse, r_s, spread]
     if model.name != "torrance-sparrow":
         return tuple(values)
     over = math.log(max(found.R_s / full_scale, 1e-300))
@@ -283,14 +247,6 @@ def fitted_values(
 def fitted_names(model: SpecularModel) -> tuple[str, ...]:
     """Keys of a part file that a fit of a specular lobe finds."""
     return ("R_s", model.width_key, *(("R_s_wide", "sigma_wide_rad") if model.name == "two-lobe" else ()))
-
-
-def _of_two_lobes(found: Estimate, wide: WideLobe, name: str, value: float, which: int, of_wide: int) -> FittedValue:
-    # height (0) or width (1) of the narrow or the wide lobe: its logarithm is normal
-    unit = np.eye(2)[which]
-    error = wide.standard_error(found, unit, of_wide * unit)
-    reach = math.sqrt(CHI2_95) * error
-    return FittedValue(name, value, value * error, (value * math.exp(-reach), value * math.exp(reach)))
 
 
 def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
@@ -320,35 +276,30 @@ def fitted_dark(scene: Scene, found: Estimate) -> FittedValue:
     return _fitted("black_level", float(black + found.x[DARK]), found, DARK, lambda end: black + end)
 
 
-def fit_provenance(rig: RigConfig, part: PartConfig, image_set: ImageSet, options: Mapping[str, Any]) -> dict[str, Any]:
-    """What a fit depends on, in the layout of :mod:`lightopt.core.provenance`."""
-    return provenance(inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}, options=options)
+def fit_folder(
+    folder: Path, rig: RigConfig, part: PartConfig, image_set: ImageSet, options: Mapping[str, Any], *, force: bool
+) -> ResultFolder:
+    """Open a folder that a fit is written to.
 
-
-class FitFolder(ResultFolder):
-    """A folder that a fit is written to.
-
-    folder: Made where it does not exist.
-    made_from: From :func:`fit_provenance`.
+    options: In JSON form
     Raises InputError: the folder holds a fit of other inputs, and `force` is False.
     """
+    made_from = provenance(inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}, options=options)
+    names = {"name": FIT_NAME, "format": "lightopt-fit/1", "what": "a fit"}
+    return ResultFolder(folder, made_from, **names, also=(PART_NAME, RIG_NAME), force=force)
 
-    def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
-        names = {"name": FIT_NAME, "format": "lightopt-fit/1", "what": "a fit"}
-        super().__init__(folder, made_from, **names, also=(PART_NAME, RIG_NAME), force=force)
 
-    def write(self, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
-        """Write the part, where gains, the dark level or the noise are written the rig, and at last ``fit.json``.
+def write_fit(folder: ResultFolder, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
+    """Write the part, where gains, the dark level or the noise are written the rig, and at last ``fit.json``.
 
-        Raises InputError: a file cannot be written.
-        """
-        texts = {PART_NAME: _part_text(self.folder, result, part)}
-        values = _rig_values(result, rig)
-        if result.gains is not None or values:
-            _check_text(rig.source)
-            texts[RIG_NAME] = copied_text(rig, self.folder, values)
-        written = [self.write_text(name, text) for name, text in texts.items()]
-        return [self.finish(result.as_dict()), *written]
+    Raises InputError: a file cannot be written.
+    """
+    texts = {PART_NAME: _part_text(folder.folder, result, part)}
+    values = _rig_values(result, rig)
+    if result.gains is not None or values:
+        texts[RIG_NAME] = copied_text(rig, folder.folder, values)
+    written = [folder.write_text(name, text) for name, text in texts.items()]
+    return [folder.finish(result.as_dict()), *written]
 
 
 def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
@@ -359,16 +310,14 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
             values |= _reflectance_values(region.result, part.regions[i].reflectance, "regions", i, "reflectance")
     if result.file_placement is not None:
         values |= _placement_values(part, result.file_placement)
-    _check_text(part.source)
     return copied_text(part, folder, values)
 
 
-def _reflectance_values(
-    result: FitResult, own: ReflectanceConfig, *keys: str | int
-) -> dict[tuple[str | int, ...], str | None]:
-    values: dict[tuple[str | int, ...], str | None] = {
-        (*keys, name): f"{result.value(name):.6g}" for name in result.fitted
-    }
+_Values = dict[tuple[str | int, ...], str | None]
+
+
+def _reflectance_values(result: FitResult, own: ReflectanceConfig, *keys: str | int) -> _Values:
+    values: _Values = {(*keys, name): f"{result.value(name):.6g}" for name in result.fitted}
     if result.model.name != own.model:
         values[(*keys, "model")] = result.model.name
         superseded = [name for name in fitted_names(SpecularModel(name=own.model)) if name not in result.fitted]
@@ -388,14 +337,14 @@ def _reflectance_values(
     return values
 
 
-def _placement_values(part: PartConfig, found: PlacementConfig) -> dict[tuple[str | int, ...], str]:
+def _placement_values(part: PartConfig, found: PlacementConfig) -> _Values:
     vectors = {"rotate_deg": found.rotate_deg, "translate_mm": found.translate_mm}
     lists = {key: "[" + ", ".join(f"{value:.6g}" for value in vector) + "]" for key, vector in vectors.items()}
     lines = part.source.lines
     if ("placement",) not in lines:
         inside = ", ".join(f"{key}: {text}" for key, text in lists.items())
         return {("placement",): f"{{anchor: {found.anchor}, {inside}}}"}
-    values: dict[tuple[str | int, ...], str] = {}
+    values: _Values = {}
     for key, vector in vectors.items():
         if ("placement", key) in lines:
             values |= {("placement", key, i): f"{value:.6g}" for i, value in enumerate(vector)}
@@ -404,8 +353,8 @@ def _placement_values(part: PartConfig, found: PlacementConfig) -> dict[tuple[st
     return values
 
 
-def _rig_values(result: FitResult, rig: RigConfig) -> dict[tuple[str | int, ...], str]:
-    values: dict[tuple[str | int, ...], str] = {}
+def _rig_values(result: FitResult, rig: RigConfig) -> _Values:
+    values: _Values = {}
     for index, light in enumerate(rig.lights):
         gain = None if result.gains is None else result.gains.get(light.name)
         if gain is not None and gain.interval is not None:  # the one that is held keeps its line in the file
@@ -413,15 +362,7 @@ def _rig_values(result: FitResult, rig: RigConfig) -> dict[tuple[str | int, ...]
     if result.dark is not None:
         values["camera", "sensor", "black_level"] = f"{max(result.dark.value, 0.0):.6g}"
     noise = result.noise if result.write_noise else None
-    figures = {} if noise is None else {"read_noise_levels": noise.read_noise, "electrons_per_level": noise.electrons}
-    for key, figure in figures.items():
-        if figure is not None:
+    for key in ("read_noise_levels", "electrons_per_level"):
+        if (figure := getattr(noise, key, None)) is not None:
             values["camera", "sensor", key] = f"{figure:.4g}"
     return values
-
-
-def _check_text(source: Source) -> None:
-    if not source.text:
-        raise InputError(
-            f"{source.path}: built in code, so that there is no file to write the fitted values into; load it from one"
-        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -146,9 +146,28 @@ def collect_samples(
             own = [number for at, number in wanted if at == posture]
             seen = visibility_of_lights(pixels, [pixels.view.lights[i] for i in own], caster, threads=threads)
             verdicts = dict(zip(own, seen, strict=True))
-        draw = draws.setdefault((posture, _entry(pixels.view.lights[light])), light)
-        how = caster, scene.reflectance.diffuse, budget, uniform, threads
-        groups += _choose(pixels, verdicts[light], posture, light, draw, *how)
+        panel, surface = pixels.view.lights[light], pixels.surface
+        own = pixels.clean if surface.material is None else pixels.clean & (surface.material == 0)
+        whole, unlit = (np.flatnonzero(own & (verdicts[light] == verdict)) for verdict in (WHOLE, UNLIT))
+        layer = light_layer(surface.take(whole), panel, caster, form=scene.reflectance.diffuse, threads=threads)
+        angle = np.zeros(len(whole)) if uniform else layer.deflection
+        draw = posture, draws.setdefault((posture, _entry(panel)), light)
+        lit, lit_share = _by_octave(angle, budget, draw)
+        few, few_share = _by_octave(np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), draw)
+        passed = lens_share(pixels.view.camera, pixels.column + 0.5, pixels.row + 0.5)
+        groups += [
+            SampleGroup(
+                light=light,
+                posture=pixels.posture,
+                layer=of_light,
+                row=pixels.row[index],
+                column=pixels.column[index],
+                weight=1.0 / share,
+                passed=1.0 if passed is None else passed[index],
+            )
+            for of_light, index, share in ((layer.take(lit), whole[lit], lit_share), (None, unlit[few], few_share))
+            if len(index)
+        ]
         progress((done + 1) / len(wanted))
     return _assemble(scene, groups, tuple(observations), threads)
 
@@ -196,65 +215,16 @@ def _entry(light: PanelLight) -> int | str:
     return light.entry if isinstance(light, SurfaceLight) else light.name
 
 
-def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
-    """The same pixels under the same panels, lit evenly instead of by point lights; no ray is cast again."""
+def relit(samples: Samples, caster: RayCaster, *, form: DiffuseForm | None = None, evenly_lit: bool = False) -> Samples:
+    """The same pixels with another diffuse form, or lit evenly instead of by point lights; no ray is cast again."""
 
-    def evenly(layer: LightLayer) -> LightLayer:
-        panel = replace(layer.light, points="auto")
-        return light_layer(layer.surface, panel, caster, form=layer.form, threads=samples.threads)
+    def again(layer: LightLayer) -> LightLayer:
+        light = replace(layer.light, points="auto") if evenly_lit else layer.light
+        own = layer.form if form is None else form
+        return light_layer(layer.surface, light, caster, form=own, threads=samples.threads)
 
-    return _with_layers(samples, evenly)
-
-
-def with_form(samples: Samples, form: DiffuseForm, caster: RayCaster) -> Samples:
-    """The same pixels with another form of the diffuse component; no ray is cast again."""
-
-    def formed(layer: LightLayer) -> LightLayer:
-        return light_layer(layer.surface, layer.light, caster, form=form, threads=samples.threads)
-
-    return _with_layers(samples, formed)
-
-
-def _with_layers(samples: Samples, of: Callable[[LightLayer], LightLayer]) -> Samples:
-    groups = tuple(g if g.layer is None else replace(g, layer=of(g.layer)) for g in samples.groups)
+    groups = tuple(g if g.layer is None else replace(g, layer=again(g.layer)) for g in samples.groups)
     return replace(samples, groups=groups, diffuse=np.concatenate([group.diffuse for group in groups]))
-
-
-def _choose(
-    pixels: PosturePixels,
-    verdict: UInt8,
-    posture: int,
-    light: int,
-    draw: int,  # number that the pixels are drawn by
-    caster: RayCaster,
-    form: DiffuseForm,
-    budget: int,
-    uniform: bool,
-    threads: int | None,
-) -> list[SampleGroup]:
-    panel = pixels.view.lights[light]
-    own = pixels.clean if pixels.surface.material is None else pixels.clean & (pixels.surface.material == 0)
-    whole = np.flatnonzero(own & (verdict == WHOLE))
-    unlit = np.flatnonzero(own & (verdict == UNLIT))
-    layer = light_layer(pixels.surface.take(whole), panel, caster, form=form, threads=threads)
-    angle = np.zeros(len(whole)) if uniform else layer.deflection
-    keep, share = _by_octave(angle, budget, (posture, draw))
-    few, few_share = _by_octave(np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, draw))
-    lit = layer.take(keep)
-    passed = lens_share(pixels.view.camera, pixels.column + 0.5, pixels.row + 0.5)
-    return [
-        SampleGroup(
-            light=light,
-            posture=pixels.posture,
-            layer=layer_,
-            row=pixels.row[index],
-            column=pixels.column[index],
-            weight=1.0 / kept,
-            passed=1.0 if passed is None else passed[index],
-        )
-        for layer_, index, kept in ((lit, whole[keep], share), (None, unlit[few], few_share))
-        if len(index)
-    ]
 
 
 def _by_octave(deflection: Float64, budget: int, seed: tuple[int, int]) -> tuple[Index, Float64]:
@@ -276,10 +246,7 @@ def _assemble(
 ) -> Samples:
     lights = tuple(light.name for light in scene.lights)
     if not any(group.layer is not None for group in groups):
-        raise InputError(
-            "no pixel of the images shows a surface that a panel lights wholly, away from silhouettes, creases, edges "
-            "of shadows and borders of regions; check the part's placement and the rig's lights"
-        )
+        raise InputError("no pixel shows a surface that a panel lights wholly; check placement and lights")
     scale = scene.sensor.max_level / scene.reflectance.full_scale
     facts = ImageFacts(
         factor=np.array([scale * o.exposure for o in images]),

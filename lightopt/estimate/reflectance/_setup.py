@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -28,7 +28,7 @@ from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet
 from lightopt.optics import LAMBERT, DiffuseForm, ModelName, Reflectance, SpecularModel
 from lightopt.rendering import cast_rays_at
-from lightopt.scene import Scene, build_scene, scene_of_region
+from lightopt.scene import Scene, build_scene
 
 Points = int | Literal["auto"]
 
@@ -95,18 +95,6 @@ class FitSetup:
         reflectance = self.scene.reflectance
         return np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
 
-    def of_region(self, number: int) -> FitSetup:
-        """The same for the surface of a region, from 1; the part is registered already."""
-        return replace(self, scene=scene_of_region(self.scene, number))
-
-    def with_photometry(self, gains: Mapping[str, float], black_level: float | None) -> FitSetup:
-        """The same with known gains of some lights, and with a known black level [sensor level]."""
-        lights = tuple(replace(light, gain=gains.get(light.name, light.gain)) for light in self.scene.lights)
-        sensor = self.scene.sensor
-        if black_level is not None:
-            sensor = replace(sensor, black_level=black_level)
-        return replace(self, scene=replace(self.scene, lights=lights, sensor=sensor))
-
     def with_lobe(self, name: ModelName | None) -> FitSetup:
         """The same with a specular lobe of this form; None and that of the part file change nothing."""
         own = self.scene.reflectance.model
@@ -160,13 +148,8 @@ def prepare_fit(
         setup = setup.with_form(LAMBERT)
     if not options.register:
         return setup
-    found = register_with_fit(
-        setup.scene,
-        observations,
-        caster=setup.caster,
-        freed=FreeParameters(gain=options.gain, dark=options.dark),
-        run=run,
-    )
+    freed = FreeParameters(gain=options.gain, dark=options.dark)
+    found = register_with_fit(setup.scene, observations, caster=setup.caster, freed=freed, run=run)
     moved = place_part(setup.scene, found.placement)
     file_placement = part_file_placement(scene, found.placement, part.placement)
     return replace(setup, scene=moved, caster=cast_rays_at(moved), registration=found, file_placement=file_placement)
@@ -184,9 +167,8 @@ def register_with_fit(
     """Register the part, its placement refined with a first fit of the reflectance."""
 
     def first_reflectance(moved: Scene) -> Reflectance:
-        samples = collect_samples(
-            moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=run.threads
-        )
+        rays = cast_rays_at(moved)
+        samples = collect_samples(moved, observations, caster=rays, budget=PLACING_PER_OCTAVE, threads=run.threads)
         # least squares alone, without intervals, are good enough to find a part by
         found = scan_sigma(samples, freed or FreeParameters(), None).best
         return replace(moved.reflectance, R_d=found.R_d, R_s=found.R_s, sigma=found.sigma)

@@ -15,17 +15,9 @@ from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, ignore
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable, find_dust, measure_misfit
+from lightopt.estimate.reflectance._coefficients import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, Maximum, ScanPoint, maximise
-from lightopt.estimate.reflectance._likelihood import (
-    DARK,
-    FIRST_GAIN,
-    LOG_R_S,
-    LOG_SIGMA,
-    R_D,
-    Criterion,
-    parameter_count,
-    predicted,
-)
+from lightopt.estimate.reflectance._likelihood import Criterion, parameter_count, predicted
 from lightopt.estimate.reflectance._samples import Samples, subsample
 
 SCAN_SAMPLES = 50_000  # pixels of the scan over σ, in all
@@ -98,9 +90,8 @@ def scan_sigma(samples: Samples, freed: FreeParameters, held: Float64 | None, pr
 
     def search(some: Samples, starts_at: Callable[[int], list[Float64]]) -> tuple[LeastSquares, list[Maximum], Climbs]:
         criterion = LeastSquares(some, table)
-        by_sigma = {
-            at: LeastSquares(some, table, fixed=(at, column)) for at, column in zip(log_sigmas, columns, strict=True)
-        }
+        fixed = zip(log_sigmas, columns, strict=True)
+        by_sigma = {at: LeastSquares(some, table, fixed=(at, column)) for at, column in fixed}
         profile = profile_over_sigma(by_sigma.__getitem__, starts_at, log_sigmas, fitted, progress=progress)
         if LOG_SIGMA not in fitted:
             return by_sigma[log_sigmas[0]], profile, [(math.exp(log_sigmas[0]), profile[0])]
@@ -163,15 +154,9 @@ def _first_guess(samples: Samples) -> float:
     lit, full = diffuse > 0.0, samples.saturated
     above_black = samples.level - samples.sensor.black_level
     if not lit.any() or bool(np.all(full[lit])):
-        raise InputError(
-            "every pixel that the lights reach is saturated; the brightness of the surface is unknown. Add images "
-            "at a shorter exposure"
-        )
+        raise InputError("every pixel that the lights reach is saturated: add images at a shorter exposure")
     if bool(np.all(above_black[lit] <= 0.0)):
-        raise InputError(
-            "every pixel that the lights reach is black; the brightness of the surface is unknown. Add images at a "
-            "longer exposure, and check that the light was on"
-        )
+        raise InputError("every pixel that the lights reach is black: use a longer exposure, and check the light")
     usable = lit & ~full & (diffuse >= LEAST_DIFFUSE)
     if not usable.any():
         usable = lit & ~full

@@ -14,9 +14,7 @@ from scipy.ndimage import binary_erosion
 from scipy.spatial import KDTree
 
 from lightopt.core.arrays import Bool, Float32, Float64
-from lightopt.estimate.reflectance._estimate import Estimate
-from lightopt.estimate.reflectance._fit_samples import refit
-from lightopt.estimate.reflectance._likelihood import (
+from lightopt.estimate.reflectance._coefficients import (
     DARK,
     FIRST_GAIN,
     LOG_R_S,
@@ -25,6 +23,8 @@ from lightopt.estimate.reflectance._likelihood import (
     Coefficients,
     significant,
 )
+from lightopt.estimate.reflectance._estimate import Estimate
+from lightopt.estimate.reflectance._fit_samples import refit
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Observation
@@ -60,13 +60,13 @@ class Comparison:
             "rms_grey_levels": significant(self.rms, 5),
             "rms_sensor_levels": significant(self.rms_sensor, 5),
             "iou": None if self.iou is None else round(self.iou, 5),
-            "border_px": None if self.border is None else significant(self.border, 4),
+            "border_px": significant(self.border, 4),
             "saturated_px": self.area,
             "predicted_saturated_px": self.predicted_area,
         }
 
 
-def _rounded(found: Coefficients) -> dict[str, float]:
+def _rounded(found: Coefficients) -> dict[str, float | None]:
     values = {"R_d": found.R_d, "R_s": found.R_s, "sigma_rad": found.sigma}
     return {name: significant(value, 6) for name, value in values.items()}
 
@@ -96,6 +96,7 @@ def leave_lights_out(
     if len(used) < 2:
         return ()
     scene, progress = setup.scene, setup.run.stage("validating")
+    scale = scene.sensor, scene.reflectance.full_scale
     few = subsample(samples, BUDGET)
     results: list[LeftOut] = []
     for done, light in enumerate(used):
@@ -105,10 +106,8 @@ def leave_lights_out(
         comparisons: list[Comparison] = []
         predicted = predict_images(scene, fitted.x, mine, caster=setup.caster, threads=samples.threads)
         for seen, levels, geometry in predicted:
-            others = None if geometry.material is None else geometry.material > 0
-            comparisons.append(
-                compare_image(seen, levels, geometry.hit, scene.sensor, scene.reflectance.full_scale, others=others)
-            )
+            regions = None if geometry.material is None else geometry.material > 0
+            comparisons.append(compare_image(seen, levels, geometry.hit, *scale, others=regions))
             if save_prediction is not None:
                 save_prediction(seen, levels)
         results.append(LeftOut(samples.lights[light], fitted.x, tuple(comparisons), fitted.maximum.converged))
@@ -149,22 +148,18 @@ def compare_image(
     full, seen_full = (np.floor(levels + 0.5) >= top) & own, seen.saturated & own
     rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else 0.0
     both, either = int((full & seen_full).sum()), int((full | seen_full).sum())
+    border, (a, b) = None, (_border(full), _border(seen_full))
+    if len(a) and len(b):
+        border = 0.5 * (float(KDTree(b).query(a)[0].mean()) + float(KDTree(a).query(b)[0].mean()))
     return Comparison(
         image=seen.name,
         rms=full_scale / sensor.max_level * rms / seen.exposure,
         rms_sensor=rms,
         iou=both / either if either else None,
-        border=_border_distance(full, seen_full),
+        border=border,
         area=int(seen_full.sum()),
         predicted_area=int(full.sum()),
     )
-
-
-def _border_distance(first: Bool, second: Bool) -> float | None:
-    a, b = _border(first), _border(second)
-    if not len(a) or not len(b):
-        return None
-    return 0.5 * (float(KDTree(b).query(a)[0].mean()) + float(KDTree(a).query(b)[0].mean()))
 
 
 def _border(mask: Bool) -> Float64:
@@ -186,9 +181,8 @@ def predict_images(
         shown = [o for o in observations if o.posture == posture]
         wanted = {o.light for o in shown}
         lights = tuple(light for light in scene.lights if light.name in wanted)
-        images = render_posture(
-            replace(scene, lights=lights, reflectance=reflectance), posture, caster=caster, threads=threads
-        )
+        fitted = replace(scene, lights=lights, reflectance=reflectance)
+        images = render_posture(fitted, posture, caster=caster, threads=threads)
         by_name = {image.light: image.level for image in images.lights}
         for o in shown:
             gain = math.exp(x[FIRST_GAIN + names.index(o.light)])
@@ -215,8 +209,8 @@ class ModelRow:
     def as_dict(self) -> dict[str, Any]:
         return {
             "model": self.model,
-            "left_out_rms_sensor_levels": None if self.rms is None else significant(self.rms, 5),
-            "mean_log_likelihood": None if self.likelihood is None else significant(self.likelihood, 6),
+            "left_out_rms_sensor_levels": significant(self.rms, 5),
+            "mean_log_likelihood": significant(self.likelihood, 6),
             "refused": self.refused,
         }
 
@@ -259,7 +253,7 @@ class PointsRow(Coefficients):
             "measured_area_px": self.measured_area,
             "perimeter_px": round(self.perimeter, 1),
             "measured_perimeter_px": round(self.measured_perimeter, 1),
-            "mean_log_likelihood": None if self.likelihood is None else significant(self.likelihood, 6),
+            "mean_log_likelihood": significant(self.likelihood, 6),
         }
 
 

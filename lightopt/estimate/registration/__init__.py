@@ -16,19 +16,17 @@ from lightopt.estimate.registration._observations import (
     observed_postures as observed_postures,
     read_observations as read_observations,
 )
-from lightopt.estimate.registration._pixels import (
+from lightopt.estimate.registration._placement import (
     LEAST_R_D as LEAST_R_D,
     LEAST_R_S as LEAST_R_S,
     PixelSet as PixelSet,
-    light_at as light_at,
-    sensor_scale as sensor_scale,
-    view_of_placed as view_of_placed,
-)
-from lightopt.estimate.registration._placement import (
     Placement as Placement,
     PoseFrame as PoseFrame,
+    light_at as light_at,
     part_file_placement as part_file_placement,
     place_part as place_part,
+    sensor_scale as sensor_scale,
+    view_of_placed as view_of_placed,
 )
 from lightopt.estimate.registration._refinement import (
     DARK_SPREAD as DARK_SPREAD,

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Index
 from lightopt.core.errors import InputError, counted
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._pixels import PixelSet, light_at, view_of_placed
-from lightopt.estimate.registration._placement import Placement
+from lightopt.estimate.registration._placement import PixelSet, Placement, light_at, view_of_placed
 from lightopt.geometry import RayCaster
 from lightopt.scene import Scene, screen_window, view_from_part
 
@@ -46,16 +45,10 @@ BLACK_SHARE = 0.02  # images with less than this share of the light that is pred
 MOST_SATURATED = 0.5  # images of which more pixels than this share are saturated are refused for that
 
 _ALL, _REVERSED = slice(None), slice(None, None, -1)
-
+_NO_TURN = "flip the images; a rotation, or another roll of the camera, does not undo this"
 FLIPS: dict[str, tuple[tuple[slice, slice], str]] = {
-    "mirrored left to right": (
-        (_ALL, _REVERSED),
-        "flip the images; a rotation, or another roll of the camera, does not undo this",
-    ),
-    "mirrored top to bottom": (
-        (_REVERSED, _ALL),
-        "flip the images; a rotation, or another roll of the camera, does not undo this",
-    ),
+    "mirrored left to right": ((_ALL, _REVERSED), _NO_TURN),
+    "mirrored top to bottom": ((_REVERSED, _ALL), _NO_TURN),
     "rotated by 180°": ((_REVERSED, _REVERSED), "rotate them, or correct the camera's roll in the rig file"),
 }
 """Flips of images: by name, the rows and columns that undo it, and the remedy."""
@@ -77,27 +70,17 @@ def refuse_useless_images(
         light, _ = light_at(scene, pixels, view, caster, threads=threads)
         shown.append(~np.isfinite(light) | (light > 0.0))
     if not any(lit.any() for lit in shown):
-        raise InputError(
-            f"{where}: no pixel of the {images} shows a lit surface of the part at its nominal placement; check the "
-            "part's placement, the postures, and the directions of the rig's camera and lights"
-        )
+        raise InputError(f"{where}: no pixel of the {images} shows the part lit; check placement, postures and lights")
     lit = {p.posture: np.any(s, axis=0) for p, s in zip(sets, shown, strict=True)}
     at = {p.posture: (p.row[lit[p.posture]], p.column[lit[p.posture]]) for p in sets}
     expected = [o for o in observations if o.posture in at]
     if all(bool(o.saturated[at[o.posture]].all()) for o in expected):
-        raise InputError(
-            f"{where}: every pixel of the part is saturated in each of {images}; capture them with a shorter exposure "
-            "or less light"
-        )
+        raise InputError(f"{where}: every pixel of the part is saturated in each of {images}; expose shorter")
     sensor = scene.sensor
     above = sensor.black_level + CLEAR * math.sqrt(sensor.noise_variance(0.0)) + 0.5
     seen = [o.levels[at[o.posture]] for o in expected]
     if max(float(np.mean(levels > above)) if levels.size else 0.0 for levels in seen) < LEAST_BRIGHT_SHARE:
-        mean = float(np.mean([levels.mean() for levels in seen if levels.size])) - sensor.black_level
-        raise InputError(
-            f"{where}: the {images} are black where the part is expected: {max(mean, 0.0):.3g} sensor levels above the "
-            "black level on average; check the lens cap, that the lights are on, and the exposure"
-        )
+        raise InputError(f"{where}: the {images} are black where the part is expected; check lens cap and lights")
     return sets
 
 
@@ -114,9 +97,8 @@ def _coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[Pi
         if right <= left or bottom <= top:
             continue
         step = max(1, math.floor(math.sqrt((right - left) * (bottom - top) / PIXELS)))
-        column, row = (
-            a.ravel().astype(np.int32) for a in np.meshgrid(np.arange(left, right, step), np.arange(top, bottom, step))
-        )
+        grid = np.meshgrid(np.arange(left, right, step), np.arange(top, bottom, step))
+        column, row = (a.ravel().astype(np.int32) for a in grid)
         mine = sorted((o for o in observations if o.posture == posture), key=lambda o: o.exposure)
         longest = list({o.light: o for o in mine}.values())
         longest = longest[:: math.ceil(len(longest) / MOST_LIGHTS)]
@@ -197,20 +179,11 @@ def _other_cause(seen: Array, model: Array, full: Bool) -> str:
     # why images that are not flipped may be so far from the model
     mean, expected = float(seen.mean()), float(model.mean())
     if mean < BLACK_SHARE * expected:
-        return (
-            f"they are black: {max(mean, 0.0):.3g} grey levels on average, predicted {expected:.3g}; check the lens "
-            "cap, that the lights are on, and the exposure"
-        )
+        return f"they are black: {max(mean, 0.0):.3g} grey levels, predicted {expected:.3g}; check lens cap and lights"
     share = float(full.mean())
     if share > MOST_SATURATED:
-        return (
-            f"{100.0 * share:.0f} % of their evaluable pixels are saturated; capture them with a shorter exposure or "
-            "less light"
-        )
-    return (
-        "check that rig, part, placement and postures are those of the images, and fit the reflectance first "
-        "(lightopt fit-specular)"
-    )
+        return f"{100.0 * share:.0f} % of their evaluable pixels are saturated; capture them with a shorter exposure"
+    return "check that rig, part, placement and postures are those of the images, and fit the reflectance first"
 
 
 def _rms(values: Array) -> float:

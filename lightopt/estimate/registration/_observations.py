@@ -68,13 +68,10 @@ def read_observations(
     Raises InputError: no images; lights, angles, bit depth, levels or sizes that are not the rig's. All problems at
         once.
     """
-    problems = [*_manifest_problems(image_set, rig, part), *_light_problems(image_set.images, rig, image_set)]
-    refuse(problems)
+    refuse([*_manifest_problems(image_set, rig, part), *_light_problems(image_set, rig)])
     width, height = rig.camera.resolution_px
-    entries = image_set.images
-    observations = tuple(
-        in_threads(lambda i: _read(image_set, entries[i], build_sensor(rig.camera)), range(len(entries)), threads)
-    )
+    entries, sensor = image_set.images, build_sensor(rig.camera)
+    observations = tuple(in_threads(lambda i: _read(image_set, entries[i], sensor), range(len(entries)), threads))
     other = [o for o in observations if o.levels.shape != (height, width)]
     if other:
         rows, columns = other[0].levels.shape
@@ -87,81 +84,65 @@ def read_observations(
 
 
 def _manifest_problems(image_set: ImageSet, rig: RigConfig, part: PartConfig) -> Iterable[str]:
-    manifest, sensor = image_set.manifest, rig.camera.sensor
-    where = image_set.folder
+    manifest, sensor, where = image_set.manifest, rig.camera.sensor, image_set.folder
+    of_sensor = ("camera", "sensor")
     if not manifest.images:
         yield f"{where}: the image set lists no images; expected at least one"
     if manifest.bit_depth != sensor.bit_depth:
-        yield (
-            f"{where}: images of {manifest.bit_depth} bits, but the rig's sensor has {sensor.bit_depth} "
-            f"({rig.source.at('camera', 'sensor', 'bit_depth')})"
-        )
+        at = rig.source.at(*of_sensor, "bit_depth")
+        yield f"{where}: images of {manifest.bit_depth} bits, but the rig's sensor has {sensor.bit_depth} ({at})"
         return
-    saturation = build_sensor(rig.camera).saturated_from
-    if manifest.saturation_level is not None and manifest.saturated_from != saturation:
-        yield (
-            f"{where}: saturated from level {manifest.saturated_from:g}, but the rig says {saturation:g} "
-            f"({rig.source.at('camera', 'sensor', 'saturation_level')}); correct whichever is wrong"
-        )
-    if manifest.black_level not in (0.0, sensor.black_level):
-        yield (
-            f"{where}: black level {manifest.black_level:g}, but the rig says {sensor.black_level:g} "
-            f"({rig.source.at('camera', 'sensor', 'black_level')}); correct whichever is wrong"
-        )
-    if manifest.full_scale != part.reflectance.full_scale:
-        yield (
-            f"{where}: full scale {manifest.full_scale:g}, but the part's reflectance is in levels of "
-            f"{part.reflectance.full_scale:g} ({part.source.at('reflectance', 'full_scale')})"
-        )
+    saturation, full_scale = build_sensor(rig.camera).saturated_from, part.reflectance.full_scale
+    saturated = saturation if manifest.saturation_level is None else manifest.saturated_from
+    black = manifest.black_level or sensor.black_level
+    for what, found, expected, at in (
+        ("saturation level", saturated, saturation, rig.source.at(*of_sensor, "saturation_level")),
+        ("black level", black, sensor.black_level, rig.source.at(*of_sensor, "black_level")),
+        ("full scale", manifest.full_scale, full_scale, part.source.at("reflectance", "full_scale")),
+    ):
+        if found != expected:
+            yield f"{where}: {what} {found:g}, but {at} has {expected:g}; correct whichever is wrong"
 
 
-def _light_problems(images: Iterable[ImageEntry], rig: RigConfig, image_set: ImageSet) -> Iterable[str]:
+def _light_problems(image_set: ImageSet, rig: RigConfig) -> Iterable[str]:
     lights = {light.name: light for light in rig.lights}
-    checked: set[tuple[object, ...]] = set()
-    for entry in images:
-        key = (entry.light, entry.light_elevation_deg, entry.light_azimuth_deg)
-        if key in checked:
+    places = dict.fromkeys((e.light, e.light_elevation_deg, e.light_azimuth_deg) for e in image_set.images)
+    for name, elevation, azimuth in places:
+        if name not in lights:
+            yield f'{image_set.folder}: light "{name}" is not in {rig.source.path}; it has {", ".join(lights)}'
             continue
-        checked.add(key)
-        if entry.light not in lights:
-            yield f'{image_set.folder}: light "{entry.light}" is not in {rig.source.path}; it has {", ".join(lights)}'
-            continue
-        light = lights[entry.light]
-        azimuth = math.remainder(entry.light_azimuth_deg - light.azimuth_deg, 360.0)
-        elevation = entry.light_elevation_deg - light.elevation_deg
-        if max(abs(azimuth), abs(elevation)) > ANGLE_TOLERANCE_DEG:
-            index = list(lights).index(entry.light)
+        light = lights[name]
+        off = math.remainder(azimuth - light.azimuth_deg, 360.0), elevation - light.elevation_deg
+        if max(map(abs, off)) > ANGLE_TOLERANCE_DEG:
+            at = rig.source.at("lights", list(lights).index(name))
             yield (
-                f"{image_set.folder}: {entry.light} stood at elevation {entry.light_elevation_deg:g}°, azimuth "
-                f"{entry.light_azimuth_deg:g}°, but {rig.source.at('lights', index)} has {light.elevation_deg:g}°, "
-                f"{light.azimuth_deg:g}°; give the rig that the images were taken with"
+                f"{image_set.folder}: {name} stood at elevation {elevation:g}°, azimuth {azimuth:g}°, but {at} has "
+                f"{light.elevation_deg:g}°, {light.azimuth_deg:g}°; give the rig that the images were taken with"
             )
 
 
 def _read(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Observation:
     image = image_set.load(entry)
     manifest = image_set.manifest
+    delivered = image.sensor is not None
     if image.sensor is not None:
-        file, exposure, half_width, frames = entry.png, entry.held_exposure, PNG_HALF_WIDTH, frames_of(entry)
         levels, subtracted = _above_dark(image_set, entry, image.sensor, sensor)
     else:
-        file, exposure, half_width, frames, subtracted = entry.exr, 1.0, EXR_HALF_WIDTH, 1, 0.0
-        scale = manifest.max_level / manifest.full_scale
-        levels = (image.levels * scale + manifest.black_level).astype(np.float32)
+        levels, subtracted = image.levels * (manifest.max_level / manifest.full_scale) + manifest.black_level, 0.0
+        levels = levels.astype(np.float32)
         if manifest.kind != "captured":
             # whether a foreign file was clipped is not known: saturated levels only say that they are at least that
-            scale_at_exposure = manifest.saturated_from - manifest.black_level
-            ceiling = manifest.black_level + scale_at_exposure / entry.held_exposure
+            ceiling = manifest.black_level + (manifest.saturated_from - manifest.black_level) / entry.held_exposure
             levels = np.where(image.saturated, np.minimum(levels, np.float32(ceiling)), levels)
     return Observation(
         light=entry.light,
         posture=entry.posture,
-        exposure=exposure,
+        exposure=entry.held_exposure if delivered else 1.0,
         levels=levels,
         saturated=image.saturated,
-        half_width=half_width,
-        source=image_set.path(file or ""),
-        frames=frames,
+        half_width=PNG_HALF_WIDTH if delivered else EXR_HALF_WIDTH,
+        source=image_set.path((entry.png if delivered else entry.exr) or ""),
+        frames=frames_of(entry) if delivered else 1,
         subtracted=subtracted,
     )
 
@@ -174,10 +155,7 @@ def _above_dark(
     if dark is None:
         return delivered.astype(np.float32), 0.0
     if dark.shape != delivered.shape:
-        raise InputError(
-            f"{image_set.path(entry.png or '')}: {delivered.shape[1]} × {delivered.shape[0]} px, but its frame without "
-            f"light has {dark.shape[1]} × {dark.shape[0]} px; capture both again"
-        )
+        raise InputError(f"{image_set.path(entry.png or '')}: its frame without light has another size; capture both")
     subtracted = dark - sensor.black_level
     levels = np.minimum(delivered, math.ceil(sensor.saturated_from)) - subtracted
     levels = np.where(delivered == 0, np.minimum(levels, 0.0), levels)
@@ -201,10 +179,7 @@ def dark_levels(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Float
         return None
     name = dark_name(entry.posture, entry.exposure)
     if name not in image_set.manifest.files:
-        raise InputError(
-            f"{image_set.folder}: captured with dark frames, but the manifest does not list {name}; resume "
-            "the capture, which takes what is missing"
-        )
+        raise InputError(f"{image_set.folder}: the manifest does not list the dark frame {name}; resume the capture")
     path = image_set.path(name)
     levels = read_png(path).astype(np.float64)
     mean = read_metadata(path).get("mean_level")

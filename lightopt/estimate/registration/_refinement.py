@@ -10,15 +10,17 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.least_squares import Limits
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._pixels import (
+from lightopt.estimate.registration._placement import (
     LEAST_R_D,
     LEAST_R_S,
     PixelSet,
+    Placement,
+    PoseFrame,
     light_at,
+    place_part,
     sensor_scale,
     view_of_placed,
 )
-from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
 from lightopt.geometry import RayCaster
 from lightopt.rendering import mask_pixels
 from lightopt.scene import Scene

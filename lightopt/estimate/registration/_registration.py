@@ -7,9 +7,13 @@ Input: a scene with the part at its file placement, and observations of it. Outp
 
 1. `_image_checks`: refuse images that cannot show where the part is.
 2. Search by outline and diffuse light, whatever the reflectance.
-3. `_refinement`: robust least squares over the part's inner pixels, and over its outline where those do not determine
-   the placement. `_revolution` finds out beforehand whether a rotation is observable at all.
+3. Find out whether the visible surface is a body of revolution, whose rotation is unobservable. The facets of a mesh
+   rotate with the model, the real part has none: where nothing but facets determines a rotation, it is undetermined.
+4. `_refinement`: robust least squares over the part's inner pixels, and over its outline where those do not determine
+   the placement.
 """
+
+from __future__ import annotations
 
 import logging
 import math
@@ -21,10 +25,18 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.least_squares import Solution, solve
 from lightopt.core.run_context import RunContext
+from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration._image_checks import refuse_useless_images
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
-from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
+from lightopt.estimate.registration._placement import (
+    PixelSet,
+    Placement,
+    PoseFrame,
+    light_at,
+    place_part,
+    sensor_scale,
+    view_of_placed,
+)
 from lightopt.estimate.registration._refinement import (
     OUTLINE_PX,
     RefinementProblem,
@@ -32,10 +44,131 @@ from lightopt.estimate.registration._refinement import (
     parameter_limits,
     start_parameters,
 )
-from lightopt.estimate.registration._revolution import unobservable_rotation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
+from lightopt.rendering import trace_samples
 from lightopt.scene import Scene
+
+# rotations to compare [rad]: within the reach of a registration, and all round, by the golden angle
+ROTATIONS = np.concatenate([np.radians([1.9, 3.7, 6.0, 11.0]), np.radians(137.50776) * np.arange(5, 17)])
+
+# facets of a body of revolution are off it by up to one chord error, two of them by up to 1.7 (measured, 24 to 720
+# sections); those of spheres of even triangles by up to 2.6
+DEPTH_FACTOR = 3.0
+
+# interpolated normals are off by up to a third of the angle that a facet spans about the axis (measured likewise)
+NORMAL_FACTOR = 0.5
+
+# and, where facets are of unequal shapes, by up to a tenth of the angle between the normals of their corners (measured
+# on a torus and on fillets of a knob as they are found in the wild)
+CURVED_FACTOR = 0.15
+
+# differences of depth [px] and of normals [rad] up to these are none: light depends on normals, on depth by parallax
+# alone
+LEAST_DEPTH_PX, LEAST_ANGLE = 0.1, math.radians(0.05)
+
+AXIS_PRIOR = 1e-4  # weight of the part's middle for the axis, against normals: flat surface has no axis of its own
+
+
+def unobservable_rotation(
+    scene: Scene, frame: PoseFrame, sets: Sequence[PixelSet], pose: Float64, *, caster: RayCaster
+) -> Float64:
+    """Directions of poses, shape (u, 3), u = 0 or 1, in which a rotation changes only facets at the given pixels.
+
+    The part is rotated about its middle, and about the axis to which its normals point. A pixel sees the same surface
+    where its depth along the normal and its normal differ by no more than two facets may be off a common body of
+    revolution: r (1 − cos Δφ/2) of their azimuthal extent Δφ; Δφ/2, or a share of the angle between the normals of
+    their corners. One pixel that sees more, such as a flat, a key, a hole, or nothing, makes the rotation observable.
+    """
+    if not sets or scene.mesh.normals is None:
+        return np.zeros((0, 3))
+    nominal = [_trace(scene, frame, pixels, pose, caster) for pixels in sets]
+    fitted = _axis(np.concatenate([n.points for n in nominal]), np.concatenate([n.normals for n in nominal]))
+
+    def is_observable(axis: Float64, rotation: float) -> bool:
+        # whether a rotation about an axis of the part, x and y from its middle, changes more than facets
+        about, foot = rotation_z(rotation), np.array([*axis, 0.0])
+        # the axis stays where the pose has it
+        shift = rotation_z(float(pose[2])) @ (foot - about @ foot)
+        rotated = pose.copy()
+        rotated[:3] += np.array([shift[0], shift[1], rotation])
+        return any(
+            _differs(before, _trace(scene, frame, pixels, rotated, caster).rotated(about, foot), frame.pixel)
+            for pixels, before in zip(sets, nominal, strict=True)
+        )
+
+    # normals of coarse facets are less exact than the bounding box, unless that is of an odd number of sections
+    for axis in (np.zeros(2), fitted):
+        if not any(is_observable(axis, float(rotation)) for rotation in ROTATIONS):
+            return np.array([[axis[1], -axis[0], 1.0]])
+    return np.zeros((0, 3))
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """What n pixels see: points from the part's middle and normals, in the part's axes; how far off facets may be.
+
+    `depth` is the chord error [mm], `angle` the azimuthal extent, `bend` the greatest difference of corners' normals
+    [rad] of the facets, shape (n,).
+    """
+
+    points: Float64
+    normals: Float64
+    depth: Float64
+    angle: Float64
+    bend: Float64
+
+    def rotated(self, about: Float64, foot: Float64) -> _Surface:
+        """Rotated about the vertical axis through a point."""
+        return replace(self, points=(self.points - foot) @ about.T + foot, normals=self.normals @ about.T)
+
+
+def _differs(before: _Surface, after: _Surface, pixel: float) -> bool:
+    # whether any pixel sees more than other facets of the same body of revolution
+    if len(after.points) != len(before.points):
+        return True
+    slope = np.hypot(before.normals[:, 0], before.normals[:, 1])
+    depth = DEPTH_FACTOR * slope * np.minimum(before.depth, after.depth)
+    angle = NORMAL_FACTOR * slope * np.minimum(before.angle, after.angle)
+    angle += CURVED_FACTOR * np.minimum(before.bend, after.bend)
+    off = np.abs(np.einsum("ij,ij->i", after.points - before.points, before.normals))
+    differ = np.linalg.norm(after.normals - before.normals, axis=1)
+    return bool(np.any((off > depth + LEAST_DEPTH_PX * pixel) | (differ > angle + LEAST_ANGLE)))
+
+
+def _trace(scene: Scene, frame: PoseFrame, pixels: PixelSet, pose: Float64, caster: RayCaster) -> _Surface:
+    # what is seen in a pose by those of the pixels that see the part
+    place, middle = frame.placement(pose), np.array([*(scene.pivot + frame.middle)[:2], 0.0])
+    view = view_of_placed(scene, pixels.posture, place)
+    hits, surface = trace_samples(caster, scene.mesh, view.camera, *pixels.positions)
+    vertices, normals = scene.mesh.vertices, scene.mesh.normals
+    assert normals is not None
+    faces = scene.mesh.faces[hits.face]
+    facets = _facets((vertices[faces] - middle)[:, :, :2], normals[faces], 1e-6 * frame.radius)
+    return _Surface(surface.points - middle, surface.normals, *facets)
+
+
+def _facets(corners: Float64, normals: Float64, least: float) -> tuple[Float64, Float64, Float64]:
+    # of facets: chord error r (1 − cos Δφ/2) [mm], azimuthal extent Δφ [rad], and how far their normals bend [rad]
+    radius = np.linalg.norm(corners, axis=2)
+    # a corner on the axis has no azimuth
+    off = radius > least
+    unit = corners / np.where(off, radius, 1.0)[:, :, None]
+    angle, bend = np.zeros(len(corners)), np.zeros(len(corners))
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        cosine = np.clip(np.einsum("ij,ij->i", unit[:, a], unit[:, b]), -1.0, 1.0)
+        angle = np.maximum(angle, np.where(off[:, a] & off[:, b], np.arccos(cosine), 0.0))
+        bend = np.maximum(bend, np.linalg.norm(normals[:, a] - normals[:, b], axis=1))
+    return radius.max(axis=1, initial=0.0) * (1.0 - np.cos(0.5 * angle)), angle, bend
+
+
+def _axis(points: Float64, normals: Float64) -> Float64:
+    # least squares: the vertical axis next to the lines along the normals [mm]
+    across = np.stack([normals[:, 1], -normals[:, 0]], axis=1)
+    moment = np.einsum("ij,ij->i", across, points[:, :2])
+    prior = AXIS_PRIOR * max(len(points), 1) * np.eye(2)
+    return np.linalg.solve(across.T @ across + prior, across.T @ moment)
+
 
 _log = logging.getLogger("lightopt.estimate")
 
@@ -154,18 +287,10 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
     size = np.array([FIRST_STEP_MM, FIRST_STEP_MM, FIRST_STEP_RAD])
     reach = frame.reach / size
     # in units of the first steps, so that one tolerance serves shifts and turn
-    found = optimize.minimize(
-        lambda u: misfit(u * size),
-        best / size,
-        method="Nelder-Mead",
-        bounds=list(zip(-reach, reach, strict=True)),
-        options={
-            "initial_simplex": [best / size, *(best / size + step for step in np.eye(3))],
-            "xatol": 0.02,
-            "fatol": np.inf,
-            "maxfev": SEARCH_STEPS - len(values),
-        },
-    )
+    start, bounds = best / size, list(zip(-reach, reach, strict=True))
+    simplex = [start, *(start + step for step in np.eye(3))]
+    options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": np.inf, "maxfev": SEARCH_STEPS - len(values)}
+    found = optimize.minimize(lambda u: misfit(u * size), start, method="Nelder-Mead", bounds=bounds, options=options)
     pose = np.asarray(found.x, np.float64) * size if float(found.fun) < values[0] else np.zeros(3)
     return frame.placement(pose)
 
@@ -195,21 +320,15 @@ def refine_placement(
     iterations, moved = 0, math.inf
     number, stages = 0, STAGES
     while number < stages:
-        inner, edges = choose_pixels(
-            scene,
-            observations,
-            frame.placement(x[own]),
-            outline=outline,
-            reduced=reduced or number == 0,
-            threads=run.threads,
-        )
+        place, few = frame.placement(x[own]), reduced or number == 0
+        inner, edges = choose_pixels(scene, observations, place, outline=outline, reduced=few, threads=run.threads)
         if number == 0:
             hidden = unobservable_rotation(scene, frame, inner, x[own], caster=caster)
             limits = replace(limits, undetermined=np.pad(hidden, ((0, 0), (0, len(x) - 3))))
         problem = RefinementProblem(scene, frame, inner, edges, x, caster=caster, threads=run.threads)
         solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)
         iterations += solution.iterations
-        moved = frame.distance_px(frame.placement(x[own]), frame.placement(solution.x[own]))
+        moved = frame.distance_px(place, frame.placement(solution.x[own]))
         progress((number + 1) / (STAGES + OUTLINE_STAGES))
         if not outline and np.any(solution.errors[own] > OUTLINE_PX * frame.pixel_steps):
             # the inner pixels do not determine the place well enough: begin again, with the outline
@@ -253,16 +372,13 @@ def _convergence_warnings(solution: Solution, frame: PoseFrame, iterations: int,
     # at most one
     if solution.at_limit[: frame.freedoms].any():
         reach = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
-        if frame.freedoms == 6:
-            reach += f" in the plane, {frame.reach[3]:g} mm in height and {math.degrees(frame.reach[4]):g}° in tilt"
-        text = f"the part was searched up to {reach} from its nominal placement, and seems to be further away; "
-        return (text + "correct its placement in the part file",)
+        further = f"the part was searched up to {reach} from its nominal placement, and seems to be further away"
+        return (f"{further}; correct its placement in the part file",)
+    if solution.converged and moved < SETTLED_PX:
+        return ()
+    why = f": its last stage moved the part by {moved:.1f} px"
     if not solution.converged:
         why = f"; the placement is the best of {iterations} steps"
-    elif moved >= SETTLED_PX:
-        why = f": its last stage moved the part by {moved:.1f} px"
-    else:
-        return ()
     return (f"the registration did not converge{why}. Its errors may be larger than stated",)
 
 
@@ -271,25 +387,12 @@ def _undetermined_warnings(directions: Float64, share: Float64) -> tuple[str, ..
     end = "cannot be determined from these images; assumed as in the part file"
     if len(directions) == len(share):
         return (f"the placement of the part {end}",)
-    names = (
-        "the shift along x",
-        "the shift along y",
-        "the rotation about the rotary axis",
-        "the height",
-        "the tilt about x",
-        "the tilt about y",
-    )[: len(share)]
+    shifts = ("the shift along x", "the shift along y", "the rotation about the rotary axis")
+    names = (*shifts, "the height", "the tilt about x", "the tilt about y")[: len(share)]
     named = [name for name, s in zip(names, share, strict=True) if s > ALONG_AXIS]
-    if len(named) == len(directions):
-        return tuple(f"{name} {end}" for name in named)
-    warnings: list[str] = []
-    for direction in directions:
-        x, y, turn = direction[:3]
-        if float(np.sum(direction[:3] ** 2)) < ALONG_AXIS:
-            mixed = ", ".join(name for name, part in zip(names, direction, strict=True) if part**2 > 1.0 - ALONG_AXIS)
-            warnings.append(f"a direction between {mixed} {end}")
-            continue
-        angle = math.degrees(math.atan2(y, x)) % 180.0
-        along = f"the shift along {angle:.0f}° from x"
-        warnings.append(f"{along} {end}" if turn**2 < 1.0 - ALONG_AXIS else f"{along} together with a rotation {end}")
-    return tuple(warnings)
+    if len(named) < len(directions):
+        named = []
+        for direction in directions:
+            mixed = [name for name, part in zip(names, direction, strict=True) if part**2 > 1.0 - ALONG_AXIS]
+            named.append(f"a direction between {', '.join(mixed)}")
+    return tuple(f"{name} {end}" for name in named)

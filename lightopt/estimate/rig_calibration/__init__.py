@@ -10,27 +10,29 @@ Entry: ``plan_calibration(rig, folder)`` says what to capture, ``calibrate_rig(r
 - Pairs of frames: ``_photon_transfer`` gives the sensor.
 """
 
-from lightopt.estimate.rig_calibration._board import Board as Board, BoardView as BoardView
+from lightopt.estimate.rig_calibration._board import (
+    Board as Board,
+    BoardImage as BoardImage,
+    BoardView as BoardView,
+    board_grid as board_grid,
+    board_mesh as board_mesh,
+    find_corners as find_corners,
+    white_areas as white_areas,
+)
 from lightopt.estimate.rig_calibration._board_fit import BoardFit as BoardFit, fit_board as fit_board
-from lightopt.estimate.rig_calibration._board_images import BoardImage as BoardImage, find_corners as find_corners
 from lightopt.estimate.rig_calibration._calibrate import (
     RigCalibration as RigCalibration,
     calibrate_rig as calibrate_rig,
 )
-from lightopt.estimate.rig_calibration._charuco import (
-    CharucoBoard as CharucoBoard,
-    board_mesh as board_mesh,
-    white_areas as white_areas,
-)
 from lightopt.estimate.rig_calibration._deviations import (
     Measured as Measured,
-    displaced as displaced,
     read_covariance as read_covariance,
+    rig_deviations as rig_deviations,
     square_root as square_root,
 )
 from lightopt.estimate.rig_calibration._files import (
     REPORT_NAME as REPORT_NAME,
     figures as figures,
+    plan_calibration as plan_calibration,
     write_calibration as write_calibration,
 )
-from lightopt.estimate.rig_calibration._plan import plan_calibration as plan_calibration

@@ -61,10 +61,10 @@ def mirror_points(centre: Float64, radius: float, eye: Float64, points: Float64)
     low, high = np.zeros_like(gamma), gamma.copy()
     psi = 0.5 * gamma
     for _ in range(_MOST_STEPS):
-        off = _reflected_angle(a, radius, psi) - _reflected_angle(b, radius, gamma - psi)
+        (incidence, slope), (reflection, more) = _reflection(a, radius, psi), _reflection(b, radius, gamma - psi)
+        off = incidence - reflection
         low, high = np.where(off < 0.0, psi, low), np.where(off < 0.0, high, psi)
-        slope = _slope(a, radius, psi) + _slope(b, radius, gamma - psi)
-        step = psi - off / slope
+        step = psi - off / (slope + more)
         # Newton's step where it stays between the bounds, half of them elsewhere
         step = np.where((step >= low) & (step <= high), step, 0.5 * (low + high))
         done = np.abs(step - psi) <= _ANGLE_TOLERANCE
@@ -76,14 +76,12 @@ def mirror_points(centre: Float64, radius: float, eye: Float64, points: Float64)
     return centre + radius * (np.cos(psi) * first + np.sin(psi) * second)
 
 
-def _reflected_angle(distance: Float64, radius: float, psi: Float64) -> Float64:
-    return np.arctan2(distance * np.sin(psi), distance * np.cos(psi) - radius)
-
-
-def _slope(distance: Float64, radius: float, psi: Float64) -> Float64:
-    cosine = np.cos(psi)
+def _reflection(distance: Float64, radius: float, psi: Float64) -> tuple[Float64, Float64]:
+    # the angle of incidence or of reflection [rad], and its slope by ψ
+    sine, cosine = np.sin(psi), np.cos(psi)
     square = distance * distance - 2.0 * distance * radius * cosine + radius * radius
-    return (distance * distance - distance * radius * cosine) / square
+    angle = np.arctan2(distance * sine, distance * cosine - radius)
+    return angle, (distance * distance - distance * radius * cosine) / square
 
 
 def mirrored_image(camera: PinholeCamera, centre: Float64, radius: float, points: Float64) -> Float64:
@@ -144,7 +142,6 @@ class BallFit:
     lights: tuple[PanelLight, ...]  # as they were given, with the fitted pose and size
     centre: Float64
     radius: float
-    edge_offset: float  # by how much the outline is measured outside of the ball's [px]
     covariance: Float64
     rms: float  # of the residuals, in the standard deviations that the images claim; about 1
     unobservable: tuple[str, ...]  # parameters that these postures do not show
@@ -213,7 +210,6 @@ def fit_ball(
         lights=problem.posed(found.x),
         centre=found.x[:3],
         radius=float(found.x[3]),
-        edge_offset=float(found.x[4]),
         covariance=covariance,
         rms=math.sqrt(mean_square),
         unobservable=tuple(
@@ -309,9 +305,7 @@ def unmoved(lights: Sequence[PanelLight]) -> Float64:
 
 def _ball_start(views: Sequence[BallView], camera: PinholeCamera, stage: Stage, radius: float) -> Float64:
     """Ball parameters from the outlines alone, shape (5,)."""
-    ball = _Problem(
-        camera, stage, (), tuple(views), np.zeros(5), np.array([np.inf, np.inf, np.inf, np.inf, EDGE_PRIOR])
-    )
+    ball = _Problem(camera, stage, (), tuple(views), np.zeros(5), np.array([*[np.inf] * 4, EDGE_PRIOR]))
 
     def residuals(x: Float64) -> Float64:
         return ball.residuals(np.insert(x, 3, radius))
@@ -336,9 +330,8 @@ def _ordered(problem: _Problem) -> tuple[_Image, ...]:
             order = min(orders, key=lambda o: float(np.sum(np.square(image.corners[o] - offset - expected))))
             entries = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
             root = np.linalg.cholesky(image.covariance[np.ix_(entries, entries)])
-            images.append(
-                _Image(number, numbers[name], image.corners[order], np.asarray(np.linalg.inv(root), np.float64))
-            )
+            whitening = np.asarray(np.linalg.inv(root), np.float64)
+            images.append(_Image(number, numbers[name], image.corners[order], whitening))
     return tuple(images)
 
 
@@ -354,8 +347,5 @@ def _check(views: Sequence[BallView], lights: Sequence[PanelLight]) -> None:
         if name not in names
     ]
     if len({view.posture.elevation_deg for view in views}) < 2:
-        problems.append(
-            "all views have one tilt, which leaves the ball's height unknown and the panels centimetres off: add "
-            "views with another tilt, at best 40° apart"
-        )
+        problems.append("all views have one tilt: add views with another tilt, at best 40° apart")
     refuse(f"ball: {problem}" for problem in problems)

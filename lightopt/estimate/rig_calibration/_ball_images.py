@@ -98,10 +98,7 @@ def mirrored_panel(
     mask: Bool = region == int(np.argmax(areas)) + 1
     burnt = int(np.sum(level[mask] >= sensor.saturated_from))
     if burnt >= SATURATED_PIXELS:
-        raise InputError(
-            f"{where}: {burnt} of {area} pixels of the highlight are saturated: its edge is not where the panel's is; "
-            "expose it shorter, to about 80 % of saturation"
-        )
+        raise InputError(f"{where}: {burnt} of {area} pixels of the highlight are saturated: expose it shorter")
     if np.sum(areas > SECOND * area) > 1:
         raise InputError(f"{where}: more than one highlight: is another light on, or does the ball mirror something?")
     level = np.asarray(ndimage.gaussian_filter(level, SMOOTHING))

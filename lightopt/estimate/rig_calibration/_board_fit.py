@@ -5,7 +5,7 @@ Each view alone gives a homography and from it two poses of a plane, which mirro
 explains all views best is the start.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -15,20 +15,25 @@ from lightopt.core.arrays import Bool, Float64, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._board import Board, BoardView
-from lightopt.estimate.rig_calibration._board_model import (
+from lightopt.estimate.rig_calibration._deviations import NORMAL_95
+from lightopt.estimate.rig_calibration._joint_fit import (
     AT,
     BOARD_POSITION,
     CAMERA_POSITION,
     LENS,
     NAMES,
+    OPTIONAL,
+    Corners,
+    JointFit,
     Origin,
+    Prior,
     Sightings,
+    fit_jointly,
+    inverse,
     predict,
     sightings,
     stage_of,
 )
-from lightopt.estimate.rig_calibration._deviations import NORMAL_95
-from lightopt.estimate.rig_calibration._joint_fit import OPTIONAL, Corners, JointFit, Prior, fit_jointly, inverse
 from lightopt.scene import PinholeCamera, Stage
 
 _TILTS_DEG, _ROTATIONS_DEG = range(-45, 46, 15), range(0, 360, 30)
@@ -59,23 +64,14 @@ _OF_LENS = ("focal length", "distance", "principal point", "lens distortion")
 _FAULTY_SHARE, _FAULTY_RATIO = 0.5, 4.0  # outliers in a view; its median residual to that of all
 
 
-@dataclass(frozen=True, kw_only=True)
-class PostureGain:
-    """A posture to take next, and the standard error of predicted pixels with it [px]."""
-
-    posture: Posture
-    predicted_rms: float
-
-
 def judge_postures(
-    fit: JointFit, board: Board, taken: Float64, camera: PinholeCamera, postures: Sequence[Posture] | None
-) -> tuple[float, PostureGain | None]:
+    fit: JointFit, board: Board, taken: Float64, camera: PinholeCamera
+) -> tuple[float, tuple[Posture, float] | None]:
     """Standard error of a pixel predicted for points of the board over all postures that show it [px], and the best.
 
     taken: Readings of the views [rad], shape (K, 2)
     """
-    if postures is None:
-        postures = [Posture(float(t), float(r)) for t, r in product(_TILTS_DEG, _ROTATIONS_DEG)]
+    postures = [Posture(float(t), float(r)) for t, r in product(_TILTS_DEG, _ROTATIONS_DEG)]
     points = np.arange(board.columns * board.rows)
     outer = points.reshape(board.rows, board.columns)[[0, 0, -1, -1], [0, -1, -1, 0]]
     outline = predict(fit.x, fit.angles, fit.origin, sightings(board, [outer] * len(taken), taken), slopes=False)[0]
@@ -94,15 +90,17 @@ def judge_postures(
     spread = np.einsum("kni,knj->ij", by_free, by_free) / inside[shown].sum()
     now = float(np.sqrt(np.sum(fit.of_free * spread)))
     information = inverse(fit.of_free)
-    gains: list[PostureGain] = []
     unit = fit.noise * fit.common
-    for number, slopes, own in zip(shown, by_free / unit, by_angles / unit, strict=True):
+
+    def gain(number: int, slopes: Float64, own: Float64) -> tuple[Posture, float]:
         inner = own.T @ own + np.eye(2) / fit.angle_sd**2  # the new readings have errors, too
         cross = own.T @ slopes
         gained = slopes.T @ slopes - cross.T @ np.linalg.solve(inner, cross)
         rms = float(np.sqrt(np.sum(inverse(information + gained) * spread)))
-        gains.append(PostureGain(posture=postures[int(number)], predicted_rms=rms))
-    return now, min(gains, key=lambda gain: gain.predicted_rms)
+        return postures[number], rms
+
+    gains = map(gain, shown.tolist(), by_free / unit, by_angles / unit)
+    return now, min(gains, key=lambda one: one[1])
 
 
 def _facing(outline: Float64, in_views: Float64) -> Bool:
@@ -132,15 +130,11 @@ def nominal_prior(board: Board, camera: PinholeCamera, stage: Stage, angle_error
         ("camera.focal_px", focal, _FOCAL_SHARE * focal),
         ("camera.principal_x_px camera.principal_y_px", camera.axis_px, _PRINCIPAL_SHARE * camera.width),
         ("camera.aspect", camera.aspect, 0.01),
-        ("camera.k1", lens.k1, 0.5),
-        ("camera.k2", lens.k2, 5.0),
-        ("camera.p1", lens.p1, 0.05),
-        ("camera.p2", lens.p2, 0.05),
-        ("camera.k3", lens.k3, 50.0),
+        ("camera.k1 camera.k2 camera.k3", (lens.k1, lens.k2, lens.k3), (0.5, 5.0, 50.0)),
+        ("camera.p1 camera.p2", (lens.p1, lens.p2), 0.05),
         ("tilt_axis.elevation", np.arcsin(axis[2]), np.radians(_TILT_AXIS_DEG)),
         ("tilt_axis.position_y tilt_axis.position_z", (point - aside)[1:], _TILT_AXIS_MM),
-        ("tilt_axis.scale", stage.tilt_scale, 0.005),
-        ("rotary_axis.scale", stage.rotary_scale, 0.005),
+        ("tilt_axis.scale rotary_axis.scale", (stage.tilt_scale, stage.rotary_scale), 0.005),
         ("board.position_z", board.height, board.height_error),
         ("board.scale", 0.0, board.pitch_error),
         ("board.pitch_ratio", 0.0, 0.01),
@@ -197,11 +191,8 @@ def _plane_poses(points: Float64, rays: Float64) -> list[tuple[Float64, Float64]
     rows[::2, :3], rows[::2, 6:] = flat, -u[:, None] * flat
     rows[1::2, 3:6], rows[1::2, 6:] = flat, -v[:, None] * flat
     h = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
-    h = (
-        np.array([[size, 0.0, centre[0]], [0.0, size, centre[1]], [0.0, 0.0, 1.0]])
-        @ h
-        @ np.diag([1.0 / unit, 1.0 / unit, 1.0])
-    )
+    to_rays = np.array([[size, 0.0, centre[0]], [0.0, size, centre[1]], [0.0, 0.0, 1.0]])
+    h = to_rays @ h @ np.diag([1.0 / unit, 1.0 / unit, 1.0])
     h /= np.copysign(0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1])), h[2, 2])
     axes, shift = h[:, :2], h[:, 2]
     sight = shift / np.linalg.norm(shift)
@@ -253,14 +244,14 @@ class BoardFit:
     covariance: Float64 = field(repr=False)  # [mm, deg, px], shape (G, G)
     board_rotation: Float64 = field(repr=False)
     board_position: Float64 = field(repr=False)
-    freed: tuple[str, ...]  # optional parameters that are free, on request or on evidence
+    freed: tuple[str, ...]  # optional parameters that are free, on evidence
     noise: float  # standard deviation of a corner along one axis [px]
     common_errors: float
     angle_error_deg: float  # standard deviation of the errors of the stage's readings
     residuals: tuple[ViewResidual, ...] = field(repr=False)  # of each view
     unobservable: tuple[str, ...]  # what the images do not determine; it is near nominal
     predicted_rms: float  # standard error of a pixel predicted for a point of the board, over all postures [px]
-    next_posture: PostureGain | None
+    next_posture: tuple[Posture, float] | None
 
     @property
     def intervals(self) -> Mapping[str, tuple[float, float]]:
@@ -281,10 +272,8 @@ def fit_board(
     *,
     camera: PinholeCamera,
     stage: Stage | None = None,
-    free: Collection[str] = (),
     on_evidence: bool = True,
     angle_error_deg: float = 0.02,
-    postures: Sequence[Posture] | None = None,
 ) -> BoardFit:
     """Fit camera pose, focal length, principal point, k1, tilt axis, and the board's pose and bow to its corners.
 
@@ -293,23 +282,19 @@ def fit_board(
 
     views: At least one; one at tilt 0 only, or rotations only, leave most unobservable
     camera, stage: Nominal, a few degrees and millimetres from the truth, world frame; the tilt axis in its X-Z plane
-    free: Further parameters to fit, of aspect, k2, p1, p2, k3, tilt_scale, rotary_scale
-    on_evidence: Whether those are fitted, too, that the residuals ask for, given that the tilt changes
+    on_evidence: Whether those of aspect, k2, p1, p2, k3, tilt_scale and rotary_scale are fitted, too, that the
+        residuals ask for, given that the tilt changes
     angle_error_deg: Standard error of a reading of the stage
-    postures: Where pixels are predicted, and those that could be taken next; tilts to ±45° by default
     Raises InputError: The corners do not fit the rig, or are too few to start from
     """
-    wrong = [name for name in free if name not in OPTIONAL]
-    if wrong:
-        raise InputError(f"{', '.join(wrong)}: cannot be fitted; expected some of {', '.join(OPTIONAL)}")
     corners = _corners(views, board)
     prior, origin = nominal_prior(board, camera, stage or Stage(), angle_error_deg)
     start = start_from_views(np.where(np.isfinite(prior.mean), prior.mean, 0.0), origin, corners.seen, corners.pixels)
     start[0][BOARD_POSITION.stop - 1] = board.height
     tilted = bool(np.ptp(corners.seen.readings[:, 0]) >= _LEAST_TILTED)
-    fit = fit_jointly(corners, start, prior, extra=tuple(free), on_evidence=on_evidence and tilted)
+    fit = fit_jointly(corners, start, prior, on_evidence=on_evidence and tilted)
     fitted_camera, fitted_stage = _rig(fit, camera)
-    predicted_rms, gain = judge_postures(fit, board, corners.seen.readings, fitted_camera, postures)
+    predicted_rms, gain = judge_postures(fit, board, corners.seen.readings, fitted_camera)
     unit = np.array([np.degrees(1.0) if "rotation" in NAMES[i] or "elevation" in NAMES[i] else 1.0 for i in fit.free])
     return BoardFit(
         camera=fitted_camera,
@@ -334,10 +319,7 @@ def _corners(views: Sequence[BoardView], board: Board) -> Corners:
     count = board.columns * board.rows
     for view in views:
         if len(view.ids) and not 0 <= view.ids.min() <= view.ids.max() < count:
-            raise InputError(
-                f"{view.name}: points {view.ids.min()} to {view.ids.max()}, expected 0 to {count - 1} on a board of "
-                f"{board.columns} × {board.rows}"
-            )
+            raise InputError(f"{view.name}: points {view.ids.min()} to {view.ids.max()}, expected 0 to {count - 1}")
     if not any(len(view.ids) for view in views):
         raise InputError("no image shows a point of the board")
     readings = np.radians([[view.posture.elevation_deg, view.posture.rotation_deg] for view in views])
@@ -366,18 +348,17 @@ def _rig(fit: JointFit, nominal: PinholeCamera) -> tuple[PinholeCamera, Stage]:
 def _residuals(views: Sequence[BoardView], fit: JointFit, seen: Sightings) -> tuple[ViewResidual, ...]:
     distance = np.linalg.norm(fit.residual, axis=1)
     most = _FAULTY_RATIO * float(np.median(distance))
-    found: list[ViewResidual] = []
-    for number, view in enumerate(views):
-        mine = seen.view == number
+
+    def one(view: BoardView, mine: Bool) -> ViewResidual:
         inliers, count = distance[mine & fit.inlier], len(view.ids)
         median = float(np.median(distance[mine])) if count else 0.0
         rms = float(np.sqrt(np.mean(np.square(inliers)))) if len(inliers) else 0.0
         outliers = count - len(inliers)
         faulty = outliers > _FAULTY_SHARE * count or median > most
-        found.append(
-            ViewResidual(view.name, view.posture, count, median, rms, outliers, faulty, view.pixels, fit.residual[mine])
-        )
-    return tuple(found)
+        offsets = fit.residual[mine]
+        return ViewResidual(view.name, view.posture, count, median, rms, outliers, faulty, view.pixels, offsets)
+
+    return tuple(one(view, seen.view == number) for number, view in enumerate(views))
 
 
 def _unobservable(fit: JointFit, tilted: bool) -> tuple[str, ...]:

@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from lightopt.config import BoardTargetConfig, PartConfig, RigConfig, TargetsConfig, load_part, load_targets
+from lightopt.config import (
+    BoardTargetConfig,
+    PartConfig,
+    PlateTargetConfig,
+    RigConfig,
+    TargetsConfig,
+    load_part,
+    load_targets,
+)
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
@@ -15,17 +23,18 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, read_observations
 from lightopt.estimate.rig_calibration._ball_fit import BallFit, BallView, fit_ball, panel_names
 from lightopt.estimate.rig_calibration._ball_images import measure_ball
+from lightopt.estimate.rig_calibration._board import BoardImage, board_grid, find_corners, read_corners
 from lightopt.estimate.rig_calibration._board_fit import BoardFit, fit_board
-from lightopt.estimate.rig_calibration._board_images import BoardImage, find_corners, read_corners
-from lightopt.estimate.rig_calibration._charuco import charuco_board
-from lightopt.estimate.rig_calibration._deviations import displaced, square_root
+from lightopt.estimate.rig_calibration._deviations import rig_deviations
 from lightopt.estimate.rig_calibration._photon_transfer import FramePair, PhotonTransfer, photon_transfer
-from lightopt.estimate.rig_calibration._plan import BALL, BOARD, PLATE, RIG_NAME, SENSOR, TARGETS_NAME
-from lightopt.estimate.rig_calibration._plate_fit import Plate, PlateFit, PlateView, fit_plate, plate_cells
+from lightopt.estimate.rig_calibration._plate_fit import PlateFit, PlateView, fit_plate, plate_cells
 from lightopt.images import dark_name, read_image_set, read_png
 from lightopt.lights import PanelLight
 from lightopt.scene import PinholeCamera, Stage, build_camera, build_lights, build_sensor, build_stage
 
+TARGETS_NAME, RIG_NAME = "targets.yaml", "rig.calibrated.yaml"
+BOARD, BALL, PLATE, SENSOR = "board", "ball", "plate", ("sensor-a", "sensor-b")
+"""Image sets of a calibration, below its folder."""
 CORNERS_NAME = "board.json"
 """Corners of the board that another program found, in place of its image set."""
 
@@ -52,7 +61,6 @@ class RigCalibration:
     camera: PinholeCamera
     stage: Stage
     lights: tuple[PanelLight, ...]
-    filed: tuple[PanelLight, ...]  # the lights as filed
     warnings: tuple[str, ...]
 
     @property
@@ -88,24 +96,19 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
     Raises InputError: No image set, targets that do not fit the images, or a target of which too little is seen
     """
     if rig.stage.pivot_mm[:2] != (0.0, 0.0):
-        raise InputError(
-            f"{rig.source.at('stage', 'pivot_mm')}: a calibration puts the world's origin on the rotary axis; expected "
-            f"[0, 0, z], found {list(rig.stage.pivot_mm)}"
-        )
+        at, found = rig.source.at("stage", "pivot_mm"), list(rig.stage.pivot_mm)
+        raise InputError(f"{at}: expected [0, 0, z]: a calibration has its origin on the rotary axis; found {found}")
     if rig.source.path.resolve().parent == folder.resolve() and rig.source.path.name == RIG_NAME:
         raise InputError(f"{rig.source.path}: this is the result; give the rig file that was captured with")
     targets = load_targets(folder / TARGETS_NAME)
-    sets = {name for name in (BOARD, BALL, PLATE, *SENSOR) if (folder / name).is_dir()}
+    names = (BOARD, BALL, PLATE, *SENSOR)
+    sets = {name for name in names if (folder / name).is_dir()}
     if (folder / CORNERS_NAME).is_file():
         sets.add(BOARD)
     if not sets:
-        raise InputError(
-            f"{folder}: no image set of a calibration; expected some of {', '.join((BOARD, BALL, PLATE, *SENSOR))}; "
-            "lightopt calibrate --plan writes how to capture them"
-        )
+        raise InputError(f"{folder}: no image set of a calibration; expected {', '.join(names)}; see --plan")
     images = _Images(rig, folder, targets, run or RunContext())
-    camera, stage, filed = build_camera(rig), build_stage(rig), build_lights(rig)
-    lights = filed
+    camera, stage, lights = build_camera(rig), build_stage(rig), build_lights(rig)
     sensor = images.sensor() if all(name in sets for name in SENSOR) else None
     board: BoardFit | None = None
     ball: BallFit | None = None
@@ -122,17 +125,15 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
             radius=targets.ball.radius_mm,
             radius_error=targets.ball.radius_error_mm,
             size_error=targets.panel_size_error_mm,
-            rig_deviations=() if board is None else rig_deviations(board),
+            rig_deviations=() if board is None else rig_deviations(camera, stage, board.names, board.covariance),
         )
         lights = ball.lights
     if PLATE in sets and targets.plate is not None:
         if ball is None:
-            images.warnings.append(
-                "the plate was fitted to panels as the rig file has them: there is no image set of a ball"
-            )
+            images.warnings.append("the plate was fitted to panels as filed: there is no image set of a ball")
         black = rig.camera.sensor.black_level if sensor is None else sensor.black_level.value
         known = np.asarray(np.kron(np.eye(len(lights)), _FILED), np.float64) if ball is None else ball.panels_covariance
-        plate = fit_plate(images.plate(camera, stage, black), lights=lights, panels_covariance=known)
+        plate = fit_plate(images.plate(targets.plate, camera, stage, black), lights=lights, panels_covariance=known)
         images.warnings.extend(plate.warnings)
         lights = plate.lights
     return RigCalibration(
@@ -145,17 +146,8 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         camera=camera,
         stage=stage,
         lights=lights,
-        filed=filed,
         warnings=tuple(images.warnings),
     )
-
-
-def rig_deviations(board: BoardFit) -> list[tuple[PinholeCamera, Stage]]:
-    """Camera and stage, displaced by one standard deviation along each independent direction of their covariance."""
-    mine = [i for i, name in enumerate(board.names) if not name.startswith("board.")]
-    names = [board.names[i] for i in mine]
-    directions = square_root(board.covariance[np.ix_(mine, mine)]).T
-    return [displaced(board.camera, board.stage, names, direction) for direction in directions]
 
 
 @dataclass(frozen=True)
@@ -169,33 +161,24 @@ class _Images:
     warnings: list[str] = field(default_factory=list[str])
 
     def board(self, target: BoardTargetConfig, camera: PinholeCamera, stage: Stage) -> BoardFit:
-        printed = charuco_board(target)
-        grid = printed.grid(
-            pitch=target.square_mm,
-            pitch_error=target.square_error,
-            height=target.height_mm,
-            height_error=target.height_error_mm,
-        )
         if (self.folder / CORNERS_NAME).is_file():
             views = read_corners(self.folder / CORNERS_NAME)
         else:
             of = self._by_posture(BOARD)
-            images = [
-                BoardImage(str(p), p, np.mean([o.levels for o in some], axis=0, dtype=np.float64))
-                for p, some in of.items()
-            ]
+            means = {p: np.mean([o.levels for o in some], axis=0, dtype=np.float64) for p, some in of.items()}
+            images = [BoardImage(str(posture), posture, mean) for posture, mean in means.items()]
             full_scale = float(build_sensor(self.rig.camera).saturated_from)
-            views, problems = find_corners(images, printed, full_scale=full_scale)
-            self.warnings.extend(f"board {one.name}: {one.message}" for one in problems)
-        fit = fit_board(views, grid, camera=camera, stage=stage, angle_error_deg=self.targets.reading_error_deg)
-        self.warnings.extend(
-            f"board {name}: this view does not fit the others; look at its image" for name in fit.faulty
-        )
+            views, problems = find_corners(images, target, full_scale=full_scale)
+            self.warnings.extend(f"board {text}" for text in problems)
+        error = self.targets.reading_error_deg
+        fit = fit_board(views, board_grid(target), camera=camera, stage=stage, angle_error_deg=error)
+        self.warnings.extend(f"board {name}: does not fit the other views; look at its image" for name in fit.faulty)
         return fit
 
     def ball(self, camera: PinholeCamera, radius: float) -> list[BallView]:
         distance = float(np.linalg.norm(camera.position)) - radius
         radius_px = camera.image_distance / camera.pixel_size * radius / distance
+        sensor = build_sensor(self.rig.camera)
         views: list[BallView] = []
         problems: list[str] = []
         for posture, observations in self._by_posture(BALL).items():
@@ -203,17 +186,11 @@ class _Images:
             # the longest exposure without a saturated pixel
             best = {o.light: o for o in mine if not o.saturated.any()}
             best = {**{o.light: o for o in reversed(mine)}, **best}
-            longest = {o.light: o for o in mine}
+            shown = {light: o.levels for light, o in best.items()}
+            longest = list({o.light: o.levels for o in mine}.values())
             try:
-                views.append(
-                    measure_ball(
-                        {light: o.levels for light, o in best.items()},
-                        posture=posture,
-                        sensor=build_sensor(self.rig.camera),
-                        radius_px=radius_px,
-                        outline_images=[o.levels for o in longest.values()],
-                    )
-                )
+                view = measure_ball(shown, posture=posture, radius_px=radius_px, sensor=sensor, outline_images=longest)
+                views.append(view)
             except InputError as error:
                 problems += error.messages
         if not views:
@@ -221,15 +198,7 @@ class _Images:
         self.warnings.extend(problems)
         return views
 
-    def plate(self, camera: PinholeCamera, stage: Stage, black: float) -> list[PlateView]:
-        target = self.targets.plate
-        assert target is not None
-        x, y = target.size_mm
-        flat = Plate(
-            corner=np.array([-0.5 * x, -0.5 * y, target.height_mm]),
-            side_x=np.array([x, 0.0, 0.0]),
-            side_y=np.array([0.0, y, 0.0]),
-        )
+    def plate(self, target: PlateTargetConfig, camera: PinholeCamera, stage: Stage, black: float) -> list[PlateView]:
         scale = build_sensor(self.rig.camera).max_level / self._part(PLATE).reflectance.full_scale
         cell = max(8, round(CELL_SHARE * camera.width))
         views: list[PlateView] = []
@@ -238,15 +207,9 @@ class _Images:
             longest = {o.light: o for o in mine if o.saturated.mean() < 0.01}
             for light, o in longest.items():
                 levels = (o.levels.astype(np.float64) - black) / (scale * o.exposure)
-                place: dict[str, Any] = {
-                    "posture": posture,
-                    "plate": flat,
-                    "camera": camera,
-                    "stage": stage,
-                    "cell": cell,
-                }
+                place: dict[str, Any] = {"posture": posture, "camera": camera, "stage": stage, "cell": cell}
                 try:
-                    views.append(plate_cells(levels, ~o.saturated, light=light, **place))
+                    views.append(plate_cells(levels, ~o.saturated, light=light, plate=target, **place))
                 except InputError as error:
                     self.warnings.extend(error.messages)
         return views

@@ -59,9 +59,10 @@ def square_root(covariance: Float64) -> Float64:
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def displaced(
-    camera: PinholeCamera, stage: Stage, names: Sequence[str], deviation: Float64
-) -> tuple[PinholeCamera, Stage]:
+Rig = tuple[PinholeCamera, Stage]
+
+
+def displaced(camera: PinholeCamera, stage: Stage, names: Sequence[str], deviation: Float64) -> Rig:
     """Camera and stage with a deviation of their measured values, as `BoardFit.names` has them."""
     by = dict(zip(names, deviation.tolist(), strict=True))
 
@@ -92,3 +93,13 @@ def displaced(
         tilt_scale=stage.tilt_scale + float(of("tilt_axis.", "scale")[0]),
         rotary_scale=stage.rotary_scale + float(of("rotary_axis.", "scale")[0]),
     )
+
+
+def rig_deviations(camera: PinholeCamera, stage: Stage, names: Sequence[str], covariance: Float64) -> list[Rig]:
+    """Camera and stage, displaced by one standard deviation along each independent direction of their covariance.
+
+    names: Of the covariance's values; those of other things are left out
+    """
+    own = [i for i, name in enumerate(names) if name.startswith(("camera.", "tilt_axis.", "rotary_axis."))]
+    columns = square_root(covariance[np.ix_(own, own)]).T
+    return [displaced(camera, stage, [names[i] for i in own], column) for column in columns]

@@ -1,26 +1,211 @@
-"""The files of a calibration: the rig file with what was measured, the covariance, and all figures."""
+"""The files of a calibration folder: what to capture, and the rig file with what was measured, its covariance, figures.
+
+What to capture are targets in postures, with parts that stand for them on the virtual bench.
+"""
 
 import io
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lightopt.config import RigConfig, copied_text, standing_at
+from lightopt.config import BoardTargetConfig, RigConfig, copied_text, load_targets, standing_at
 from lightopt.core.errors import InputError
-from lightopt.core.transforms import vector_of_rotation
+from lightopt.core.transforms import Posture, vector_of_rotation
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS
-from lightopt.estimate.rig_calibration._calibrate import RigCalibration
+from lightopt.estimate.rig_calibration._board import board_mesh
+from lightopt.estimate.rig_calibration._calibrate import (
+    BALL,
+    BOARD,
+    PLATE,
+    RIG_NAME,
+    SENSOR,
+    TARGETS_NAME,
+    RigCalibration,
+)
 from lightopt.estimate.rig_calibration._deviations import NORMAL_95, Measured
-from lightopt.estimate.rig_calibration._plan import RIG_NAME
-from lightopt.images import write_bytes_atomic, write_text_atomic
+from lightopt.geometry import TriangleMesh, box_mesh, sphere_mesh, stl_bytes
+from lightopt.images import make_folder, write_bytes_atomic, write_text_atomic
 from lightopt.lights import PanelLight
+from lightopt.optics import Reflectance
+from lightopt.rendering import cast_rays_at, render_posture
+from lightopt.scene import Scene, build_camera, build_lights, build_sensor, build_stage, view_size
 
 COVARIANCE_NAME, FIGURES_NAME, REPORT_NAME = "rig.calibrated.npz", "calibration.json", "report.html"
+
+SQUARES = (12, 9)
+BOARD_SHARE = 0.9  # of the view that the board fills
+BOARD_TILTS_DEG, BOARD_TURNS = (0.0, 40.0, -40.0), 5
+FIRST_TURN_DEG = 10.0  # a board in line with the pixels has uneven edges
+BALL_TILTS_DEG, BALL_TURNS, BALL_SHARE = (20.0, -20.0), 4, 0.2
+PLATE_TILTS_DEG = (0.0, 25.0, -25.0)
+PLATE_THICKNESS_MM = 1.0  # on the virtual bench
+SENSOR_EXPOSURES = (1.0, 1 / 2, 1 / 3, 1 / 4, 1 / 6, 1 / 8, 1 / 12, 1 / 16, 1 / 24)
+
+# light of the parts that stand for the targets at exposure 1, of 255: of white, of a panel in the ball, of the ball
+WHITE, MIRRORED, BODY = 190.0, 120.0, 40.0
+SIGMA = 0.004  # of the ball
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationPlan:
+    """What to put on the stage, and the commands that fill a calibration folder."""
+
+    board: BoardTargetConfig | None  # to print; None where there is none
+    targets: tuple[str, ...]  # what is put on the stage, one sentence each
+    commands: tuple[str, ...]  # to run one after another
+    images: int  # number of images that they capture
+
+
+def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> CalibrationPlan:
+    """Write targets.yaml, and part and mesh of each target, sized for the rig's view.
+
+    Raises InputError: The camera does not see the table, or other files are in the way and `force` is False
+    """
+    size = view_size(build_camera(rig))
+    if size is None:
+        raise InputError(f"{rig.source.at('camera')}: the view reaches beyond the table's horizon; no target fits it")
+    make_folder(folder)
+    # what the user has measured stays
+    path = folder / TARGETS_NAME
+    if not path.exists():
+        write_text_atomic(path, _targets_text(rig, size), overwrite=False)
+    targets = load_targets(path)
+    white = {"R_d": WHITE, "R_s": 0.0, "sigma_rad": 0.5}
+    lights = [light.name for light in rig.lights]
+    name = _quoted(rig.source.path)
+    sentences: list[str] = []
+    # image set, options of its capture, postures, mesh, its height, its reflectance
+    parts: list[tuple[str, str, list[Posture], TriangleMesh, float, dict[str, float]]] = []
+    if (board := targets.board) is not None:
+        sentences.append(f"print {folder / BOARD}.pdf without scaling, glue it to a flat plate, lay it on the stage")
+        mesh = board_mesh(board, margin=0.5 * board.square_mm)
+        postures = _postures(rig, BOARD_TILTS_DEG, BOARD_TURNS)
+        parts.append((BOARD, f" --light {lights[0]}", postures, mesh, board.height_mm, white))
+    if targets.ball is not None:
+        sentences.append("fix a polished bearing ball near the rotary axis; expose so that no highlight is saturated")
+        r = targets.ball.radius_mm
+        # off the rotary axis, which shows where the axis is
+        sphere = sphere_mesh(r)
+        mesh = replace(sphere, vertices=sphere.vertices + np.array([0.3 * r, 0.2 * r, r]))
+        postures = _postures(rig, BALL_TILTS_DEG, BALL_TURNS)
+        shine = {"R_d": BODY, "R_s": float(f"{MIRRORED / _plateau(rig, mesh, postures[0]):.4g}"), "sigma_rad": SIGMA}
+        parts.append((BALL, "", postures, mesh, 0.0, shine))
+    if targets.plate is not None:
+        sentences.append("lay a matt white plate on the stage, its sides along X and Y at rotation 0")
+        x, y = targets.plate.size_mm
+        mesh = box_mesh(np.array([[-0.5 * x, -0.5 * y, -PLATE_THICKNESS_MM], [0.5 * x, 0.5 * y, 0.0]]))
+        parts.append((PLATE, "", _postures(rig, PLATE_TILTS_DEG, 1), mesh, targets.plate.height_mm, white))
+    sentences.append(f"measure all of them, and correct {path}")
+    commands: list[str] = []
+    images = 0
+    for kind, options, postures, mesh, height, reflectance in parts:
+        write_bytes_atomic(folder / f"{kind}.stl", stl_bytes(mesh), overwrite=force)
+        write_text_atomic(folder / f"{kind}.yaml", _part_text(kind, postures, height, reflectance), overwrite=force)
+        target = _quoted(folder / kind)
+        commands.append(f"lightopt capture {name} {target}.yaml -o {target}{options} --no-check-lights")
+        images += len(postures) * (1 if options else len(lights))
+    if targets.plate is not None:
+        levels = ",".join(f"1/{round(1 / exposure)}" if exposure < 1.0 else "1" for exposure in SENSOR_EXPOSURES)
+        own = 1 if rig.virtual_bench is None else rig.virtual_bench.seed
+        seeds = ("", f" --seed {own + 1}") if rig.hardware is None else ("", "")  # another noise
+        commands += [
+            f"lightopt capture {name} {_quoted(folder / PLATE)}.yaml -o {_quoted(folder / kind)} --posture 0,0 "
+            f"--light {lights[0]} --exposures {levels} --dark{seed}"
+            for kind, seed in zip(SENSOR, seeds, strict=True)
+        ]
+    commands.append(f"lightopt calibrate {name} {_quoted(folder)}")
+    return CalibrationPlan(board=targets.board, targets=tuple(sentences), commands=tuple(commands), images=images)
+
+
+def _quoted(path: Path) -> str:
+    text = path.as_posix()
+    return f'"{text}"' if " " in text else text
+
+
+def _rounded(length: float) -> float:
+    # to two digits, down
+    step = 10.0 ** (math.floor(math.log10(length)) - 1)
+    return round(math.floor(length / step + 1e-9) * step, 6)
+
+
+def _postures(rig: RigConfig, tilts: Sequence[float], turns: int) -> list[Posture]:
+    # within the rig's ranges
+    low, high = rig.stage.elevation_range_deg
+    first, last = rig.stage.rotation_range_deg
+    if last - first >= 360.0:
+        start = 0.0 if first <= 0.0 and last >= 360.0 else first
+        rotations = start + FIRST_TURN_DEG + 360.0 / turns * np.arange(turns)
+    else:
+        rotations = np.linspace(first, last, turns) if turns > 1 else np.array([first])
+    elevations = dict.fromkeys(float(np.clip(tilt, low, high)) for tilt in tilts)
+    return [
+        Posture(elevation_deg=tilt, rotation_deg=round(float(rotation), 3))
+        for tilt in elevations
+        for rotation in rotations
+    ]
+
+
+def _targets_text(rig: RigConfig, size: tuple[float, float]) -> str:
+    square = _rounded(BOARD_SHARE * min(size[0] / SQUARES[0], size[1] / SQUARES[1]))
+    return f"""\
+# Targets to calibrate {rig.name} with. Correct each size to what a caliper measures; delete what is not used.
+format: lightopt-targets/1
+
+board:                          # a printed ChArUco board
+  squares: [{SQUARES[0]}, {SQUARES[1]}]
+  square_mm: {square:g}               # measured over many squares
+  marker_mm: {_rounded(0.74 * square):g}
+  dictionary: DICT_4X4_250
+  height_mm: 0                  # of the printed face above the table: the thickness of the board
+  height_error_mm: 0.01         # standard deviation of it
+
+ball:                           # a polished bearing ball
+  radius_mm: {_rounded(BALL_SHARE * min(size)):g}
+  radius_error_mm: 0.001
+
+plate:                          # a matt white plate
+  size_mm: [{_rounded(0.95 * size[0]):g}, {_rounded(0.95 * size[1]):g}]
+  height_mm: 0                  # of its upper face
+
+panel_size_error_mm: 0.1        # of size_mm in the rig file; null if the sizes are not known
+reading_error_deg: 0.02         # of the stage's readings
+"""
+
+
+def _part_text(name: str, postures: Sequence[Posture], height: float, reflectance: dict[str, float]) -> str:
+    lines = "\n".join(f"  - {{elevation_deg: {p.elevation_deg:g}, rotation_deg: {p.rotation_deg:g}}}" for p in postures)
+    light = ", ".join(f"{key}: {value:g}" for key, value in reflectance.items())
+    return f"""\
+# The {name} of a calibration in the postures to capture. Mesh and reflectance stand for it on the virtual bench.
+format: lightopt-part/1
+name: {json.dumps(f"calibration {name}")}
+mesh: {{file: {name}.stl, units: mm}}
+placement: {{anchor: as_modelled, translate_mm: [0, 0, {height:g}]}}
+reflectance: {{{light}}}
+postures:
+{lines}
+"""
+
+
+def _plateau(rig: RigConfig, mesh: TriangleMesh, posture: Posture) -> float:
+    # level of a panel that a part mirrors with R_s = 1
+    scene = Scene(
+        camera=build_camera(rig),
+        lights=build_lights(rig, points="auto"),
+        mesh=mesh,
+        reflectance=Reflectance(R_d=0.0, R_s=1.0, sigma=SIGMA),
+        sensor=build_sensor(rig.camera),
+        stage=build_stage(rig),
+        postures=(posture,),
+    )
+    images = render_posture(scene, posture, caster=cast_rays_at(scene))
+    return max(float(image.level.max()) for image in images.lights)
+
 
 Interval = tuple[float, float]
 Values = dict[tuple[str | int, ...], str | None]
@@ -32,8 +217,6 @@ def calibrated_rig_text(found: RigCalibration) -> str:
     Raises InputError: The rig was built in code, or its file has anchors and aliases where values change
     """
     rig = found.rig
-    if not rig.source.text:
-        raise InputError(f"{rig.source.path}: the rig was built in code, so there is no file to write into")
     values: Values = {}
     if found.board is not None:
         values |= _camera_values(found) | _stage_values(found)
@@ -43,17 +226,17 @@ def calibrated_rig_text(found: RigCalibration) -> str:
         if found.plate is not None:
             values |= _light_values(found, index, light)
     if found.plate is not None:
-        v2, v4 = (_number(v.value) for v in found.plate.vignetting)
-        values["camera", "vignetting"] = f"{{v2: {v2}, v4: {v4}}}"
+        v2, v4 = (v.value for v in found.plate.vignetting)
+        values["camera", "vignetting"] = f"{{v2: {v2:.9g}, v4: {v4:.9g}}}"
     if found.sensor is not None:
         sensor = found.sensor
         for key in ("black_level", "read_noise_levels", "electrons_per_level"):
             measured: Measured = getattr(sensor, key)
-            values["camera", "sensor", key] = _number(max(0.0, measured.value))
+            values["camera", "sensor", key] = f"{max(0.0, measured.value):.9g}"
         if sensor.saturation_level is not None and sensor.saturation_level < 2**rig.camera.sensor.bit_depth - 1:
             values["camera", "sensor", "saturation_level"] = str(math.floor(sensor.saturation_level))
     of_rig = [(name, ends) for name, ends in intervals(found) if not name.startswith("board.")]
-    lines = "".join(f"\n    {json.dumps(name)}: [{_number(low)}, {_number(high)}]" for name, (low, high) in of_rig)
+    lines = "".join(f"\n    {json.dumps(name)}: [{low:.9g}, {high:.9g}]" for name, (low, high) in of_rig)
     values["calibration",] = f"\n  covariance: {COVARIANCE_NAME}\n  intervals:{lines}"
     # the covariance lies beside the new file, not beside the old one
     text = copied_text(rig.model_copy(update={"calibration": None}), found.folder, values)
@@ -72,14 +255,14 @@ def _camera_values(found: RigCalibration) -> Values:
         ("camera", "pose"): f"{{position_mm: {_vector(camera.position)}, rotation_vector_deg: {_vector(turn)}}}",
         ("camera", "focal_px"): _vector([focal, focal * camera.aspect]),
         ("camera", "principal_point_px"): _vector(camera.axis_px),
-        ("camera", "distortion"): f"{{{', '.join(f'{k}: {_number(v)}' for k, v in lens.items())}}}",
+        ("camera", "distortion"): f"{{{', '.join(f'{k}: {v:.9g}' for k, v in lens.items())}}}",
     }
 
 
 def _stage_values(found: RigCalibration) -> Values:
     point, direction = found.stage.tilt_axis
-    axis = f"{{point_mm: {_vector(point)}, direction: {_vector(direction)}, scale: {_number(found.stage.tilt_scale)}}}"
-    rotary = f"{{scale: {_number(found.stage.rotary_scale)}}}"
+    axis = f"{{point_mm: {_vector(point)}, direction: {_vector(direction)}, scale: {found.stage.tilt_scale:.9g}}}"
+    rotary = f"{{scale: {found.stage.rotary_scale:.9g}}}"
     if "stage" not in found.rig.model_fields_set:
         return {("stage",): f"{{tilt_axis: {axis}, rotary_axis: {rotary}}}"}
     return {("stage", "pivot_mm"): None, ("stage", "tilt_axis"): axis, ("stage", "rotary_axis"): rotary}
@@ -106,14 +289,14 @@ def _pose_values(rig: RigConfig, index: int, light: PanelLight) -> Values:
 
 def _light_values(found: RigCalibration, index: int, light: PanelLight) -> Values:
     at: tuple[str | int, ...] = ("lights", index)
-    values: Values = {(*at, "gain"): _number(light.gain)}
+    values: Values = {(*at, "gain"): f"{light.gain:.9g}"}
     assert found.plate is not None
     if found.plate.fall_off_decided:
         values[(*at, "falloff")] = found.plate.fall_off
     if light.inverse_square:
-        values[(*at, "reference_distance_mm")] = _number(light.reference_distance or light.distance)
+        values[(*at, "reference_distance_mm")] = f"{light.reference_distance or light.distance:.9g}"
     if found.plate.emission_fitted:
-        values[(*at, "emission_exponent")] = _number(light.emission_exponent)
+        values[(*at, "emission_exponent")] = f"{light.emission_exponent:.9g}"
     return values
 
 
@@ -167,7 +350,7 @@ def figures(found: RigCalibration) -> dict[str, Any]:
             "reading_error_deg": board.angle_error_deg,
         }
         if board.next_posture is not None:
-            of_board["next_posture"] = board.next_posture.posture.as_dict()
+            of_board["next_posture"] = board.next_posture[0].as_dict()
         document["board"] = of_board
     if found.ball is not None:
         document["ball"] = {
@@ -208,9 +391,5 @@ def write_calibration(found: RigCalibration, *, force: bool = False) -> tuple[Pa
     return paths
 
 
-def _number(value: float) -> str:
-    return f"{value:.9g}"
-
-
 def _vector(values: Sequence[float] | Any) -> str:
-    return f"[{', '.join(_number(float(v)) for v in values)}]"
+    return f"[{', '.join(f'{float(v):.9g}' for v in values)}]"

@@ -50,7 +50,7 @@ class FramePair:
 class PhotonTransfer:
     """The sensor as the pairs show it; the names are those of :class:`lightopt.optics.Sensor`.
 
-    levels_per_electron, electrons_per_level: Conversion gain K [sensor level], and 1/K
+    electrons_per_level: 1/K of the conversion gain K [sensor level]
     saturation_level: Level at which the brightest frames pile up [sensor level]; None where none is saturated
     linearity_error: Largest deviation of the mean level from a straight line in the exposure time [% of the range]; NaN
         where not the exposure was varied but the light
@@ -58,7 +58,6 @@ class PhotonTransfer:
         rounding, shape (k,) [sensor level, sensor level²]
     """
 
-    levels_per_electron: Measured
     electrons_per_level: Measured
     read_noise_levels: Measured  # standard deviation of the noise without light, without rounding [sensor level]
     black_level: Measured  # mean level without light, before clipping at 0 [sensor level]
@@ -93,15 +92,11 @@ def photon_transfer(pairs: Sequence[FramePair], darks: Sequence[FramePair], *, b
     if np.sum(fitted) < LEAST_LEVELS:
         raise InputError(
             f"photon transfer: {int(np.sum(fitted))} of {len(pairs)} pairs are above dark and below "
-            f"{FITTED_SHARE:.0%} of saturation (level {limit:g}), {LEAST_LEVELS} are needed: use shorter exposures, "
-            f"spread between 5 and {FITTED_SHARE:.0%}"
+            f"{FITTED_SHARE:.0%} of saturation (level {limit:g}), {LEAST_LEVELS} are needed: use shorter exposures"
         )
     whole = _estimate(lit, dark, nearest, fitted)
     if not whole.gain > 0.0:
-        raise InputError(
-            "photon transfer: the noise does not grow with the level: these are not frames as the camera delivers "
-            "them; switch off averaging, noise reduction and gamma"
-        )
+        raise InputError("photon transfer: the noise does not grow with the level: switch off averaging and gamma")
     left_out = [_estimate(lit[:, k], dark[:, k], nearest, fitted) for k in ~np.eye(lit.shape[1], dtype=np.bool_)]
     line_error = math.nan
     if len(np.unique(exposures[below])) > 2:
@@ -111,7 +106,6 @@ def photon_transfer(pairs: Sequence[FramePair], darks: Sequence[FramePair], *, b
         line = np.polynomial.Polynomial.fit(exposures[below], level, 1, w=weight)
         line_error = 100.0 * float(np.abs(level - line(exposures[below])).max()) / room
     return PhotonTransfer(
-        levels_per_electron=_jackknife(whole.gain, [e.gain for e in left_out]),
         electrons_per_level=_jackknife(1.0 / whole.gain, [1.0 / e.gain for e in left_out]),
         read_noise_levels=_jackknife(whole.noise, [e.noise for e in left_out]),
         black_level=_jackknife(whole.black, [e.black for e in left_out]),
@@ -226,9 +220,7 @@ def _check_frames(pairs: Sequence[FramePair], darks: Sequence[FramePair], top: i
                 f"{both.max()}: give the frames as the camera delivers them"
             )
         elif name == "dark pair" and np.mean(both == 0) > 0.5 and np.mean(both > 1) < LEAST_ABOVE_ONE:
-            problems.append(
-                f"{name}: nearly all pixels are at level 0, which hides the noise: raise the camera's black level"
-            )
+            problems.append(f"{name}: nearly all pixels are at 0, which hides noise: raise the camera's black level")
     refuse(f"photon transfer: {problem}" for problem in problems)
 
 
@@ -243,15 +235,9 @@ def _check_pairs(pairs: Sequence[FramePair], lit: Float64, black: float) -> None
         noise = math.sqrt(2.0 * max(float(variance), ROUNDING_VARIANCE) / float(sums[0, 0]))
         problem = ""
         if shift > PAIR_DIFFERENCE * signal + 5.0 * noise:
-            problem = (
-                f"the frames differ by {shift:.3g} levels of {signal:.3g}: they have different exposures, or the light "
-                "is not steady yet; capture both in a row, with the light warmed up"
-            )
+            problem = f"the frames differ by {shift:.3g} levels of {signal:.3g}: exposure or light changed between them"
         elif float(np.sqrt(np.mean(np.square(pattern)))) > PATTERN_SPREADS * noise + PATTERN_SHARE * signal:
-            problem = (
-                "the difference of the frames has a pattern: light, part or camera moved between them, or other light "
-                "comes in; fix them and capture the pair again"
-            )
+            problem = "the difference of the frames has a pattern: something moved, or other light came in"
         if problem:
             problems.append(f"photon transfer: pair at exposure {pair.exposure:g}: {problem}")
     refuse(problems)

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.optimize import least_squares
 
+from lightopt.config import PlateTargetConfig
 from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import Posture
@@ -23,6 +24,7 @@ from lightopt.lights import PanelLight
 from lightopt.scene import PinholeCamera, Stage, pixel_directions
 
 NODES = 3  # of Gauss and Legendre along each side of a panel
+MARGIN_MM = 2.0  # from the plate's edge
 
 # standard deviations before the fit
 EXPONENT_PRIOR, VIGNETTING_PRIOR = 1.0, 0.5
@@ -34,21 +36,6 @@ FALL_OFF_DECIDED = 9.0  # difference of χ² that decides between fall-off and n
 _EACH = len(PANEL_PARAMETERS)
 _COMMON = 4  # n, κ and two coefficients of vignetting
 _STEP = np.array([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3, 0.1, 0.1])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Plate:
-    """A flat plate on the stage, stage frame: a corner and its two sides from there [mm], shapes (3,)."""
-
-    corner: Float64
-    side_x: Float64
-    side_y: Float64
-
-    @property
-    def normal(self) -> Float64:
-        """Unit normal of the lit side, x × y."""
-        normal = np.cross(self.side_x, self.side_y)
-        return normal / np.linalg.norm(normal)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,23 +83,22 @@ def plate_cells(
     *,
     light: str,
     posture: Posture,
-    plate: Plate,
+    plate: PlateTargetConfig,
     camera: PinholeCamera,
     stage: Stage,
-    cell: int = 40,
-    margin: float = 2.0,
+    cell: int,
 ) -> PlateView:
     """Mean levels of the square cells of an image that show only the plate.
 
     levels: Linear, black removed [grey level at exposure 1], shape (H, W)
     usable: Where levels are not saturated, shape (H, W); a cell with any other pixel is left out
     cell: Side of a cell [px]
-    margin: From the plate's edge [mm]
     Raises InputError: Where fewer than four cells show the plate
     """
     rotation, translation = stage.transform(posture)
-    corner, side_x, side_y = rotation @ plate.corner + translation, rotation @ plate.side_x, rotation @ plate.side_y
-    normal = rotation @ plate.normal
+    x, y = plate.size_mm
+    corner = rotation @ np.array([-0.5 * x, -0.5 * y, plate.height_mm]) + translation
+    side_x, side_y, normal = (rotation @ direction for direction in np.diag([x, y, 1.0]))
     rows, columns = (np.arange(side // cell + 1, dtype=np.float64) * cell for side in levels.shape)
     grid = np.stack(np.meshgrid(columns, rows), axis=-1)
     middle = grid[:-1, :-1] + 0.5 * cell
@@ -123,17 +109,14 @@ def plate_cells(
     for side in (side_x, side_y):
         length = float(np.linalg.norm(side))
         along = (points - corner) @ side / length
-        on_plate &= (along > margin) & (along < length - margin)
+        on_plate &= (along > MARGIN_MM) & (along < length - MARGIN_MM)
     of_grid = on_plate[: grid.shape[0] * grid.shape[1]].reshape(grid.shape[:2])
     whole = of_grid[:-1, :-1] & of_grid[1:, :-1] & of_grid[:-1, 1:] & of_grid[1:, 1:]
     blocks = (whole.shape[0], cell, whole.shape[1], cell)
     cut = (slice(0, blocks[0] * cell), slice(0, blocks[2] * cell))
     whole &= usable[cut].reshape(blocks).all(axis=(1, 3))
-    if np.sum(whole) < 4:
-        raise InputError(
-            f"plate at {posture} under {light}: {int(np.sum(whole))} cells of {cell} pixels show it unsaturated: "
-            "expose it shorter, and check its corners"
-        )
+    if (count := int(np.sum(whole))) < 4:
+        raise InputError(f"plate at {posture} under {light}: {count} cells show it unsaturated: expose shorter")
     column, row = camera.axis_px
     return PlateView(
         posture=posture,
@@ -178,7 +161,11 @@ def fit_plate(
     warnings: tuple[str, ...] = ()
     if exponent.value < 0.0:
         low, high = exponent.interval_95
-        warnings = (_below_zero(exponent.value, low, high),)
+        found = f"{exponent.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
+        text = f"plate: emission exponent {found}; 0 is taken, the least there is"
+        if high < 0.0:
+            text += ". The panels are brighter from the side than from ahead, or the plate is not matt"
+        warnings = (text,)
         # gains and panels are those of an exponent of 0; their errors are not less for that
         fit = replace(kept.solve(0.0, HELD), covariance=fit.covariance)
         exponent = Measured(value=0.0, error=exponent.error, interval_95=(0.0, max(0.0, high)))
@@ -214,15 +201,6 @@ def fit_plate(
         rms=float(np.sqrt(fit.mean_square)),
         warnings=warnings,
     )
-
-
-def _below_zero(value: float, low: float, high: float) -> str:
-    found = (
-        f"plate: emission exponent {value:.2f}, 95 % interval {low:.2f} to {high:.2f}; 0 is taken, the least there is"
-    )
-    if high >= 0.0:
-        return found
-    return f"{found}. The panels are brighter from the side than from ahead, or the plate is not matt"
 
 
 @dataclass(frozen=True)
@@ -304,9 +282,8 @@ class _Problem:
         # For panels where the ball shows them, not where this fit has moved them: there, a rotation δ of a panel acts
         # through n·δ. Its prior would favour a small δ with a large n, and n would be 0.2 too large. Squares count: δ
         # dims a panel by n·δ²/2, as much as its gain is uncertain where there is no fall-off.
-        moved = [
-            _irradiance(*self._of_panels(step), exponent=exponent)[0] for step in (*np.diag(_STEP), *np.diag(-_STEP))
-        ]
+        steps = (*np.diag(_STEP), *np.diag(-_STEP))
+        moved = [_irradiance(*self._of_panels(step), exponent=exponent)[0] for step in steps]
         up, down = np.split(np.array(moved), 2)
         middle, _, _ = _irradiance(*self._cosines, exponent=exponent)
         self._slopes, self._bends = (up - down).T / (2.0 * _STEP), (up + down - 2.0 * middle).T / np.square(_STEP)

@@ -11,8 +11,8 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.estimate.registration import Observation
+from lightopt.estimate.verification._comparison import Spot
 from lightopt.estimate.verification._parameters import Group
-from lightopt.estimate.verification._spots import Spot
 
 # of each kind the name, and how a size is written: factor, digits, unit
 _KINDS = {

@@ -1,25 +1,213 @@
 """Fit faults to images: Gauss–Newton steps, each with the groups of parameters that the evidence is greatest for.
 
-The model is linear in the faults around the present ones. The evidence of a set of groups (Kass and Raftery 1995,
-doi:10.1080/01621459.1995.10476572) counts what they explain, less what any group of so many free parameters would.
+The model of the levels at some blocks of pixels is linear in the faults around the present ones. The evidence of a set
+of groups (Kass and Raftery 1995, doi:10.1080/01621459.1995.10476572) counts what they explain, less what any group of
+so many free parameters would.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lightopt.core.arrays import Float64, Int32
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError
 from lightopt.core.least_squares import weighted_sums
-from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import Agreement, agreement, refuse_useless_images, register as register_part
-from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction, Work
-from lightopt.estimate.verification._model import Linearised, Model
-from lightopt.estimate.verification._parameters import Group, Parameters
+from lightopt.estimate.registration import (
+    LEAST_R_D,
+    LEAST_R_S,
+    Agreement,
+    PixelSet,
+    agreement,
+    light_at,
+    random_pixels,
+    refuse_useless_images,
+    register as register_part,
+    sensor_scale,
+)
+from lightopt.estimate.verification._parameters import (
+    SIGMA_STEP,
+    CoarseImage,
+    Group,
+    Parameters,
+    Predictions,
+    Work,
+    blurred,
+)
+from lightopt.optics import clipped_mean
+
+MOST_ENTRIES = 2_500_000  # of the matrix of derivatives
+BLOCKS = 1500  # blocks of each posture, if there are not too many images
+MISFIT_SHARE = 0.01  # of the predicted level: models are no better than that, even of the right part
+
+CLEAR = 4.0  # blocks that the model has this many standard deviations of a pixel below saturation are used
+
+# blocks that change this many times as much as nine of ten do lie across the edge of a shadow: few of them would
+# outweigh all others
+STEEP = 15.0
+
+
+CELLS = 24  # of neighbouring blocks, along the width of an image
+
+BLUR_PX = 1.5  # blur for the difference
+
+
+class Model:
+    """What the rig with some faults shows at n blocks of all images; arrays of shape (n,) unless said.
+
+    Blocks are chosen at random, the same ones each time.
+
+    measured: Level, black level included [sensor level].
+    cell: Number of a cell of neighbouring blocks of an image.
+    """
+
+    def __init__(self, work: Work, images: Sequence[CoarseImage], predictions: Predictions) -> None:
+        self._work = work
+        self.scene, self.parameters = work.coarse, work.parameters
+        budget = int(min(BLOCKS, max(200, MOST_ENTRIES // (len(images) * self.parameters.size))))
+        self._sets: list[PixelSet] = []  # of each posture
+        columns: list[list[NDArray[Any]]] = []  # of each image
+        for posture, prediction in predictions.items():
+            mine = [n for n, image in enumerate(images) if image.source.posture == posture]
+            row, column = random_pixels(prediction.clean, budget)
+            if not len(row):
+                continue
+            levels = np.stack([images[n].levels[row, column] for n in mine]).astype(np.float64)
+            full = np.stack([images[n].saturated[row, column] for n in mine])
+            pixels = PixelSet(
+                posture=posture,
+                row=row,
+                column=column,
+                images=tuple(images[n].source for n in mine),
+                levels=levels,
+                saturated=full,
+            )
+            self._sets.append(pixels)
+            width = max(8, prediction.clean.shape[1] // CELLS)
+            for own, n in enumerate(mine):
+                level = prediction.levels[images[n].source.light]
+                change = (blurred(level, BLUR_PX / work.side) - level)[row, column].astype(np.float64) / BLUR_PX**2
+                cell = n * 1e7 + (row // width) * 1000 + column // width
+                top = images[n].top[row, column]
+                columns.append([np.full(len(row), n), levels[own], top, ~full[own], cell, change])
+        # blur: change of the grey level per px² of variance of a blur
+        some = np.concatenate([np.zeros((6, 0)), *map(np.stack, columns)], axis=1)
+        image, self.measured, self._top, unsaturated, cell, self._blur = some
+        self._open = unsaturated > 0.0
+        self.cell = np.unique(cell, return_inverse=True)[1].astype(np.int32)
+        on = image.astype(np.intp)
+        self._light = np.array([self.parameters.lights.index(i.source.light) for i in images], np.intp)[on]
+        self._scale = np.array([sensor_scale(self.scene, i.source) for i in images])[on]
+        self._count = np.array([float(i.count) for i in images])[on]
+        self._corrected = False
+        self._correction = np.zeros(len(on))
+
+    def levels(self, theta: Float64) -> Float64:
+        """Grey level of each row at exposure 1, its specular part, and the level with a lobe wider by SIGMA_STEP.
+
+        Means over the blocks, shape (3, n); 0 off the part, NaN where only some of a panel is seen.
+        """
+        # the mean of a cubic over the centres of n pixels is that of its values at two points
+        off = math.sqrt((1.0 - 1.0 / self._work.side**2) / 12.0)
+        some = [self._levels_at(theta, x, y) for x, y in dict.fromkeys(product((-off, off), repeat=2))]
+        blur = theta[self.parameters.nuisance[-1]] * self._blur
+        return np.mean(some, axis=0) + np.stack([blur, np.zeros_like(blur), blur])
+
+    def _levels_at(self, theta: Float64, x: float = 0.0, y: float = 0.0) -> Float64:
+        # as `levels`, at a point so far off the middle of each block [block], without the blur
+        own = self.scene.reflectance
+        scale_s, scale_sigma = np.exp(theta[self.parameters.nuisance[:2]])
+        sigmas = (own.sigma * scale_sigma, own.sigma * scale_sigma * (1.0 + SIGMA_STEP))
+        caster, threads = self._work.caster, self._work.run.threads
+        out: list[Float64] = []
+        for pixels in self._sets:
+            view = self.parameters.view(self.scene, pixels.posture, theta)
+            column, row = view.camera.axis_px
+            view = replace(view, camera=replace(view.camera, principal_point=(column - x, row - y)))
+            diffuse, specular = light_at(self.scene, pixels, view, caster, sigmas=sigmas, threads=threads)
+            diffuse = max(own.R_d, LEAST_R_D) * diffuse.ravel()
+            specular = max(own.R_s, LEAST_R_S) * scale_s * specular.reshape(2, -1)
+            out.append(np.stack([diffuse + specular[0], specular[0], diffuse + specular[1]]))
+        return np.concatenate([np.zeros((3, 0)), *out], axis=1)
+
+    def _unit(self, theta: Float64) -> Float64:
+        # sensor levels per grey level
+        p = self.parameters
+        gains = np.array([theta[p.group("gain", name).first] for name in p.lights])
+        return np.exp(theta[p.group("exposure").first] + gains)[self._light] * self._scale
+
+    def _delivered(self, theta: Float64, level: Float64) -> tuple[Float64, Float64, Float64]:
+        # what the camera delivers of grey levels, its change per sensor level of light, and its noise
+        sensor = self.scene.sensor
+        signal = self._unit(theta) * level
+        black = sensor.black_level + float(theta[self.parameters.group("black").first])
+        mean, share = clipped_mean(signal + black, sensor.read_noise_levels)
+        sets = 2.0 if self._corrected else 1.0
+        noise = sets * sensor.noise_variance(signal) / self._count + np.square(MISFIT_SHARE * signal)
+        return mean + self._correction, share, np.sqrt(noise)
+
+    def predicted(self, theta: Float64) -> tuple[Float64, Float64]:
+        """Level of each row with the correction by a baseline, and its noise [sensor level]."""
+        mean, _, noise = self._delivered(theta, self.levels(theta)[0])
+        return mean, noise
+
+    def correct(self, good: Model, theta: Float64) -> None:
+        """Let the prediction at some parameters be what a known good set shows at the same blocks."""
+        self._open &= good._open
+        self._correction = good.measured - self.predicted(theta)[0]
+        self._corrected = True
+
+    def linearise(self, theta: Float64) -> tuple[Float64, Float64, Bool]:
+        """The model of n rows at some parameters, shape (K,).
+
+        Measured minus predicted, shape (n,), and the derivatives of what is predicted, shape (n, K), both in standard
+        deviations; rows that count, shape (n,).
+        """
+        p, sensor = self.parameters, self.scene.sensor
+        level, specular, wider = self.levels(theta)
+        middle = self._levels_at(theta)[0]
+        mean, share, noise = self._delivered(theta, level)
+        unit = share * self._unit(theta)  # sensor level delivered per grey level
+        slope = np.zeros((len(level), p.size))
+
+        def rows_of(group: Group) -> Bool:
+            return self._light == p.lights.index(group.light) if group.light else np.ones(len(level), np.bool_)
+
+        for group in p.groups:
+            if group.kind == "black":
+                slope[:, group.first] = share
+            elif group.step == 0.0:
+                slope[:, group.first] = np.where(rows_of(group), unit * level, 0.0)
+        # panels are moved all at once: each image is of one of them
+        moving = [group for group in p.groups if group.step > 0.0]
+        for kind in dict.fromkeys(group.kind for group in moving):
+            together = [group for group in moving if group.kind == kind]
+            for axis in range(together[0].size):
+                there = theta.copy()
+                there[[group.first + axis for group in together]] += together[0].step
+                change = unit * (self._levels_at(there)[0] - middle) / together[0].step
+                for group in together:
+                    slope[:, group.first + axis] = np.where(rows_of(group), change, 0.0)
+        slope[:, p.nuisance[0]] = unit * specular
+        slope[:, p.nuisance[1]] = unit * (wider - level) / math.log1p(SIGMA_STEP)
+        slope[:, p.nuisance[2]] = unit * self._blur
+        single = np.sqrt(sensor.noise_variance(np.maximum(mean - sensor.black_level, 0.0)))
+        used = self._open & (mean + CLEAR * single < self._top)
+        used &= np.isfinite(mean) & np.isfinite(slope).all(axis=1)
+        for group in moving:
+            if used.any():
+                size = np.abs(slope[:, group.where]).max(axis=1)
+                used &= ~(size > STEEP * np.quantile(size[used], 0.9))
+        residual = np.where(used, (self.measured - np.where(used, mean, 0.0)) / noise, 0.0)
+        return residual, np.where(used[:, None], slope, 0.0) / np.where(used, noise, 1.0)[:, None], used
+
 
 # twice the logarithm of how much more likely it is, before there are images, that a group is as it was
 PRIOR_ODDS = 14.0
@@ -88,24 +276,26 @@ class Evidence:
         return float(np.linalg.eigvalsh(own)[-1]) * group.limit**2 > 2.0 * PRIOR_ODDS
 
 
-def gather(parameters: Parameters, model: Linearised, theta: Float64, cells: Int32, deviations: Float64) -> Evidence:
-    """Sums of the model linearised at some parameters, with weights by what no fault explains.
+def gather(model: Model, theta: Float64, origin: Float64, deviations: Float64) -> Evidence:
+    """Sums of the model linearised at some parameters, with weights by what no fault from the origin explains.
 
     deviations: Of a calibrated rig from its file, independent ones of one standard deviation each, shape (K, D)
     """
-    slope, target = model.slope, model.residual + np.einsum("ij,j->i", model.slope, theta)
+    parameters = model.parameters
+    residual, slope, used = model.linearise(theta)
+    target = residual + np.einsum("ij,j->i", slope, theta - origin)
     ridge = np.diag(1.0 / np.square(parameters.priors))
-    weight = model.used.astype(np.float64)
+    weight = used.astype(np.float64)
     left = target
     for _ in range(ROUNDS):
         normal, toward = weighted_sums(slope, weight, target)
         left = target - np.einsum("ij,j->i", slope, np.linalg.solve(normal + ridge, toward))
-        spread = max(1.0, 1.4826 * float(np.median(np.abs(left[model.used])))) if model.used.any() else 1.0
-        weight = model.used * np.minimum(1.0, HUBER * spread / np.maximum(np.abs(left), 1e-12))
+        spread = max(1.0, 1.4826 * float(np.median(np.abs(left[used])))) if used.any() else 1.0
+        weight = used * np.minimum(1.0, HUBER * spread / np.maximum(np.abs(left), 1e-12))
     pull = weight * left
     # sums over cells of neighbours, against what independent residuals would have
-    sums = np.bincount(cells, pull)
-    expected = np.bincount(cells, np.square(weight))
+    sums = np.bincount(model.cell, pull)
+    expected = np.bincount(model.cell, np.square(weight))
     counted = expected > 3.0
     ratio = np.square(sums[counted]) / expected[counted]
     inflation = max(1.0, float(np.mean(ratio)) if ratio.size else 1.0)
@@ -157,7 +347,7 @@ class Fit:
     covariance: Float64
     chosen: tuple[Group, ...]
     evidence: Evidence
-    predictions: dict[Posture, CoarsePrediction]  # of the rig with these faults
+    predictions: Predictions  # of the rig with these faults
     left: Agreement  # what they leave
     registered: bool = False  # whether the part was searched for
 
@@ -192,10 +382,7 @@ def fit_faults(
         other = replace(_descend(work, images, good, deviations, origin, start), registered=True)
         fit = min(fit, other, key=lambda one: one.left.residual)
     if (evaluable := int(np.count_nonzero(fit.evidence.weight))) < LEAST_ROWS:
-        raise InputError(
-            f"{where}: only {evaluable} places of all images are neither saturated nor at an edge, expected at least "
-            f"{LEAST_ROWS}; capture them with a shorter exposure, or of a larger part"
-        )
+        raise InputError(f"{where}: {evaluable} places are neither saturated nor at an edge, expected {LEAST_ROWS}")
     if fit.left.mismatch:
         raise InputError(
             f"{where}: the images do not look like this part on this rig: measured minus predicted is "
@@ -220,7 +407,7 @@ def _descend(
         if step and work.moved_blocks(theta, at) > STALE_BLOCKS:
             at, predictions = theta, work.predict(theta)
             model = _model(work, images, good, predictions)
-        evidence = gather(p, model.linearise(theta), theta - origin, model.cell, deviations)
+        evidence = gather(model, theta, origin, deviations)
         chosen = choose(evidence)
         _, faults, covariance = evidence.solve(chosen)
         before, theta = theta, origin + faults + evidence.deviation(faults)
@@ -235,9 +422,7 @@ def _descend(
     return Fit(images, theta, faults, covariance, chosen, evidence, work.predict(theta), left)
 
 
-def _model(
-    work: Work, images: Sequence[CoarseImage], good: Fit | None, predictions: Mapping[Posture, CoarsePrediction]
-) -> Model:
+def _model(work: Work, images: Sequence[CoarseImage], good: Fit | None, predictions: Predictions) -> Model:
     model = Model(work, images, predictions)
     if good is not None:
         model.correct(Model(work, good.images, predictions), good.theta)

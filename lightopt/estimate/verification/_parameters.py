@@ -1,24 +1,32 @@
-"""The faults that a rig may have as parameters of its images, and the rig with these faults.
+"""The faults that a rig may have as parameters of its images, the rig with these faults, and coarse images of it.
 
 Parameters are in one vector, shape (K,): 0 is the rig as its file has it. Faults come in groups, such as the three
 shifts of a camera, which are found together.
+
+Coarse images are means over square blocks of pixels: those of a camera of larger pixels. Blocks have less noise, and
+there are fewer rays to cast.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import ndimage
 
 from lightopt.config import RigConfig
-from lightopt.core.arrays import Float64
+from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.errors import refuse
+from lightopt.core.run_context import RunContext
+from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture, rotation_from_vector
-from lightopt.estimate.registration import Placement
-from lightopt.estimate.rig_calibration import displaced, read_covariance, square_root
+from lightopt.estimate.registration import Observation, Placement
+from lightopt.estimate.rig_calibration import read_covariance, rig_deviations, square_root
 from lightopt.lights import PanelLight
-from lightopt.scene import PartView, PinholeCamera, Scene, Stage, project, view_from_part
+from lightopt.rendering import cast_rays_at, mask_pixels, render_posture
+from lightopt.scene import PartView, PinholeCamera, Scene, Stage, project, view_from_part, with_reflectances
 
 _DEG = math.pi / 180.0
 
@@ -60,15 +68,8 @@ class VerifyLimits:
     blur_px: float = 1.0  # standard deviation of the blur of the image beyond that of the pixel
 
     def __post_init__(self) -> None:
-        problems = [
-            f"limit {name}: expected a number above 0, found {value:g}"
-            for name, value in self.as_dict().items()
-            if not 0.0 < value < math.inf
-        ]
-        refuse(problems)
-
-    def as_dict(self) -> dict[str, float]:
-        return asdict(self)
+        wrong = [(name, value) for name, value in vars(self).items() if not 0.0 < value < math.inf]
+        refuse(f"limit {name}: expected a number above 0, found {value:g}" for name, value in wrong)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +108,7 @@ class Parameters:
         groups: list[Group] = []
         first = 0
         for kind, (size, step, prior, name) in _FAULTS.items():
-            limit = limits.as_dict()[name] * (_DEG if name.endswith("_deg") else 1.0)
+            limit = vars(limits)[name] * (_DEG if name.endswith("_deg") else 1.0)
             for light in lights if kind in _OF_LIGHTS else ("",):
                 groups.append(
                     Group(kind=kind, light=light, first=first, size=size, step=step, prior=prior, limit=limit)
@@ -157,9 +158,8 @@ class Parameters:
         # the part moved at posture (0, 0), x' = R·x + t, inverted
         back = rotation_from_vector(of("part_turn")).T
         shift = self.middle - back @ (self.middle + of("part_shift"))
-        return replace(
-            view, camera=view.camera.moved(back, shift), lights=tuple(light.moved(back, shift) for light in view.lights)
-        )
+        lights = tuple(light.moved(back, shift) for light in view.lights)
+        return replace(view, camera=view.camera.moved(back, shift), lights=lights)
 
 
 def _moved_camera(camera: PinholeCamera, shift: Float64, turn: Float64) -> PinholeCamera:
@@ -191,8 +191,7 @@ def calibrated_deviations(rig: RigConfig, scene: Scene, p: Parameters) -> Float6
     """
     names, covariance = read_covariance(rig)
     at = {name: i for i, name in enumerate(names)}
-    own = [i for name, i in at.items() if name.startswith(("camera.", "tilt_axis.", "rotary_axis."))]
-    of_rig = [displaced(scene.camera, scene.stage, names, column) for column in _root_of(covariance, own).T]
+    of_rig = rig_deviations(scene.camera, scene.stage, names, covariance)
     to_faults = np.zeros((p.size, len(names)))
     for light in scene.lights:
         axes = np.stack([light.across, light.along, light.outward])
@@ -206,13 +205,6 @@ def calibrated_deviations(rig: RigConfig, scene: Scene, p: Parameters) -> Float6
             to_faults[p.group("gain", light.name).where, i] = 1.0 / light.gain
     columns = [_as_camera(scene, p, of_rig), square_root(to_faults @ covariance @ to_faults.T)]
     return np.concatenate(columns, axis=1) if names else np.zeros((p.size, 0))
-
-
-def _root_of(covariance: Float64, some: list[int]) -> Float64:
-    # deviations of some of the values, shape (n, D)
-    found = np.zeros((len(covariance), len(some)))
-    found[some] = square_root(covariance[np.ix_(some, some)])
-    return found
 
 
 def _as_camera(scene: Scene, p: Parameters, rigs: list[tuple[PinholeCamera, Stage]]) -> Float64:
@@ -234,3 +226,144 @@ def _as_camera(scene: Scene, p: Parameters, rigs: list[tuple[PinholeCamera, Stag
         seen = np.isfinite(still)
         found[rows] = unit[:, None] * np.linalg.lstsq(moves[:, seen].T, np.array(changes)[:, seen].T, rcond=None)[0]
     return found
+
+
+COARSE_WIDTH = 540  # about so many columns of a coarse image
+
+PANEL_MM = 10.0  # a panel that has moved by this is as bad as a part that has moved by a block
+# rigs that differ by less have the same images: in place [block], reflectance and blur [px²]
+SAME_BLOCKS, SAME_SHARE, SAME_BLUR = 0.02, 0.005, 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoarseImage:
+    """An observation in blocks of side² pixels."""
+
+    source: Observation
+    levels: Float32  # mean sensor levels, black level included, shape (h, w)
+    saturated: Bool  # blocks with a saturated pixel, same shape
+    mostly: Bool  # blocks of which most pixels are saturated, same shape
+    top: Float32  # level from which a pixel is saturated, less what was subtracted, same shape
+    count: int  # frames and pixels that a level is the mean of
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoarsePrediction:
+    """What the model has in a posture; levels at exposure 1 [grey level], arrays of shape (h, w).
+
+    points, normals: World frame, shape (h, w, 3).
+    """
+
+    levels: dict[str, Float32]  # by light
+    hit: Bool  # of the part
+    clean: Bool  # off silhouettes, creases and grazing views
+    points: Float32
+    normals: Float32
+
+
+Predictions = dict[Posture, CoarsePrediction]
+
+
+class Work:
+    """What is the same for all sets of a scene.
+
+    side: Of the blocks [px].
+    coarse: The scene with blocks as the camera's pixels; what is left at the right and at the bottom is cut off.
+    """
+
+    def __init__(self, scene: Scene, parameters: Parameters, run: RunContext) -> None:
+        self.scene, self.parameters, self.run = scene, parameters, run
+        camera = scene.camera
+        self.side = max(1, round(camera.width / COARSE_WIDTH))
+        column, row = camera.axis_px
+        coarse = replace(
+            camera,
+            width=camera.width // self.side,
+            height=camera.height // self.side,
+            pixel_size=camera.pixel_size * self.side,
+            principal_point=(column / self.side, row / self.side),
+        )
+        self.coarse = replace(scene, camera=coarse)
+        self.caster = cast_rays_at(scene)
+        self._kept: list[tuple[Float64, Predictions]] = []
+
+    def blocks(self, observations: Sequence[Observation]) -> tuple[CoarseImage, ...]:
+        """Block means of images."""
+
+        def one(number: int) -> CoarseImage:
+            o, side = observations[number], self.side
+            share = _blocks(o.saturated.astype(np.float32), side)
+            subtracted = _blocks(np.broadcast_to(np.float32(o.subtracted), o.levels.shape), side)
+            return CoarseImage(
+                source=o,
+                levels=_blocks(o.levels, side),
+                saturated=share > 0.0,
+                mostly=share >= 0.5,
+                top=(self.scene.sensor.saturated_from - subtracted).astype(np.float32),
+                count=o.frames * side**2,
+            )
+
+        return tuple(in_threads(one, range(len(observations)), self.run.threads))
+
+    def predict(self, theta: Float64) -> Predictions:
+        """Images of the rig with some faults; those that were rendered before if they hardly differ."""
+        for there, kept in self._kept:
+            *lobe, blur = np.abs(theta - there)[self.parameters.nuisance]
+            if max(lobe) < SAME_SHARE and blur < SAME_BLUR and self.moved_blocks(theta, there) <= SAME_BLOCKS:
+                return kept
+        found = {posture: self._render(theta, posture) for posture in self.scene.postures}
+        self._kept.append((theta, found))
+        return found
+
+    def _render(self, theta: Float64, posture: Posture) -> CoarsePrediction:
+        scene, threads = self.coarse, self.run.threads
+        view = self.parameters.view(scene, posture, theta)
+        log_s, log_sigma, blur = theta[self.parameters.nuisance]
+        higher, wider = math.exp(log_s), math.exp(log_sigma)
+        changed = [replace(one, R_s=one.R_s * higher, sigma=one.sigma * wider) for one in scene.reflectances]
+        world = replace(
+            with_reflectances(scene, changed),
+            camera=view.camera.moved(view.rotation, view.translation),
+            lights=tuple(light.moved(view.rotation, view.translation) for light in view.lights),
+            defects=(),
+            waviness=None,
+        )
+        images = render_posture(world, posture, caster=self.caster, threads=threads)
+        masks = mask_pixels(world, posture, self.caster, threads=threads)
+        hit = images.geometry.hit
+        width = math.sqrt(max(float(blur), 0.0)) / self.side
+        return CoarsePrediction(
+            levels={i.light: blurred(i.level, width) if width else i.level for i in images.lights},
+            hit=hit,
+            clean=np.asarray(ndimage.binary_erosion(masks.clean & hit, border_value=1), np.bool_),
+            points=images.geometry.points,
+            normals=images.geometry.normals,
+        )
+
+    def moved_blocks(self, a: Float64, b: Float64) -> float:
+        """By how much the images of two rigs differ, at most [block]: of the part, or of what it mirrors."""
+        p = self.parameters
+        panels = [g for g in p.groups if g.kind == "panel_shift"]
+        most = max(float(np.abs(a - b)[g.where].max()) / PANEL_MM for g in panels)
+        vertices = self.scene.mesh.vertices
+        some = vertices[:: max(1, len(vertices) // 500)]
+        for posture in self.scene.postures:
+            (x, y, _), (u, v, _) = (project(p.view(self.coarse, posture, t).camera, some) for t in (a, b))
+            most = max(most, float(np.nanmax(np.hypot(x - u, y - v))))
+        return most
+
+
+def blurred(image: Float32, width: float) -> Float32:
+    """An image after a Gaussian blur of this standard deviation [pixel of the image]."""
+    return np.asarray(ndimage.gaussian_filter(image, width), np.float32)
+
+
+def _blocks(image: Float32, side: int) -> Float32:
+    height, width = image.shape[0] // side, image.shape[1] // side
+    # by whole slices: a mean over axes of so few elements takes long
+    total = np.zeros((height, width), np.float32)
+    for y in range(side):
+        for x in range(side):
+            total += image[y : height * side : side, x : width * side : side]
+    total *= np.float32(1.0 / side**2)
+    return total

@@ -1,20 +1,36 @@
-"""Verify a rig: from rig, part and images to the faults that explain what the images show instead of the prediction."""
+"""Verify a rig: from rig, part and images to the faults that explain what the images show instead of the prediction.
+
+Also the files of a verification, and the table of all verifications of a rig over time.
+"""
 
 from __future__ import annotations
 
+import csv
+import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lightopt.config import PartConfig, RigConfig
+from lightopt.config import PartConfig, RigConfig, input_hashes
 from lightopt.core.arrays import Float32, Float64
 from lightopt.core.errors import InputError
+from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, observed_postures, read_observations
-from lightopt.estimate.verification._coarse import Work
+from lightopt.estimate.verification._comparison import (
+    LightComparison,
+    compare_image,
+    compare_lights,
+    exchanged_lights,
+    find_spots,
+    renamed,
+)
 from lightopt.estimate.verification._findings import (
     SURE,
     Finding,
@@ -26,16 +42,8 @@ from lightopt.estimate.verification._findings import (
     swap_findings,
 )
 from lightopt.estimate.verification._fit import alternatives, fit_faults
-from lightopt.estimate.verification._lights import (
-    LightComparison,
-    compare_image,
-    compare_lights,
-    exchanged_lights,
-    renamed,
-)
-from lightopt.estimate.verification._parameters import Parameters, VerifyLimits, calibrated_deviations
-from lightopt.estimate.verification._spots import find_spots
-from lightopt.images import ImageSet
+from lightopt.estimate.verification._parameters import Parameters, VerifyLimits, Work, calibrated_deviations
+from lightopt.images import ImageSet, ResultFolder, csv_text, make_folder, write_text_atomic
 from lightopt.scene import Scene, build_scene
 
 _MANY_SPOTS = (
@@ -110,16 +118,9 @@ def verify_set(
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, defects=False)
     good = None if baseline is None else read_observations(baseline, rig, part, threads=run.threads)
     limits = limits or VerifyLimits()
-    return verify_observations(
-        scene,
-        observations,
-        baseline=good,
-        deviations=calibrated_deviations(rig, scene, Parameters.of(scene, limits)),
-        limits=limits,
-        register=register,
-        where=str(image_set.folder),
-        run=run,
-    )
+    deviations = calibrated_deviations(rig, scene, Parameters.of(scene, limits))
+    how: dict[str, Any] = {"baseline": good, "limits": limits, "register": register, "where": str(image_set.folder)}
+    return verify_observations(scene, observations, deviations=deviations, run=run, **how)
 
 
 def verify_observations(
@@ -146,9 +147,8 @@ def verify_observations(
         "register": register,
     }
     if baseline is not None:
-        good = fit_faults(
-            work, work.blocks(_matching(observations, baseline, where)), where="the known good set", **how
-        )
+        known = work.blocks(_matching(observations, baseline))
+        good = fit_faults(work, known, where="the known good set", **how)
     images = work.blocks(observations)
     exchanged = exchanged_lights(work.coarse, images, work.predict(np.zeros(work.parameters.size)))
     fit = fit_faults(work, renamed(images, exchanged), good, where=where, **how)
@@ -185,19 +185,97 @@ def verify_observations(
         warnings=(_MANY_SPOTS,) if many else (),
         limits=limits,
         registered=fit.registered,
-        differences={a.key: np.stack([b.deviation, a.deviation]) for b, a in zip(before, after, strict=True)},
+        differences={
+            (o.posture, o.light, o.exposure): np.stack([b.deviation, a.deviation])
+            for o, b, a in zip(own, before, after, strict=True)
+        },
     )
 
 
-def _matching(observations: Sequence[Observation], good: Sequence[Observation], where: str) -> tuple[Observation, ...]:
+def _matching(observations: Sequence[Observation], good: Sequence[Observation]) -> tuple[Observation, ...]:
     # the images of a known good set in the order of the others
     by_key = {(o.light, o.posture, round(o.exposure, 6)): o for o in good}
     found = [by_key.get((o.light, o.posture, round(o.exposure, 6))) for o in observations]
     missing = [o.name for o, other in zip(observations, found, strict=True) if other is None]
     if missing:
         more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
-        raise InputError(
-            f"{good[0].source.parent}: the known good set has no image {missing[0]}{more}, which {where} has; capture "
-            "it with the same lights, postures and exposures"
-        )
+        raise InputError(f"{good[0].source.parent}: the known good set has no image {missing[0]}{more}; capture it")
     return tuple(one for one in found if one is not None)
+
+
+REPORT_NAME, HISTORY_NAME = "report.html", "history.csv"
+
+
+def plan_limits(path: Path, rig: RigConfig) -> dict[str, float]:
+    """Fields of :class:`VerifyLimits` from the tolerances of a plan: the narrowest of the lights, and of the part.
+
+    path: ``result.json`` of ``lightopt optimize --light-tolerance`` or ``--pose-tolerance``
+    Raises InputError: It cannot be read, has no tolerances, or one of 0
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        widest = [(str(w["what"]), str(w["angle"]), float(w["degrees"])) for w in found["tolerances"][-1]["widest"]]
+    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        raise InputError(
+            f"{path}: no tolerance analysis can be read: {error}; expected result.json of lightopt optimize "
+            "--light-tolerance or --pose-tolerance"
+        ) from error
+    if zero := [what for what, _, degrees in widest if degrees <= 0.0]:
+        raise InputError(f"{path}: the plan has a tolerance of 0° for {zero[0]}; give limits instead")
+    distances = {light.entry_name: light.distance_mm for light in rig.lights}  # whose channels move together
+    panels = [distances[what] * math.tan(math.radians(angle)) for what, _, angle in widest if what in distances]
+    part = [degrees for what, _, degrees in widest if what == "part"]
+    return {**({"panel_mm": min(panels)} if panels else {}), **({"part_deg": min(part)} if part else {})}
+
+
+def verify_folder(
+    folder: Path,
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    *,
+    baseline: ImageSet | None,
+    limits: VerifyLimits,
+    register: bool,
+    force: bool,
+) -> ResultFolder:
+    """Open a folder that a verification is written to.
+
+    Raises InputError: The folder holds a verification of other inputs, and `force` is False
+    """
+    inputs: dict[str, Any] = {**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}
+    if baseline is not None:
+        inputs["baseline"] = baseline.fingerprint
+    made_from = provenance(inputs=inputs, options={"limits": vars(limits), "register": register})
+    form = "lightopt-verification/1"
+    return ResultFolder(folder, made_from, name="verify.json", format=form, what="a verification", force=force)
+
+
+def append_history(folder: Path, result: Verification, *, name: str, when: datetime) -> list[dict[str, str]]:
+    """Add a verification as a row of ``history.csv`` in a folder, and return all rows, the oldest first.
+
+    name: Of the set.
+    Raises InputError: The folder cannot be written to, or its table is another
+    """
+    row: dict[str, Any] = {"time": when.isoformat(), "set": name, "within_tolerances": result.within_tolerances}
+    for one in result.findings:
+        fault = one.kind if one.kind == "swap" else f"{one.kind} {one.light}".strip()
+        row[fault] = round(one.parts.get("", one.size), 6)
+        if one.limit:
+            row[f"{fault}/limit"] = round(one.size / one.limit, 4)
+    for light in result.lights:
+        values = light.as_dict()
+        row |= {f"{light.light} {key}": values[key] for key in ("overlap", "offset_px", "offset_deg", "residual")}
+    path = folder / HISTORY_NAME
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    rows = list(csv.DictReader(text.splitlines(), restval=""))
+    try:
+        numbers = [one[key] for one in rows for key in one if key not in ("time", "set", "within_tolerances")]
+        _ = [float(number) for number in numbers if number], [one["time"] for one in rows]
+    except (ValueError, KeyError, TypeError):
+        raise InputError(f"{path}: no table of lightopt verify, or damaged; remove it") from None
+    rows.append({key: "" if value is None else str(value) for key, value in row.items()})
+    columns = list(dict.fromkeys(key for one in rows for key in one))
+    make_folder(folder)
+    write_text_atomic(path, csv_text([columns, *([one.get(column, "") for column in columns] for one in rows)]))
+    return rows
