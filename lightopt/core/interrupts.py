@@ -36,7 +36,7 @@ def put_off(number: int, frame: FrameType | None) -> bool:
     return False
 
 
-def start_apart(arguments: list[str], **options: Any) -> subprocess.Popen[bytes]:
+def start_apart(arguments: list[str], **options: Any) -> subprocess.Popen[Any]:
     """Start a program that Ctrl-C does not reach: it is for this one, which still has lights to switch off."""
     # in a group of its own
     apart: dict[str, Any] = {"creationflags": 0x00000200} if os.name == "nt" else {"start_new_session": True}
