@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lightopt.core.transforms import Posture
-from lightopt.geometry import RayCaster
 from lightopt.lights import outlines
-from lightopt.rendering import cast_rays_at
 from lightopt.report._drawing import DPI, FONT, INK, POINT, figure_image, fixed_style, shortened
 from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._rig_elements import (
@@ -23,7 +21,6 @@ from lightopt.report._rig_elements import (
     Z,
     arc,
     camera_shape,
-    cast_part,
     degrees,
     part_box,
     rig_size,
@@ -66,7 +63,7 @@ def rig_image(scene: Scene) -> Image.Image:
     from matplotlib.figure import Figure
 
     posture = scene.postures[0] if scene.postures else Posture(0.0, 0.0)
-    caster, numbers = cast_rays_at(scene), _numbers(scene)
+    numbers = _numbers(scene)
     heights = LINE * len(numbers.splitlines()), STAGE_HEIGHT
     figure = Figure(figsize=(WIDTH / DPI, max(LEAST_HEIGHT, sum(heights)) / DPI), dpi=DPI)
     layout: list[Any] = [["rig", "numbers"], ["rig", "stage"]]
@@ -78,12 +75,12 @@ def rig_image(scene: Scene) -> Image.Image:
         axes.margins(0.08)  # for labels
     style: dict[str, Any] = {"family": [f"{FONT} Mono", FONT], "fontsize": TEXT * POINT, "color": INK}
     parts["numbers"].text(0.0, 1.0, numbers, va="top", transform=parts["numbers"].transAxes, **style)
-    draw_rig(parts["rig"], scene, caster, posture)
-    draw_stage(parts["stage"], scene, caster, posture)
+    draw_rig(parts["rig"], scene, posture)
+    draw_stage(parts["stage"], scene, posture)
     return figure_image(figure)
 
 
-def draw_rig(axes: Axes, scene: Scene, caster: RayCaster, posture: Posture) -> None:
+def draw_rig(axes: Axes, scene: Scene, posture: Posture) -> None:
     """Draw all of a rig, the part at a posture."""
     size = rig_size(scene)
     under = [np.abs(outlines(light)[..., :2]).max() for light in scene.lights]
@@ -92,9 +89,6 @@ def draw_rig(axes: Axes, scene: Scene, caster: RayCaster, posture: Posture) -> N
     pen = Pen(axes, RIG_VIEW)
     pen.grid(half, step)
     pen.polygon(shape.footprint, fill=f"{CAMERA}20", outline=CAMERA, width=1.2)  # what the camera sees of the table
-    # what lies on the table is drawn around the part, what stands up may pass in front of it
-    part = cast_part(scene, caster, posture, pen.view, side=300)
-    pen = Pen(axes, RIG_VIEW, part)
     pen.axes_of_world((1.08 * half, 1.08 * half, 0.45 * size))
     # channels of one light stand in one place
     first = scene.lights[: MOST_ARCS if len(scene.lights) <= MOST_ARCS else FEW_ARCS]
@@ -102,7 +96,8 @@ def draw_rig(axes: Axes, scene: Scene, caster: RayCaster, posture: Posture) -> N
     reach = max([0.5 * half, *(float(np.hypot(*light.centre[:2])) for light in scene.lights)])
     for i, light in enumerate(arcs):
         pen.azimuth_arc(light, reach * (0.42 + 0.45 * (i + 1) / len(arcs)), spoke=0.4 * light.distance)
-    part.draw(axes)
+    # what lies on the table is drawn around the part, what stands up passes in front of it
+    pen.part(scene, posture)
     for light in sorted(scene.lights, key=lambda one: float(pen.view.nearness(one.centre))):
         pen.panel(light)
         if light in arcs:
@@ -113,19 +108,13 @@ def draw_rig(axes: Axes, scene: Scene, caster: RayCaster, posture: Posture) -> N
         pen.panel_frame(least_foreshortened, 0.24 * size)
 
 
-def draw_stage(axes: Axes, scene: Scene, caster: RayCaster, posture: Posture) -> None:
+def draw_stage(axes: Axes, scene: Scene, posture: Posture) -> None:
     """Draw the part at a posture with the stage's axes."""
     corners, pen = part_box(scene, posture), Pen(axes, STAGE_VIEW)
     reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
     half, step = round_up(0.525 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0))))
     pen.grid(half, step, centre=corners.mean(axis=0))
-    part = cast_part(scene, caster, posture, STAGE_VIEW, side=600)
-    part.draw(axes)
     axes.set_title(f"posture {posture}, grid {step:g} mm".replace("-", "−"), fontsize=TEXT * POINT, color=INK, y=1.02)
-    _draw_axes(Pen(axes, STAGE_VIEW, part), scene, posture, reach)
-
-
-def _draw_axes(pen: Pen, scene: Scene, posture: Posture, reach: float) -> None:
     (point, tilt), (rotation, translation) = scene.stage.tilt_axis, scene.stage.transform(posture)
     pivot, z = rotation @ scene.pivot + translation, rotation[:, 2]
     y = np.asarray(np.cross(z, X), np.float64)
@@ -139,6 +128,7 @@ def _draw_axes(pen: Pen, scene: Scene, posture: Posture, reach: float) -> None:
         pen.arrow(path, STAGE)
         pen.label(f"+{letter}", path[len(path) // 2], STAGE, away_from=centre)
         pen.label(name, place + reach * axis, STAGE, away_from=place)
+    pen.part(scene, posture)
     pen.label("pivot", pivot, STAGE, away_from=pivot + Z)
     pen.axes.plot(*pen.view.place(pivot), "o", color=STAGE, zorder=2)
 

@@ -1,7 +1,6 @@
 """The things of a rig: their shapes in the world frame [mm], and a parallel view of them drawn by matplotlib.
 
-What is parallel stays parallel, and lengths along a direction keep their ratio. The part is ray cast, softly shaded,
-with its outline and its edges.
+What is parallel stays parallel, and lengths along a direction keep their ratio.
 """
 
 from __future__ import annotations
@@ -14,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, UInt8, read_only
+from lightopt.core.arrays import Float64, read_only
 from lightopt.core.transforms import Posture, azimuth_tangent, direction, elevation_tangent
-from lightopt.geometry import RayCaster
+from lightopt.geometry import TriangleMesh, face_normals
 from lightopt.lights import PanelLight, SurfaceLight, outlines, panel_corners, panel_grid
-from lightopt.rendering import trace_samples
 from lightopt.report._drawing import INK, POINT, SOFT, shortened
+from lightopt.report._surface import ColouredSurface, simplified
 from lightopt.scene import PinholeCamera, Scene, pixel_directions
 
 if TYPE_CHECKING:
@@ -35,9 +34,8 @@ LABEL = 18  # size of labels [px]
 BORDER_STEPS = 24  # points per side of the image's border; a distorted lens bends it on the table
 _FARTHEST = 1.5  # rays that rise from the table or graze it are cut at this many camera distances
 
-_BASE, _EDGE = (206.0, 212.0, 220.0), (58.0, 66.0, 78.0)  # colours of the part
-_FAR = 1e4  # distance of the eye in radii of the part: as good as infinite
-_CREASE_COS = 0.94  # neighbouring pixels whose normals differ by more than 20° have an edge between them
+PART = np.array([206.0, 212.0, 220.0]) / 255.0  # colour of the part where it is lit most
+MOST_FACES = 30_000  # of the part; more are simplified
 
 
 @dataclass(frozen=True)
@@ -75,78 +73,6 @@ def arc(centre: Float64, start: Float64, towards: Float64, angle: float, radius:
     """Points of an arc [mm], shape (n, 3): from `start` through `angle` [rad] to `towards`, two orthonormal vectors."""
     angles = np.linspace(0.0, angle, max(2, int(abs(angle) * 24)))[:, None]
     return centre + radius * (np.cos(angles) * start + np.sin(angles) * towards)
-
-
-@dataclass(frozen=True)
-class PartPicture:
-    """The part seen from one side."""
-
-    view: ParallelView
-    corner: Float64  # place of the arrays' upper left corner on the picture [mm], shape (2,)
-    pixel: float  # side of a pixel [mm]
-    picture: UInt8  # RGBA, shape (side, side, 4)
-    nearness: Float64  # of the surface to the viewer [mm], shape (side, side); −∞ where there is no surface
-
-    def draw(self, axes: Axes) -> None:
-        """Lay the picture over a drawing."""
-        (left, top), side = self.corner, self.pixel * len(self.picture)
-        axes.imshow(self.picture, extent=(left, left + side, top - side, top), zorder=2, interpolation="antialiased")
-
-    def hides(self, points: Float64) -> Bool:
-        """Whether the part stands before world points [mm], shape (n, 3); shape (n,)."""
-        columns, rows = np.floor((self.view.place(points) - self.corner) * [1, -1] / self.pixel).astype(int).T
-        side = len(self.nearness)
-        inside = (columns >= 0) & (columns < side) & (rows >= 0) & (rows < side)
-        hidden = np.zeros(len(points), dtype=bool)
-        hidden[inside] = self.nearness[rows[inside], columns[inside]] > self.view.nearness(points[inside])
-        return hidden
-
-
-def cast_part(scene: Scene, caster: RayCaster, posture: Posture, view: ParallelView, *, side: int) -> PartPicture:
-    """The scene's part at a posture, in a picture of `side` pixels a side; `caster` is of the part's own frame."""
-    rotation, translation = scene.stage.transform(posture)
-    centre = rotation @ caster.centre + translation
-    pixel, distance = 2.0 * caster.radius / (side - 4), _FAR * caster.radius
-    camera = PinholeCamera(
-        position=centre + distance * view.toward,
-        right=view.right,
-        up=view.up,
-        forward=-view.toward,
-        width=side,
-        height=side,
-        pixel_size=pixel,
-        image_distance=distance,
-    ).moved(rotation.T, -rotation.T @ translation)
-    nearness, normals = np.full(side * side, -np.inf), np.zeros((side * side, 3))
-    rows, columns = (part.astype(np.float64) + 0.5 for part in np.divmod(np.arange(side * side), side))
-    hits, surface = trace_samples(caster, scene.mesh, camera, columns, rows, neighbours=True)
-    nearness[hits.ray] = view.nearness(surface.points @ rotation.T + translation)
-    # backs of faces are shown like fronts: this is a drawing, not an image
-    facing = np.where(np.einsum("ij,ij->i", surface.normals, surface.views) < 0.0, -1.0, 1.0)
-    normals[hits.ray] = (surface.normals * facing[:, None]) @ rotation.T
-    nearness, normals = nearness.reshape(side, side), normals.reshape(side, side, 3)
-    corner = view.place(centre) + 0.5 * side * pixel * np.array([-1.0, 1.0])
-    return PartPicture(view, corner, pixel, _shade(view, nearness, normals, pixel), nearness)
-
-
-def _shade(view: ParallelView, nearness: Float64, normals: Float64, pixel: float) -> UInt8:
-    from scipy.ndimage import binary_dilation  # takes long to import
-
-    hit = np.isfinite(nearness)
-    lamp = view.toward + 0.9 * view.up - 0.7 * view.right
-    light = 0.62 + 0.38 * np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
-    # outline, jumps in depth and creases
-    edge, depth = np.zeros(hit.shape, dtype=bool), np.where(hit, nearness, 0.0)
-    for axis in (0, 1):
-        edges, hits, depths, facets = (array.swapaxes(0, axis) for array in (edge, hit, depth, normals))
-        facing = np.einsum("ijk,ijk->ij", facets[:-1], facets[1:])
-        # what lies farther back than the slope of the surface explains is another surface
-        jump = np.abs(depths[:-1] - depths[1:]) > 36.0 * pixel
-        edges[:-1] |= (hits[:-1] != hits[1:]) | (hits[:-1] & hits[1:] & ((facing < _CREASE_COS) | jump))
-    edge = np.asarray(binary_dilation(edge, np.ones((3, 3), bool)), bool)
-    colours = np.where(edge[..., None], _EDGE, np.array(_BASE) * light[..., None])
-    alpha = np.where(hit | edge, 255.0, 0.0)
-    return np.floor(np.concatenate([colours, alpha[..., None]], axis=2) + 0.5).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -212,20 +138,18 @@ def round_up(half: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Pen:
-    """Draws world shapes [mm] one over the other; of lines, what stands behind the part is left out."""
+    """Draws world shapes [mm] one over the other."""
 
     axes: Axes  # places on the picture [mm], equal along x and y
     view: ParallelView
-    part: PartPicture | None = None  # the part's picture, once it is known
 
     def __post_init__(self) -> None:
         self.axes.set_aspect("equal", adjustable="datalim")
 
     def line(self, points: Float64, colour: str, width: float = 1.5, dash: str = "-") -> None:
         """Draw a polyline of shape (n, 3); `width` in [px]."""
-        for piece in self._visible(np.asarray(points, np.float64)):
-            style: dict[str, Any] = {"linewidth": width * POINT, "linestyle": dash, "zorder": 2}
-            self.axes.plot(*self.view.place(piece).T, color=colour, **style)
+        style: dict[str, Any] = {"linewidth": width * POINT, "linestyle": dash, "zorder": 2}
+        self.axes.plot(*self.view.place(points).T, color=colour, **style)
 
     def arrow(self, points: Float64, colour: str, width: float = 2.2) -> None:
         """Draw a polyline of shape (n, 3) that ends in an arrow head."""
@@ -233,8 +157,7 @@ class Pen:
         start, tip = self.view.place(np.stack([0.1 * points[-2] + 0.9 * points[-1], points[-1]]))
         head: dict[str, Any] = {"arrowstyle": "-|>,head_length=0.9,head_width=0.27", "mutation_scale": 14.0 * POINT}
         head |= {"color": colour, "linewidth": width * POINT, "shrinkA": 0.0, "shrinkB": 0.0}
-        if self.part is None or not self.part.hides(points[-1:])[0]:
-            self.axes.annotate("", tip.tolist(), start.tolist(), arrowprops=head, zorder=2)
+        self.axes.annotate("", tip.tolist(), start.tolist(), arrowprops=head, zorder=2)
 
     def polygon(self, points: Float64, *, fill: str, outline: str = "none", width: float = 1.5) -> None:
         """Draw an area of shape (n, 3); a fill of the form ``#rrggbbaa`` is translucent."""
@@ -332,18 +255,26 @@ class Pen:
         for name, vector in (("image right", camera.right), ("image up", camera.up)):
             self.named_arrow(camera.position, camera.position + shape.arrow * vector, name, CAMERA)
 
-    def _visible(self, points: Float64) -> list[Float64]:
-        """Pieces of a polyline that the part does not hide."""
-        if self.part is None:
-            return [points]
-        steps = np.linalg.norm(np.diff(self.view.place(points), axis=0), axis=1)
-        travelled = np.concatenate([[0.0], np.cumsum(steps)])
-        at = np.union1d(travelled, np.arange(0.0, travelled[-1], self.part.pixel))
-        dense = np.stack([np.interp(at, travelled, points[:, axis]) for axis in range(3)], axis=1)
-        hidden = self.part.hides(dense)
-        breaks = np.flatnonzero(np.diff(hidden.astype(np.int8))) + 1
-        pieces = zip(np.split(dense, breaks), np.split(hidden, breaks), strict=True)
-        return [piece for piece, out in pieces if not out[0] and len(piece) > 1]
+    def part(self, scene: Scene, posture: Posture) -> None:
+        """Draw the scene's part at a posture, softly shaded: faces seen from behind first, and the far ones first."""
+        from matplotlib.collections import PolyCollection
+
+        whole = ColouredSurface(
+            vertices=scene.mesh.vertices, triangles=scene.mesh.faces, layers=(), up=Z, toward=self.view.toward
+        )
+        surface, _ = simplified(whole, most=MOST_FACES)
+        rotation, translation = scene.stage.transform(posture)
+        vertices = surface.vertices @ rotation.T + translation
+        corners, normals = vertices[surface.triangles], face_normals(TriangleMesh(vertices, surface.triangles))
+        # backs of faces are shown like fronts: this is a drawing, not an image
+        front = normals @ self.view.toward > 0.0
+        normals = np.where(front[:, None], normals, -normals)
+        lamp = self.view.toward + 0.9 * self.view.up - 0.7 * self.view.right
+        light = 0.62 + 0.38 * np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
+        order = np.lexsort((self.view.nearness(corners.mean(axis=1)), front))
+        style: dict[str, Any] = {"edgecolors": "face", "linewidths": 0.4 * POINT, "zorder": 2}
+        faces = PolyCollection([*self.view.place(corners[order])], facecolors=light[order, None] * PART, **style)
+        self.axes.add_collection(faces)
 
 
 def degrees(angle: float) -> str:

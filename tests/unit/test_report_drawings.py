@@ -16,11 +16,10 @@ from lightopt.geometry import TriangleMesh
 from lightopt.images import read_png
 from lightopt.lights import PanelLight, panel_corners, place_light
 from lightopt.optics import Reflectance, Sensor
-from lightopt.rendering import cast_rays_at
 from lightopt.report import rig_drawing
 from lightopt.report._drawing import DPI, figure_image, fixed_style
 from lightopt.report._rig_drawing import draw_stage
-from lightopt.report._rig_elements import BORDER_STEPS, ParallelView, camera_shape, cast_part, part_box, round_up
+from lightopt.report._rig_elements import BORDER_STEPS, ParallelView, Pen, camera_shape, part_box, round_up
 from lightopt.scene import Scene, Stage, place_camera, project
 from lightopt.scene._camera import Distortion
 
@@ -182,29 +181,17 @@ def test_panel_corners_are_the_panel() -> None:
     assert np.allclose(np.linalg.norm(np.diff(corners, axis=0), axis=1), [60.0, 40.0, 60.0])
 
 
-VIEW = ParallelView(elevation=0.4, azimuth=-1.2)
-
-
-def test_part_picture_is_where_the_view_places_the_part() -> None:
+@fixed_style()
+def test_part_is_drawn_where_the_view_places_it() -> None:
     posture = Posture(30, 40)
     scene = scene_of(FOUR, postures=(posture,))
-    corners = part_box(scene, posture)
-    part = cast_part(scene, cast_rays_at(scene), posture, VIEW, side=400)
-    seen = np.argwhere(np.isfinite(part.nearness)) + 0.5
-    flat = part.corner + part.pixel * seen[:, ::-1] * [1.0, -1.0]
-    expected = VIEW.place(corners)
+    axes = Figure().add_subplot()
+    pen = Pen(axes, ParallelView(elevation=0.4, azimuth=-1.2))
+    pen.part(scene, posture)
+    drawn, expected = axes.dataLim, pen.view.place(part_box(scene, posture))
     # the block's own box is the block
-    assert np.allclose(flat.min(axis=0), expected.min(axis=0), atol=2.0 * part.pixel)
-    assert np.allclose(flat.max(axis=0), expected.max(axis=0), atol=2.0 * part.pixel)
-    assert np.nanmax(part.nearness) == pytest.approx(VIEW.nearness(corners).max(), abs=1.0)
-
-
-def test_part_hides_what_is_behind_it_only() -> None:
-    scene = scene_of(FOUR)
-    part = cast_part(scene, cast_rays_at(scene), Posture(0, 0), VIEW, side=400)
-    centre = np.array([0.0, 0.0, 10.0])
-    points = np.stack([centre, centre - 80 * VIEW.toward, centre + 80 * VIEW.toward, centre + 500 * VIEW.right])
-    assert part.hides(points).tolist() == [True, True, False, False]
+    assert np.allclose(drawn.min, expected.min(axis=0))
+    assert np.allclose(drawn.max, expected.max(axis=0))
 
 
 @fixed_style()
@@ -215,7 +202,7 @@ def test_stage_axes_stay_in_their_picture() -> None:
         axes = figure.add_axes((0.05, 0.05, 0.85, 0.85))
         axes.set_axis_off()
         axes.margins(0.08)
-        draw_stage(axes, scene, cast_rays_at(scene), posture)
+        draw_stage(axes, scene, posture)
         drawn = np.asarray(figure_image(figure)).min(axis=2) < 250
         assert drawn.any()
         for border in (drawn[:2], drawn[-2:], drawn[:, :2], drawn[:, -2:]):

@@ -25,8 +25,8 @@ from lightopt.estimate.registration import (
 from lightopt.images import ImageSet
 from lightopt.inspection.prediction._neighbourhood import LEAST_PX, neighbourhood_px
 from lightopt.inspection.prediction._posture_view import PostureView, posture_view
+from lightopt.inspection.prediction._predict import ReferenceName
 from lightopt.inspection.prediction._prediction_cache import PredictionCache, observed_lights
-from lightopt.inspection.prediction._reference import ReferenceName
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_catalogue, build_scene, project, view_from_part
 
