@@ -32,8 +32,8 @@ from lightopt.estimate.registration import Placement, place_part
 from lightopt.images import ImageSet, read_exr, read_image_set
 from lightopt.inspection import PostureView, SyntheticImage, predict
 from lightopt.inspection.detection._deviation import Deviations, deviations
+from lightopt.inspection.detection._matched_filter import TEMPLATES, score_templates
 from lightopt.inspection.detection._regions import find_regions, split_regions
-from lightopt.inspection.detection._registry import TEMPLATES, score_templates
 from lightopt.inspection.detection._residual_score import score_deviations, threshold
 from lightopt.inspection.evaluation._evaluation import area_under_roc, defect_size, fit_detection_curve, region_hits
 from lightopt.inspection.fusion._gradient_fusion import FUSIONS, pixel_weights

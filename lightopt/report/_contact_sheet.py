@@ -102,7 +102,7 @@ def _sheet(image_set: ImageSet, exposure: float, title: str) -> Image.Image:
     )
     figure.text(y=1.0 - (MARGIN + 1.6 * TITLE) / height, s=facts, **at, **small_text)
     figure.text(y=(BOTTOM - GAP) / height, s=_legend(image_set.manifest), **at, **small_text)
-    several = {one for one in lights if len({_place(entry) for entry in entries if entry.light == one}) > 1}
+    several = {one for one in lights if len({light_position(e) for e in entries if e.light == one}) > 1}
     for cell, (posture, light) in zip(cells.flat, ((p, one) for p in postures for one in lights), strict=True):
         cell.set(xticks=[], yticks=[], facecolor=EMPTY)
         cell.spines[:].set_visible(False)
@@ -123,10 +123,6 @@ def _sheet(image_set: ImageSet, exposure: float, title: str) -> Image.Image:
         colour = hex_colour(SATURATED_COLOUR) if small.saturated else SOFT
         cell.set_xlabel(text, loc="left", fontsize=TEXT * POINT, color=colour)
     return figure_image(figure)
-
-
-def _place(entry: ImageEntry) -> tuple[float, float]:
-    return entry.light_elevation_deg, entry.light_azimuth_deg
 
 
 def _facts(manifest: Manifest, number: str, exposure: float) -> str:

@@ -1,15 +1,15 @@
-"""A drawing of the rig as the program understands it; beside it its numbers, and the part on its stage."""
+"""A drawing of the rig as the program understands it, and beside it the part on its stage."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lightopt.core.transforms import Posture
 from lightopt.lights import outlines
-from lightopt.report._drawing import DPI, FONT, INK, POINT, figure_image, fixed_style, shortened
+from lightopt.report._drawing import DPI, INK, POINT, figure_image, fixed_style
 from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._rig_elements import (
     CAMERA,
@@ -21,24 +21,19 @@ from lightopt.report._rig_elements import (
     Z,
     arc,
     camera_shape,
-    degrees,
     part_box,
     rig_size,
     round_up,
 )
-from lightopt.scene import Scene, pixel_footprint
+from lightopt.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from PIL import Image
 
-    from lightopt.core.arrays import Float64
 
-WIDTH, LEAST_HEIGHT, STAGE_HEIGHT = 1560, 1080, 420  # of the picture, and of that of the stage [px]
-TEXT, LINE = 15, 20  # size of the numbers, and distance of their lines [px]
-# of more lights than that only a few get arcs, which would hide each other; all angles are among the numbers
-MOST_ARCS, FEW_ARCS = 6, 3
-MOST_POSTURES = 12  # more than that are only counted
+WIDTH, HEIGHT, TITLE = 1560, 1080, 15  # of the picture, and size of the titles [px]
+MOST_ARCS, FEW_ARCS = 6, 3  # of more lights than that only a few get arcs, which would hide each other
 RIG_VIEW = ParallelView(elevation=np.radians(20.0), azimuth=np.radians(290.0))
 STAGE_VIEW = ParallelView(elevation=np.radians(22.0), azimuth=np.radians(292.0))
 
@@ -48,7 +43,7 @@ def rig_drawing(scene: Scene, path: str | Path, *, overwrite: bool = True) -> Pa
 
     A parallel view, true to scale: the world's axes, the camera with its viewing pyramid down to the table, each
     panel as its true rectangle, the part at its first posture, elevations θ from the table plane, azimuths φ from +X;
-    beside it the part with the stage's axes, and the numbers.
+    beside it the part with the stage's axes.
 
     path: The PNG to make or to replace, in a folder that exists; it is returned.
     overwrite: Whether a file of other content may be replaced.
@@ -63,20 +58,14 @@ def rig_image(scene: Scene) -> Image.Image:
     from matplotlib.figure import Figure
 
     posture = scene.postures[0] if scene.postures else Posture(0.0, 0.0)
-    numbers = _numbers(scene)
-    heights = LINE * len(numbers.splitlines()), STAGE_HEIGHT
-    figure = Figure(figsize=(WIDTH / DPI, max(LEAST_HEIGHT, sum(heights)) / DPI), dpi=DPI)
-    layout: list[Any] = [["rig", "numbers"], ["rig", "stage"]]
-    ratios: dict[str, Any] = {"width_ratios": (2.0, 1.0), "height_ratios": heights}
-    parts: dict[str, Axes] = figure.subplot_mosaic(layout, **ratios)
-    figure.subplots_adjust(left=0.03, right=0.95, bottom=0.03, top=0.96, wspace=0.03, hspace=0.1)
-    for axes in parts.values():
+    figure = Figure(figsize=(WIDTH / DPI, HEIGHT / DPI), dpi=DPI)
+    rig, stage = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
+    figure.subplots_adjust(left=0.03, right=0.95, bottom=0.03, top=0.95, wspace=0.03)
+    for axes in (rig, stage):
         axes.set_axis_off()
         axes.margins(0.08)  # for labels
-    style: dict[str, Any] = {"family": [f"{FONT} Mono", FONT], "fontsize": TEXT * POINT, "color": INK}
-    parts["numbers"].text(0.0, 1.0, numbers, va="top", transform=parts["numbers"].transAxes, **style)
-    draw_rig(parts["rig"], scene, posture)
-    draw_stage(parts["stage"], scene, posture)
+    draw_rig(rig, scene, posture)
+    draw_stage(stage, scene, posture)
     return figure_image(figure)
 
 
@@ -88,6 +77,7 @@ def draw_rig(axes: Axes, scene: Scene, posture: Posture) -> None:
     shape = camera_shape(scene.camera, 0.13 * size)
     pen = Pen(axes, RIG_VIEW)
     pen.grid(half, step)
+    axes.set_title(f"grid {step:g} mm", fontsize=TITLE * POINT, color=INK)
     pen.polygon(shape.footprint, fill=f"{CAMERA}20", outline=CAMERA, width=1.2)  # what the camera sees of the table
     pen.axes_of_world((1.08 * half, 1.08 * half, 0.45 * size))
     # channels of one light stand in one place
@@ -114,7 +104,9 @@ def draw_stage(axes: Axes, scene: Scene, posture: Posture) -> None:
     reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
     half, step = round_up(0.525 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0))))
     pen.grid(half, step, centre=corners.mean(axis=0))
-    axes.set_title(f"posture {posture}, grid {step:g} mm".replace("-", "−"), fontsize=TEXT * POINT, color=INK, y=1.02)
+    axes.set_title(
+        f"the part in posture {posture}, grid {step:g} mm".replace("-", "−"), fontsize=TITLE * POINT, color=INK
+    )
     (point, tilt), (rotation, translation) = scene.stage.tilt_axis, scene.stage.transform(posture)
     pivot, z = rotation @ scene.pivot + translation, rotation[:, 2]
     y = np.asarray(np.cross(z, X), np.float64)
@@ -131,35 +123,3 @@ def draw_stage(axes: Axes, scene: Scene, posture: Posture) -> None:
     pen.part(scene, posture)
     pen.label("pivot", pivot, STAGE, away_from=pivot + Z)
     pen.axes.plot(*pen.view.place(pivot), "o", color=STAGE, zorder=2)
-
-
-def _numbers(scene: Scene) -> str:
-    # what the drawing shows as lines of text of fixed width
-    camera, (low, high) = scene.camera, scene.mesh.bounds
-    distance = float(np.linalg.norm(camera.position))
-    lines = [
-        "Camera",
-        f"  pinhole at {_vector(camera.position)} mm,",
-        f"  {distance:.5g} mm from the origin",
-        f"  image right {_vector(camera.right)}",
-        f"  image up {_vector(camera.up)}",
-        f"  {camera.width} × {camera.height} px, {pixel_footprint(camera, distance):.5g} mm/px at the origin",
-        "",
-        f"{'Lights':16}{'θ':>8}{'φ':>8}{'mm':>8}  panel, mm",
-    ]
-    for light in scene.lights:
-        angles = f"{degrees(light.elevation):>8}{degrees(light.azimuth):>8}"
-        size = " × ".join(f"{side:.5g}" for side in light.size)
-        lines.append(f"  {shortened(light.name, 14):14}{angles}{light.distance:>8.5g}  {size}")
-    lines += ["", "Part and stage", f"  {' × '.join(f'{side:.3g}' for side in high - low)} mm"]
-    lines.append(f"  pivot {_vector(scene.pivot)} mm")
-    postures = [str(posture) for posture in scene.postures[:MOST_POSTURES]]
-    if len(scene.postures) > MOST_POSTURES:
-        postures.append(f"{len(scene.postures) - MOST_POSTURES} more")
-    rows = [", ".join(postures[i : i + 3]) for i in range(0, len(postures), 3)]
-    lines += [f"  {'postures' if i == 0 else '':8} {row}" for i, row in enumerate(rows)]
-    return "\n".join(lines).replace("-", "−")
-
-
-def _vector(values: Float64) -> str:
-    return "(" + ", ".join(f"{round(float(v), 3) + 0.0:.5g}" for v in values) + ")"

@@ -16,7 +16,7 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import read_exr, read_image_set
 from lightopt.inspection import InspectOptions, SyntheticImage, inspect_set
-from lightopt.inspection.detection._registry import score_templates
+from lightopt.inspection.detection._matched_filter import score_templates
 from lightopt.inspection.evaluation._evaluation import area_under_roc
 from lightopt.inspection.fusion._gradient_fusion import FUSIONS, pixel_weights
 from lightopt.inspection.fusion._synthetic_image import fuse_images

@@ -16,8 +16,8 @@ from lightopt.estimate.registration import Placement
 from lightopt.inspection import InspectionResult, SurfaceCoverage, judge
 from lightopt.inspection.detection._defects import Detection, merge_detections
 from lightopt.inspection.detection._deviation import Deviations
+from lightopt.inspection.detection._matched_filter import templates
 from lightopt.inspection.detection._regions import box_sums, core_pixels, find_regions, split_regions
-from lightopt.inspection.detection._registry import templates
 from lightopt.inspection.detection._residual_score import (
     STRONGEST_Z,
     noise_gain,

@@ -1,7 +1,4 @@
-"""The detectors: each scores the pixels of a posture by how much they look like a defect.
-
-That of the synthetic image has matched filters for dots and lines (paper, section 2.2).
-"""
+"""The detectors: each scores the pixels of a posture by how much they look like a defect."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -9,29 +6,17 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy import ndimage, special
 
-from lightopt.core.arrays import Float32, Float64
+from lightopt.core.arrays import Float32
 from lightopt.defects import CATALOGUE_SHARE, SCALES_PX
-from lightopt.inspection._image_blocks import convolve
 from lightopt.inspection.detection._catalogue_score import ExplainedDefect, explain_deviations
-from lightopt.inspection.detection._deviation import CLIPPED, MEAN_OF_NORMAL, Deviations
+from lightopt.inspection.detection._deviation import Deviations
+from lightopt.inspection.detection._matched_filter import TEMPLATES, score_templates
 from lightopt.inspection.detection._residual_score import score_deviations
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 from lightopt.inspection.prediction._template_bank import TemplateBank
 
-DOT_PX = (1.0, 2.0, 4.0)
-LINE_PX = (1.2, 5.0)
-LINE_DIRECTIONS = 8
-TEMPLATES = len(DOT_PX) + LINE_DIRECTIONS
-"""Dots: the negative Laplacian of Gaussians of these widths; lines: the second derivative across Gaussians of this
-width and length, in so many directions."""
-
-# the response is measured in units of what its surroundings show, as deviations of the other detector are
-LOCAL_PX = 18.0
-
-MEDIAN_PX = 3
-BORDER_PX = 3.0  # nothing is scored within this distance of the border of the mask
+_Make = Callable[[], SyntheticImage] | None  # makes the synthetic image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +34,10 @@ class Scores:
 class Detector:
     """A way to find defects in the images of a posture."""
 
+    # takes the deviations from the good part, in how many lights a defect must show, what makes the synthetic image (it
+    # is made where a detector calls this), what the catalogue's defects would change (empty for others), and the number
+    # of threads
+    score: Callable[[Deviations, int, _Make, TemplateBank, int | None], Scores]
     tests: int  # how many scores of a pixel the one that it gets is the greatest of
     # whether it scores the synthetic image. Else it scores deviations, and a calibration learns which of them good
     # parts have in common.
@@ -56,46 +45,38 @@ class Detector:
     uses_catalogue: bool = False  # whether it tests for the defects of the part's catalogue
     caveat: str = ""  # warning where there is no calibration; empty for none
 
-    def score(
-        self,
-        found: Deviations,
-        min_images: int,
-        make_synthetic: Callable[[], SyntheticImage] | None,
-        bank: TemplateBank,
-        threads: int | None,
-    ) -> Scores:
-        """Score the pixels of a posture.
 
-        found: Deviations from the good part.
-        min_images: In how many images a defect must show.
-        make_synthetic: Makes the synthetic image; it is made where the detector uses it.
-        bank: What the catalogue's defects would change; empty for detectors that do not test for them.
-        """
-        if self.uses_synthetic:
-            assert make_synthetic is not None
-            score = score_templates(make_synthetic())
-            return Scores(score=score, unexplained=score)
-        if not self.uses_catalogue:
-            score = score_deviations(found, min_images=min_images, threads=threads)
-            return Scores(score=score, unexplained=score)
-        explained = explain_deviations(found, bank, share=CATALOGUE_SHARE, min_images=min_images, threads=threads)
-        handicap = math.log10(len(SCALES_PX) / (1.0 - CATALOGUE_SHARE))
-        unexplained = score_deviations(found, min_images=min_images, threads=threads)
-        unexplained = np.maximum(unexplained - np.float32(handicap), np.float32(0.0))
-        score = unexplained.copy()
-        for one in explained:
-            place = one.rows, one.columns
-            score[place] = np.maximum(score[place], np.float32(one.score))
-        return Scores(score=score, explained=explained, unexplained=unexplained, handicap=handicap)
+def _score_deviations(found: Deviations, least: int, _make: _Make, _bank: TemplateBank, threads: int | None) -> Scores:
+    score = score_deviations(found, min_images=least, threads=threads)
+    return Scores(score=score, unexplained=score)
 
 
-RESIDUAL: Final = Detector(tests=len(SCALES_PX))
+def _score_synthetic(_found: Deviations, _least: int, make: _Make, _bank: TemplateBank, _threads: int | None) -> Scores:
+    assert make is not None
+    score = score_templates(make())
+    return Scores(score=score, unexplained=score)
+
+
+def _score_catalogue(found: Deviations, least: int, _make: _Make, bank: TemplateBank, threads: int | None) -> Scores:
+    explained = explain_deviations(found, bank, share=CATALOGUE_SHARE, min_images=least, threads=threads)
+    handicap = math.log10(len(SCALES_PX) / (1.0 - CATALOGUE_SHARE))
+    unexplained = score_deviations(found, min_images=least, threads=threads)
+    unexplained = np.maximum(unexplained - np.float32(handicap), np.float32(0.0))
+    score = unexplained.copy()
+    for one in explained:
+        place = one.rows, one.columns
+        score[place] = np.maximum(score[place], np.float32(one.score))
+    return Scores(score=score, explained=explained, unexplained=unexplained, handicap=handicap)
+
+
+RESIDUAL: Final = Detector(score=_score_deviations, tests=len(SCALES_PX))
 
 DETECTORS: Final[Mapping[str, Detector]] = {
     "residual": RESIDUAL,
     # its scores allow for all tests of a pixel
-    "catalogue": Detector(tests=1, uses_catalogue=True),
+    "catalogue": Detector(score=_score_catalogue, tests=1, uses_catalogue=True),
     "template": Detector(
+        score=_score_synthetic,
         tests=TEMPLATES,
         uses_synthetic=True,
         caveat="its rate of false alarms is that of an image of even texture; on this part it is known only with a "
@@ -103,60 +84,3 @@ DETECTORS: Final[Mapping[str, Detector]] = {
     ),
 }
 """By the name that :class:`lightopt.inspection.InspectOptions` takes."""
-
-
-def templates() -> tuple[Float64, ...]:
-    """The templates: mean 0, sum of squares 1, square of odd side."""
-    dots = [_dot(scale) for scale in DOT_PX]
-    lines = [_line(*LINE_PX, math.pi * i / LINE_DIRECTIONS) for i in range(LINE_DIRECTIONS)]
-    return (*dots, *lines)
-
-
-def score_templates(image: SyntheticImage) -> Float32:
-    """−log₁₀ of the probability that a place of even texture answers to a template as strongly, shape (H, W).
-
-    image: Without highlights.
-    """
-    mask = image.mask
-    if not mask.any():
-        return np.zeros(mask.shape, np.float32)
-    # beyond the mask goes on what is nearest in it, so that its border is no edge
-    nearest = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
-    assert nearest is not None
-    level = ndimage.median_filter(image.level[tuple(nearest)], MEDIAN_PX).astype(np.float64)
-    score = np.zeros(mask.shape, np.float32)
-    within = np.asarray(ndimage.distance_transform_edt(mask), np.float64)
-    inner = mask & ~image.filled & (within > BORDER_PX)
-    if not inner.any():
-        return score
-    share = np.maximum(ndimage.gaussian_filter(inner.astype(np.float64), LOCAL_PX), 1e-6)
-    for template in templates():
-        # the mean goes first: what lies beyond the image's border is 0
-        answer = convolve(level - level.mean(), template)
-        spread = float(np.median(np.abs(answer[inner]))) / 0.6745
-        size = np.where(inner, np.minimum(np.abs(answer), CLIPPED * max(spread, 1e-9)), 0.0)
-        local = ndimage.gaussian_filter(size, LOCAL_PX) / share / MEAN_OF_NORMAL
-        z = np.abs(answer) / np.maximum(np.maximum(local, 0.5 * spread), 1e-9)
-        chance = 2.0 * special.ndtr(-np.minimum(z, 25.0))
-        np.maximum(score, np.where(inner, -np.log10(chance), 0.0), out=score, casting="unsafe")
-    return score
-
-
-def _dot(scale: float) -> Float64:
-    reach = math.ceil(3.5 * scale)
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    square = (x * x + y * y) / scale**2
-    return _normal((2.0 - square) * np.exp(-0.5 * square))
-
-
-def _line(width: float, length: float, direction: float) -> Float64:
-    reach = math.ceil(3.0 * length)
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    along = (math.cos(direction) * x + math.sin(direction) * y) / length
-    across = (math.cos(direction) * y - math.sin(direction) * x) / width
-    return _normal((1.0 - across**2) * np.exp(-0.5 * (along**2 + across**2)))
-
-
-def _normal(template: Float64) -> Float64:
-    template = template - template.mean()
-    return template / np.sqrt(np.sum(template**2))

@@ -290,14 +290,12 @@ def _set_changes(
 
 
 def _set_inverse(entry: EntryTemplates, threads: int | None) -> None:
-    pieces, sizes = entry.pieces, len(entry.hypotheses.shapes)
+    pieces = entry.pieces.first, entry.pieces.pixel, entry.pieces.variant, entry.pieces.weight
+    grid = len(entry.hypotheses.shapes), entry.border, entry.step
 
     def invert(top: int) -> None:
-        bottom = min(top + _ROWS, entry.inverse.shape[1])
-        _invert(
-            entry.change, entry.foreshortening, pieces.first, pieces.pixel, pieces.variant, pieces.weight, sizes,
-            entry.border, entry.step, top, bottom, LEAST_EXPECTED / entry.unit, entry.inverse,
-        )  # fmt: skip
+        rows = top, min(top + _ROWS, entry.inverse.shape[1])
+        _invert(entry.change, entry.foreshortening, pieces, grid, rows, LEAST_EXPECTED / entry.unit, entry.inverse)
 
     in_threads(invert, range(0, entry.inverse.shape[1], _ROWS), threads)
 
@@ -357,24 +355,19 @@ def _pieces(
 def _invert(
     change: Int8,
     foreshortening: Int16,
-    first: Int32,
-    pixel: Int32,
-    variant: Int32,
-    weight: Float32,
-    sizes: int,
-    border: int,
-    step: int,
-    top: int,
-    bottom: int,
+    pieces: tuple[Int32, Int32, Int32, Float32],
+    grid: tuple[int, int, int],
+    rows: tuple[int, int],
     least: float,
     inverse: Float32,
 ) -> None:
-    # rows of places from `top` to `bottom`: 1/√ΣE of the middle size in units of the stored changes
+    # some rows of places: 1/√ΣE of the middle size in units of the stored changes
+    (first, pixel, variant, weight), (sizes, border, step) = pieces, grid
     poses, _, columns = inverse.shape
     _, width, lights, variants = change.shape
     flat = change.reshape(-1)
     own = np.zeros(lights, np.float32)
-    for i in range(top, bottom):
+    for i in range(rows[0], rows[1]):
         for k in range(columns):
             y, x = border + i * step, border + k * step
             if foreshortening[y, x] < 0:
