@@ -1,7 +1,7 @@
 """The part coloured by what the images of the best set show of each patch, and of defects on it, and why not more."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -48,21 +48,6 @@ LEAST_WIDTH = 640  # of a picture with its legend [px]
 SMALLEST_LEGEND, LARGEST_LEGEND = 13, 26  # sizes of a legend's text [px]; in between a fiftieth of the picture's width
 
 
-@dataclass(frozen=True)
-class PostureClasses:
-    """Class of each patch in a posture, indices into :data:`LEVEL_CLASSES`, shape (p,), uint8.
-
-    `areas` are those of the inspectable classes [µm²], counted as the objectives count; `left_out` is the share of
-    the surface in view that is left out, `grain` how far shares may be off since each patch counts as its middle does.
-    """
-
-    posture: Posture
-    classes: UInt8
-    areas: tuple[int, ...]
-    left_out: float
-    grain: float
-
-
 def level_classes(levels: design.Levels, thresholds: design.LevelThresholds) -> UInt8:
     """Class of each inspectable patch (:data:`LEVEL_CLASSES`) by its levels under each light, shape (lights, p)."""
     saturated = levels >= thresholds.saturation
@@ -74,13 +59,13 @@ def level_classes(levels: design.Levels, thresholds: design.LevelThresholds) -> 
 def surface_blocks(output: design.DesignOutput) -> list[Block]:
     """One view of the part with all its colourings; areas as a table."""
     shown = _postures(output)
-    levels = [_layer(one) for one in shown]
+    levels = [layer for layer, _ in shown]
     summary: list[Block] = []
     if shown:
         # what one posture does not show another may
-        best = np.min([one.classes for one in shown], axis=0)
+        best = np.min([layer.of_face for layer in levels], axis=0)
         shares = _shares(output, best)
-        summary = [_table(shown), _combined_note(shares, len(shown))]
+        summary = [_table([row for _, row in shown]), _combined_note(shares, len(shown))]
         if len(shown) > 1:
             classes = surface_classes(LEVEL_CLASSES, [*shares[:_LEFT_OUT], "", shares[_UNSEEN]])
             levels.insert(0, SurfaceLayer(name="the best of all postures", classes=classes, of_face=best))
@@ -122,8 +107,9 @@ def _caption(output: design.DesignOutput) -> str:
     )
 
 
-def _postures(output: design.DesignOutput) -> list[PostureClasses]:
-    table, found = output.patches, list[PostureClasses]()
+def _postures(output: design.DesignOutput) -> list[tuple[SurfaceLayer, list[str]]]:
+    # of each posture the classes of the patches, and a row of the table of areas, counted as the objectives count
+    table, found = output.patches, list[tuple[SurfaceLayer, list[str]]]()
     for result in output.result.results:
         if result.answers[0].nothing is not None:
             continue
@@ -133,18 +119,17 @@ def _postures(output: design.DesignOutput) -> list[PostureClasses]:
             classes[left_out] = _LEFT_OUT
             classes[seen] = level_classes(levels, output.result.thresholds)
             own = table.patches.areas[seen]
-            units, grazing = design.area_units(own), float(table.patches.areas[left_out].sum())
-            areas = tuple(int(units[classes[seen] == k].sum()) for k in range(_LEFT_OUT))
-            share = grazing / (grazing + float(own.sum()))
-            found.append(PostureClasses(posture, classes, areas, left_out=share, grain=grain_of(own)))
+            units, grain = design.area_units(own), grain_of(own)
+            areas = [int(units[classes[seen] == k].sum()) for k in range(_LEFT_OUT)]
+            counted = sum(areas)
+            shares = [design.share_text(area / max(1, counted), grain) for area in areas]
+            legend = surface_classes(LEVEL_CLASSES, [*shares, "", ""])
+            layer = SurfaceLayer(name=f"posture {posture}", classes=legend, of_face=classes)
+            cells = [f"{design.area_text(a, grain * counted)} ({b})" for a, b in zip(areas, shares, strict=True)]
+            grazing = float(table.patches.areas[left_out].sum())
+            rest = design.share_text(grazing / (grazing + float(own.sum())), grain)
+            found.append((layer, [str(posture), *cells, rest]))
     return found
-
-
-def _layer(shown: PostureClasses) -> SurfaceLayer:
-    counted = sum(shown.areas)
-    amounts = [*(design.share_text(area / max(1, counted), shown.grain) for area in shown.areas), "", ""]
-    classes = surface_classes(LEVEL_CLASSES, amounts)
-    return SurfaceLayer(name=f"posture {shown.posture}", classes=classes, of_face=shown.classes)
 
 
 def _shares(output: design.DesignOutput, classes: UInt8) -> list[str]:
@@ -158,15 +143,7 @@ def _shares(output: design.DesignOutput, classes: UInt8) -> list[str]:
     ]
 
 
-def _table(shown: list[PostureClasses]) -> Table:
-    rows: list[list[str]] = []
-    for one in shown:
-        grain, counted = one.grain, sum(one.areas)
-        areas = (
-            f"{design.area_text(a, grain * counted)} ({design.share_text(a / max(1, counted), grain)})"
-            for a in one.areas
-        )
-        rows.append([str(one.posture), *areas, design.share_text(one.left_out, grain)])
+def _table(rows: list[list[str]]) -> Table:
     return Table(
         header=["posture", *(label for label, _ in LEVEL_CLASSES[:_UNSEEN])],
         rows=rows,
