@@ -107,8 +107,8 @@ def _fit_surface(level: Float32, model: Float32, known: Bool, width: float) -> t
 
 
 def _local_fit(width: float, weight: Float64, images: Sequence[Float64]) -> list[Float64]:
-    # weighted least squares of a quadratic around each block, with Gaussian weights of a width [blocks]: coefficients of
-    # the terms of each image [level per block^power], shape (h, w, 6)
+    # weighted least squares of a quadratic around each block, with Gaussian weights of a width [blocks]: coefficients
+    # of the terms of each image [level per block^power], shape (h, w, 6)
     reach = math.ceil(REACH * width)
     offset = np.arange(-reach, reach + 1) / width
     taps = [np.exp(-0.5 * offset**2) * offset**power for power in range(5)]
