@@ -28,7 +28,7 @@ from lightopt import load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.defects import SCALES_PX
-from lightopt.estimate.registration import Placement, place_part
+from lightopt.estimate.registration import Placement, place_part, register
 from lightopt.images import ImageSet, read_exr, read_image_set
 from lightopt.inspection import PostureView, SyntheticImage, predict
 from lightopt.inspection.detection._deviation import Deviations, deviations
@@ -39,7 +39,7 @@ from lightopt.inspection.evaluation._evaluation import area_under_roc, defect_si
 from lightopt.inspection.fusion._gradient_fusion import FUSIONS, pixel_weights
 from lightopt.inspection.fusion._synthetic_image import fuse_images
 from lightopt.inspection.prediction._posture_view import posture_view
-from lightopt.inspection.prediction._registered_set import nominal_scene, register_part
+from lightopt.inspection.prediction._registered_set import nominal_scene
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 from lightopt.scene import _build
 
@@ -188,7 +188,8 @@ def images(folder: Path, rig: RigConfig, part: Path, seed: int, *, good: bool, s
 def look(rig: RigConfig, part: PartConfig, image_set: ImageSet, *, told: bool = False) -> PostureView:
     """The images registered with the model, by the search or at a given placement."""
     scene, observations = nominal_scene(rig, part, image_set)
-    scene = place_part(scene, LIES) if told else register_part(scene, observations)[0]
+    found = LIES if told else register(scene, observations, caster=cast_rays_at(scene)).placement
+    scene = place_part(scene, found)
     prediction = predict(scene, FIRST, cast_rays_at(scene), lights=[o.light for o in observations])
     return posture_view(scene, observations, prediction, where=str(image_set.folder))
 

@@ -35,12 +35,12 @@ from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration import Placement, place_part, refuse_mismatch
 from lightopt.images import ImageSet, read_image_set, write_png
 from lightopt.inspection import REFERENCES, InspectOptions, PostureView, PredictionCache
-from lightopt.inspection._inspect import inspect_registered
+from lightopt.inspection._inspect import Inspector
 from lightopt.inspection.calibration._calibrate import calibrate_registered
 from lightopt.inspection.calibration._calibration import sets_needed
 from lightopt.inspection.evaluation._evaluation import region_hits
 from lightopt.inspection.prediction._posture_view import some_pixels
-from lightopt.inspection.prediction._reference import ReferenceName
+from lightopt.inspection.prediction._predict import ReferenceName
 from lightopt.inspection.prediction._registered_set import RegisteredSet, register_set
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import cast_rays_at, render_posture
@@ -302,10 +302,8 @@ def count(
             if reference == "model":
                 levels = view.level, view.predicted, view.limit, view.deviation
                 refuse_mismatch(*levels, some_pixels(view.clean), path.stem)
-            result = inspect_registered(
-                rig, part, registered, path.stem, options=options, cache=PredictionCache(), calibration=calibration,
-                run=RunContext(threads=1),
-            )  # fmt: skip
+            inspector = Inspector(rig, part, options, None, calibration, RunContext(threads=1))
+            result = inspector.inspect_registered(registered, path.stem)
         except InputError:
             refused += 1
             continue

@@ -152,7 +152,7 @@ def defects(
     Example: lightopt defects rig.yaml part.yaml --seed 1 --count 14 -o part.defects.yaml
     """
     from lightopt import inspection
-    from lightopt.images import make_folder
+    from lightopt.images import make_folder, write_text_atomic
 
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     comment = f"{counted(count, 'defect')}, placed at random by: lightopt defects --seed {seed} --count {count}"
@@ -161,7 +161,7 @@ def defects(
     made_from = inspection.random_defect_provenance(loaded_rig, loaded_part, count=count, seed=seed)
     text = inspection.random_defects_text(loaded_part, placed, folder=out.parent, comment=comment, made_from=made_from)
     make_folder(out.parent)
-    inspection.write_random_defects(out, text, force=force)
+    write_text_atomic(out, text, overwrite=force)
     if not quiet:
         kinds = Counter(defect.entry.name for defect in placed)
         echo(f"{counted(len(placed), 'defect')}: {', '.join(f'{n} × {name}' for name, n in kinds.items())}")

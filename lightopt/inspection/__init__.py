@@ -22,7 +22,6 @@ from lightopt.inspection._random_defects import (
     place_random_defects as place_random_defects,
     random_defect_provenance as random_defect_provenance,
     random_defects_text as random_defects_text,
-    write_random_defects as write_random_defects,
 )
 from lightopt.inspection._results import (
     BatchRow as BatchRow,
@@ -63,9 +62,8 @@ from lightopt.inspection.fusion._synthetic_image import (
     synthetic_image as synthetic_image,
 )
 from lightopt.inspection.prediction._posture_view import PostureView as PostureView, posture_view as posture_view
-from lightopt.inspection.prediction._predict import predict as predict
+from lightopt.inspection.prediction._predict import REFERENCES as REFERENCES, predict as predict
 from lightopt.inspection.prediction._prediction_cache import PredictionCache as PredictionCache
-from lightopt.inspection.prediction._reference import REFERENCES as REFERENCES
 from lightopt.inspection.prediction._template_bank import (
     entry_deviation as entry_deviation,
     expected_deviation as expected_deviation,

@@ -219,22 +219,15 @@ def grey_picture(level: Float32, mask: Bool, *, like: GreyPicture | None = None)
     mask: Pixels that show the part; the others are black, shape (H, W).
     like: Another image, whose black, white and power are taken.
     """
-    if like is not None:
-        return GreyPicture(
-            _as_grey(level, mask, like.black, like.white, like.power), like.black, like.white, like.power
-        )
     inside = level[mask]
-    white = max(float(np.percentile(inside, 99.9)), 1e-6) if inside.size else 1.0
-    # gradients do not determine the level of a dark field: integrated, it may be below black
-    black = min(0.0, float(np.percentile(inside, 1.0))) if inside.size else 0.0
+    if like is not None:
+        black, white, power = like.black, like.white, like.power
+    else:
+        white = max(float(np.percentile(inside, 99.9)), 1e-6) if inside.size else 1.0
+        # gradients do not determine the level of a dark field: integrated, it may be below black
+        black = min(0.0, float(np.percentile(inside, 1.0))) if inside.size else 0.0
+        power = 1.0
     share = np.where(mask, np.clip((level - black) / (white - black), 0.0, 1.0), 0.0)
-    middle = float(np.median(share[mask])) if inside.size else 1.0
-    power = 1.0
-    if middle < DARK:
+    if like is None and inside.size and (middle := float(np.median(share[mask]))) < DARK:
         power = max(LEAST_POWER, round(math.log(LIFTED) / math.log(max(middle, 1e-6)), 2))
-    return GreyPicture(_as_grey(level, mask, black, white, power), black, white, power)
-
-
-def _as_grey(level: Float32, mask: Bool, black: float, white: float, power: float) -> UInt8:
-    share = np.where(mask, np.clip((level - black) / (white - black), 0.0, 1.0), 0.0)
-    return (255.0 * share**power + 0.5).astype(np.uint8)
+    return GreyPicture((255.0 * share**power + 0.5).astype(np.uint8), black, white, power)

@@ -4,6 +4,7 @@ import functools
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from typing import Any
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted, percent, refuse
@@ -16,25 +17,23 @@ from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
 from lightopt.inspection.calibration._systematic import divide_spread, learned_view, subtract_mean, subtract_systematic
-from lightopt.inspection.detection._comparison import compare, evaluable
 from lightopt.inspection.detection._coverage import (
     REFERENCE_CONTRAST,
     REFERENCE_DEFECT,
     measure_coverage,
     surface_coverage,
 )
-from lightopt.inspection.detection._defects import merge_detections
+from lightopt.inspection.detection._defects import join_explained, merge_detections
 from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.detection._named_defects import join_explained
 from lightopt.inspection.detection._regions import find_regions, measure_regions, split_regions
 from lightopt.inspection.detection._registry import DETECTORS, RESIDUAL
 from lightopt.inspection.detection._residual_score import threshold
-from lightopt.inspection.detection._texture import texture_threshold, whiten_texture
+from lightopt.inspection.detection._texture import compare, evaluable, texture_threshold, whiten_texture
 from lightopt.inspection.evaluation._evaluation import SetEvaluation, TruthSource, evaluate_set
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._posture_view import PostureView, some_pixels
+from lightopt.inspection.prediction._predict import REFERENCES
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
-from lightopt.inspection.prediction._reference import REFERENCES
 from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels, register_set
 from lightopt.inspection.prediction._template_bank import TemplateBank
 from lightopt.scene import build_catalogue, part_postures, place_defects
@@ -63,10 +62,10 @@ def inspect_set(
     calibration: Learned from good parts: thresholds are theirs, and what they have in common is no defect.
     Raises InputError: images that are not the rig's or not the part's, or not as those of the calibration.
     """
-    options, run = options or InspectOptions(), run or RunContext()
-    _require_valid(rig, part, options, calibration)
-    result = find_defects(rig, part, image_set, options, cache or PredictionCache(), calibration, run)
-    run.warn(*result.warnings)
+    inspector = Inspector(rig, part, options, cache, calibration, run)
+    inspector.require_valid()
+    result = inspector.inspect(image_set)
+    inspector.run.warn(*result.warnings)
     return result
 
 
@@ -108,16 +107,15 @@ def inspect_batch(
         refused and the folder is new.
     Raises InputError: wrong options, or a calibration of another rig, part or way to inspect; before the first set.
     """
-    options, run = options or InspectOptions(), run or RunContext()
-    _require_valid(rig, part, options, calibration)
-    cache = PredictionCache()
+    inspector = Inspector(rig, part, options, None, calibration, run)
+    inspector.require_valid()
     for number, image_set in enumerate(sets):
         source = None if truth is None else truth[number]
         folder = nullcontext() if folders is None else folders[number].created()
         name = image_set.folder.resolve().name
         try:
             with folder:
-                result = find_defects(rig, part, image_set, options, cache, calibration, run)
+                result = inspector.inspect(image_set)
                 evaluation = None
                 if source is not None:
                     known = () if source.part is None else place_defects(result.nominal, rig, source.part)
@@ -126,146 +124,146 @@ def inspect_batch(
             yield InspectedSet(name=name, error=error)
             continue
         warnings = (*(() if source is None else source.warnings), *result.warnings)
-        run.warn(*(f"{name}: {text}" if len(sets) > 1 else text for text in warnings))
+        inspector.run.warn(*(f"{name}: {text}" if len(sets) > 1 else text for text in warnings))
         yield InspectedSet(
             name=name, result=result, verdict=judge(result, part.inspection), evaluation=evaluation, warnings=warnings
         )
 
 
-def _require_valid(rig: RigConfig, part: PartConfig, options: InspectOptions, calibration: Calibration | None) -> None:
-    refuse(options.problems())
-    if calibration is None and options.reference == "good-parts":
-        raise InputError(
-            "option 'reference': good-parts needs a calibration that was made from good parts with the same reference; "
-            "make one with option 'calibrate', and give it by option 'calibration'"
+class Inspector:
+    """Inspects sets; takes what :func:`inspect_set` takes, and warns in the results only."""
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        part: PartConfig,
+        options: InspectOptions | None,
+        cache: PredictionCache | None,
+        calibration: Calibration | None,
+        run: RunContext | None,
+    ) -> None:
+        self.rig, self.part, self.calibration = rig, part, calibration
+        self.options, self.cache, self.run = (
+            options or InspectOptions(),
+            cache or PredictionCache(),
+            run or RunContext(),
         )
-    if calibration is not None:
-        calibration.require_match(rig, part, options)
+        self.detector = DETECTORS.get(self.options.scored_by, RESIDUAL)
 
+    def require_valid(self) -> None:
+        """Refuse wrong options, and a calibration of another rig, part or way to inspect."""
+        refuse(self.options.problems())
+        if self.calibration is not None:
+            self.calibration.require_match(self.rig, self.part, self.options)
+        elif self.options.reference == "good-parts":
+            raise InputError(
+                "option 'reference': good-parts needs a calibration that was made from good parts with the same "
+                "reference; make one with option 'calibrate', and give it by option 'calibration'"
+            )
 
-def find_defects(
-    rig: RigConfig,
-    part: PartConfig,
-    image_set: ImageSet,
-    options: InspectOptions,
-    cache: PredictionCache,
-    calibration: Calibration | None,
-    run: RunContext,
-) -> InspectionResult:
-    """As :func:`inspect_set`, with options and calibration that are checked; warnings are in the result only."""
-    search, reference, where = options.register, options.reference, str(image_set.folder)
-    registered = register_set(rig, part, image_set, register=search, reference=reference, cache=cache, run=run)
-    return inspect_registered(rig, part, registered, where, options, cache, calibration, run)
+    def inspect(self, image_set: ImageSet) -> InspectionResult:
+        """Find the part of a set, and its defects."""
+        how: dict[str, Any] = {"register": self.options.register, "reference": self.options.reference}
+        registered = register_set(self.rig, self.part, image_set, **how, cache=self.cache, run=self.run)
+        return self.inspect_registered(registered, str(image_set.folder))
 
-
-def inspect_registered(
-    rig: RigConfig,
-    part: PartConfig,
-    registered: RegisteredSet,
-    where: str,
-    options: InspectOptions,
-    cache: PredictionCache,
-    calibration: Calibration | None,
-    run: RunContext,
-) -> InspectionResult:
-    """As :func:`find_defects`, of a set whose part is registered; `where` names the set in messages."""
-    postures: list[InspectedPosture] = []
-    catalogue = build_catalogue(part) if DETECTORS[options.scored_by].uses_catalogue else ()
-    for view, exposures in registered.views:
-        calibrated = None if calibration is None else calibration.of(view.posture, exposures, where=where)
-        bank: TemplateBank = ()
-        if catalogue:
-            bank = cache.template_bank(registered.scene, view, exposures, catalogue, threads=run.threads)
-        place = f"{where}, posture {view.posture}"
-        postures.append(_inspect_posture(view, options, registered, bank, calibrated, place, run.threads))
-    expected, found = part_postures(part), registered.registration
-    noted, calibrated = () if found is None else found.warnings, calibration is not None
-    warnings = inspection_warnings(rig, postures, options, expected=expected, registration=noted, calibrated=calibrated)
-    surface_map = cache.surface_map(registered.scene, expected, threads=run.threads)
-    coverages = [(p.view.posture, p.coverage) for p in postures]
-    return InspectionResult(
-        defects=merge_detections([detection for p in postures for detection in p.detections]),
-        postures=tuple(postures),
-        placement=registered.placement if options.register else None,
-        registration=found,
-        warnings=warnings,
-        reference=options.reference,
-        nominal=registered.nominal,
-        surface=surface_coverage(registered.nominal, coverages, surface_map),
-    )
-
-
-def _inspect_posture(
-    view: PostureView,
-    options: InspectOptions,
-    registered: RegisteredSet,
-    bank: TemplateBank,
-    calibrated: CalibratedPosture | None,
-    where: str,
-    threads: int | None,
-) -> InspectedPosture:
-    make_synthetic = None
-    if options.fusion is not None:
-        make = functools.partial(synthetic_image, view, options.fusion, threads=threads)
-        make_synthetic = functools.cache(make)
-    view, found = _compare(view, options, registered, calibrated, where, threads)
-    detector = DETECTORS[options.scored_by]
-    scores = detector.score(found, options.min_images, make_synthetic, bank, threads)
-    pixels = int(view.clean.sum())
-    if calibrated is None:
-        high = threshold(options.false_alarms, pixels, detector.tests)
-        if options.reference == "self":
-            high = texture_threshold(scores.score, found, high, options.false_alarms)
-    else:
-        high = calibrated.threshold(options.false_alarms)
-    explained = [one for one in scores.explained if one.score >= high]
-    labels, count = find_regions(scores.unexplained, high)
-    if count + len(explained) > MOST_REGIONS:
-        raise InputError(
-            f"{where}: {counted(count, 'region')} that differ from a good part, expected at "
-            f"most {MOST_REGIONS:,}: {REFERENCES[options.reference].remedy}"
+    def inspect_registered(self, registered: RegisteredSet, where: str) -> InspectionResult:
+        """Find the defects of a set whose part is registered; `where` names the set in messages."""
+        options, calibration, threads = self.options, self.calibration, self.run.threads
+        postures: list[InspectedPosture] = []
+        catalogue = build_catalogue(self.part) if self.detector.uses_catalogue else ()
+        for view, exposures in registered.views:
+            calibrated = None if calibration is None else calibration.of(view.posture, exposures, where=where)
+            bank: TemplateBank = ()
+            if catalogue:
+                bank = self.cache.template_bank(registered.scene, view, exposures, catalogue, threads=threads)
+            place = f"{where}, posture {view.posture}"
+            postures.append(self._inspect_posture(view, registered, bank, calibrated, place))
+        expected, found = part_postures(self.part), registered.registration
+        warnings = inspection_warnings(
+            self.rig,
+            postures,
+            options,
+            expected=expected,
+            registration=() if found is None else found.warnings,
+            calibrated=calibration is not None,
         )
-    labels, count = split_regions(labels, count, scores.unexplained, found, high)
-    labels, count, owners = join_explained(labels, count, explained)
-    scene, placement = registered.nominal, registered.placement
-    detections = measure_regions(
-        labels, count, scores.score, view, found, scene=scene, placement=placement, owners=owners
-    )
-    judged = evaluable(found, view) if options.reference == "good-parts" else found
-    # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
-    residual = threshold(options.false_alarms, pixels, RESIDUAL.tests)
-    least = residual if detector.uses_synthetic else high + scores.handicap
-    return InspectedPosture(
-        view=view,
-        make_synthetic=make_synthetic,
-        score=scores.score,
-        labels=labels,
-        threshold=high,
-        detections=detections,
-        coverage=measure_coverage(view, judged, min_images=options.min_images, high=least, threads=threads),
-    )
+        surface_map = self.cache.surface_map(registered.scene, expected, threads=threads)
+        coverages = [(p.view.posture, p.coverage) for p in postures]
+        return InspectionResult(
+            defects=merge_detections([detection for p in postures for detection in p.detections]),
+            postures=tuple(postures),
+            placement=registered.placement if options.register else None,
+            registration=found,
+            warnings=warnings,
+            reference=options.reference,
+            nominal=registered.nominal,
+            surface=surface_coverage(registered.nominal, coverages, surface_map),
+        )
 
+    def _inspect_posture(
+        self,
+        view: PostureView,
+        registered: RegisteredSet,
+        bank: TemplateBank,
+        calibrated: CalibratedPosture | None,
+        where: str,
+    ) -> InspectedPosture:
+        options, detector, threads = self.options, self.detector, self.run.threads
+        make_synthetic = None
+        if options.fusion is not None:
+            make = functools.partial(synthetic_image, view, options.fusion, threads=threads)
+            make_synthetic = functools.cache(make)
+        view, found = self._compare(view, registered, calibrated, where)
+        scores = detector.score(found, options.min_images, make_synthetic, bank, threads)
+        pixels = int(view.clean.sum())
+        if calibrated is None:
+            high = threshold(options.false_alarms, pixels, detector.tests)
+            if options.reference == "self":
+                high = texture_threshold(scores.score, found, high, options.false_alarms)
+        else:
+            high = calibrated.threshold(options.false_alarms)
+        explained = [one for one in scores.explained if one.score >= high]
+        labels, count = find_regions(scores.unexplained, high)
+        if count + len(explained) > MOST_REGIONS:
+            raise InputError(
+                f"{where}: {counted(count, 'region')} that differ from a good part, expected at "
+                f"most {MOST_REGIONS:,}: {REFERENCES[options.reference].remedy}"
+            )
+        labels, count = split_regions(labels, count, scores.unexplained, found, high)
+        labels, count, owners = join_explained(labels, count, explained)
+        place: dict[str, Any] = {"scene": registered.nominal, "placement": registered.placement}
+        detections = measure_regions(labels, count, scores.score, view, found, **place, owners=owners)
+        judged = evaluable(found, view) if options.reference == "good-parts" else found
+        # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
+        residual = threshold(options.false_alarms, pixels, RESIDUAL.tests)
+        least = residual if detector.uses_synthetic else high + scores.handicap
+        return InspectedPosture(
+            view=view,
+            make_synthetic=make_synthetic,
+            score=scores.score,
+            labels=labels,
+            threshold=high,
+            detections=detections,
+            coverage=measure_coverage(view, judged, min_images=options.min_images, high=least, threads=threads),
+        )
 
-def _compare(
-    view: PostureView,
-    options: InspectOptions,
-    registered: RegisteredSet,
-    calibrated: CalibratedPosture | None,
-    where: str,
-    threads: int | None,
-) -> tuple[PostureView, Deviations]:
-    # a view with the levels of the reference, and the deviations from them
-    view, found = compare(view, options.reference, registered.neighbourhood_px, threads=threads)
-    if calibrated is None or calibrated.systematic is None:
-        return view, found
-    nominal = nominal_pixels(view, registered.nominal, registered.placement)
-    if options.reference != "good-parts":
-        return view, subtract_systematic(found, calibrated.systematic, nominal)
-    learned = learned_view(view, found, calibrated.systematic, nominal)
-    pixels = some_pixels(learned.clean)
-    refuse_mismatch(learned.level, learned.predicted, learned.limit, learned.deviation, pixels, where)
-    found = whiten_texture(subtract_mean(found, calibrated.systematic, nominal), threads=threads)
-    return learned, divide_spread(found, calibrated.systematic, nominal)
+    def _compare(
+        self, view: PostureView, registered: RegisteredSet, calibrated: CalibratedPosture | None, where: str
+    ) -> tuple[PostureView, Deviations]:
+        # a view with the levels of the reference, and the deviations from them
+        reference, threads = self.options.reference, self.run.threads
+        view, found = compare(view, reference, registered.neighbourhood_px, threads=threads)
+        if calibrated is None or calibrated.systematic is None:
+            return view, found
+        nominal = nominal_pixels(view, registered.nominal, registered.placement)
+        if reference != "good-parts":
+            return view, subtract_systematic(found, calibrated.systematic, nominal)
+        learned = learned_view(view, found, calibrated.systematic, nominal)
+        pixels = some_pixels(learned.clean)
+        refuse_mismatch(learned.level, learned.predicted, learned.limit, learned.deviation, pixels, where)
+        found = whiten_texture(subtract_mean(found, calibrated.systematic, nominal), threads=threads)
+        return learned, divide_spread(found, calibrated.systematic, nominal)
 
 
 def inspection_warnings(
@@ -278,7 +276,20 @@ def inspection_warnings(
     calibrated: bool = False,
 ) -> tuple[str, ...]:
     """Warnings of an inspection; `expected` are the postures of which there should be images."""
-    warnings = [*_reference_warnings(options), *([] if calibrated else _uncalibrated_warnings(rig, options))]
+    limits, sensor = REFERENCES[options.reference].limits, rig.camera.sensor
+    warnings = [f"reference {options.reference}: {limits}"] if limits else []
+    if options.scored_by != options.detector:
+        warnings.append(
+            f"detector {options.detector}: tests for whole defects in noise that is independent from pixel to pixel, "
+            f"which texture is not; with reference {options.reference}, detector {options.scored_by} is used"
+        )
+    if not calibrated and (caveat := DETECTORS[options.detector].caveat):
+        warnings.append(f"detector {options.detector}: {caveat}")
+    if not calibrated and sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
+        warnings.append(
+            f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so the only "
+            "noise is rounding, and good parts may show regions; give the values of the sensor"
+        )
     warnings += registration
     for one in postures:
         warnings += [f"posture {one.view.posture}: {text}" for text in _posture_warnings(rig, one, options)]
@@ -286,30 +297,6 @@ def inspection_warnings(
     missing = [posture for posture in expected if posture not in there]
     warnings += [f"posture {one}: no images; surface that only this posture shows was not inspected" for one in missing]
     return tuple(warnings)
-
-
-def _reference_warnings(options: InspectOptions) -> list[str]:
-    reference = REFERENCES[options.reference]
-    warnings = [f"reference {options.reference}: {reference.limits}"] if reference.limits else []
-    if options.scored_by != options.detector:
-        warnings.append(
-            f"detector {options.detector}: tests for whole defects in noise that is independent from pixel to pixel, "
-            f"which texture is not; with reference {options.reference}, detector {options.scored_by} is used"
-        )
-    return warnings
-
-
-def _uncalibrated_warnings(rig: RigConfig, options: InspectOptions) -> list[str]:
-    warnings: list[str] = []
-    sensor = rig.camera.sensor
-    if caveat := DETECTORS[options.detector].caveat:
-        warnings.append(f"detector {options.detector}: {caveat}")
-    if sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
-        warnings.append(
-            f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so the only "
-            "noise is rounding, and good parts may show regions; give the values of the sensor"
-        )
-    return warnings
 
 
 def _posture_warnings(rig: RigConfig, inspected: InspectedPosture, options: InspectOptions) -> list[str]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from lightopt.defects import DEFAULT_FALSE_ALARMS, false_alarms_problem
 from lightopt.inspection.detection._registry import DETECTORS
 from lightopt.inspection.fusion._gradient_fusion import FUSIONS, Fusion
-from lightopt.inspection.prediction._reference import REFERENCES, ReferenceName
+from lightopt.inspection.prediction._predict import REFERENCES, ReferenceName
 
 
 @dataclass(frozen=True, kw_only=True)

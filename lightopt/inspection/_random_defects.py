@@ -17,11 +17,10 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig, copied_text, input_hashes, with_list
 from lightopt.core.arrays import Bool, Int32
 from lightopt.core.errors import InputError, counted, refuse
-from lightopt.core.provenance import differences, provenance
+from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
 from lightopt.defects import CatalogueEntry, PlacedDefect, radial_place, surface_coordinates, tangent_direction
 from lightopt.geometry import SurfaceFinder, face_areas, surface_place
-from lightopt.images import write_text_atomic
 from lightopt.rendering import PosturePixels, cast_rays_at, trace_pixels
 from lightopt.scene import Scene, build_catalogue, build_scene, pixel_footprint, project
 
@@ -228,32 +227,6 @@ def random_defects_text(
     text = copied_text(part, folder)
     comment = f"{comment}\n{_PROVENANCE}{json.dumps(made_from, ensure_ascii=False)}"
     return with_list(text, "defects", [_entry(defect) for defect in defects], comment=comment)
-
-
-def write_random_defects(path: Path, text: str, *, force: bool) -> None:
-    """Write the part file.
-
-    Raises InputError: something else is there, and `force` is not given; or the file cannot be written.
-    """
-    if path.is_dir():
-        raise InputError(f"{path}: expected the name of a part file to write, found a folder")
-    if path.exists() and not force and path.read_bytes() != text.encode():
-        changed = differences(_provenance(path.read_text("utf-8", errors="replace")), _provenance(text))
-        raise InputError(
-            f"{path}: exists with other content{f' ({changed})' if changed else ''}; use option 'force' to replace "
-            "it, or choose another name"
-        )
-    write_text_atomic(path, text)
-
-
-def _provenance(text: str) -> dict[str, Any]:
-    # of the defects of a part file; empty where it has none
-    line = re.search(rf"^# {_PROVENANCE}(.*)$", text, re.MULTILINE)
-    try:
-        found = json.loads(line[1]) if line else {}
-    except ValueError:
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _entry(defect: RandomDefect) -> str:

@@ -13,7 +13,7 @@ from lightopt.inspection.detection._coverage import REFERENCE_CONTRAST, PostureC
 from lightopt.inspection.detection._defects import Detection, FoundDefect
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 from lightopt.inspection.prediction._posture_view import PostureView
-from lightopt.inspection.prediction._reference import REFERENCES, ReferenceName
+from lightopt.inspection.prediction._predict import REFERENCES, ReferenceName
 from lightopt.scene import Scene
 
 

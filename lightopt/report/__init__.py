@@ -4,8 +4,8 @@ Those of ``lightopt optimize`` are in :mod:`lightopt.report.design`, those of ``
 :mod:`lightopt.report.inspection`.
 """
 
-from lightopt.report._board_sheet import board_sheet as board_sheet
 from lightopt.report._calibration import (
+    board_sheet as board_sheet,
     calibration_lines as calibration_lines,
     calibration_report as calibration_report,
 )

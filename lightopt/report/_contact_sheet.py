@@ -5,21 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PIL import Image
 
 from lightopt.core.errors import InputError, counted
-from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSet, ImageSetWriter, Manifest, read_image_set, sheet_name
-from lightopt.report import _drawing as drawings, _images as pictures
-from lightopt.report._drawing import CAP_HEIGHT, FAINT, LINE_HEIGHT, SOFT, Drawing, fit_text, text_width
+from lightopt.report import _images as pictures
+from lightopt.report._drawing import DPI, INK, POINT, SOFT, figure_image, fixed_style, hex_colour, shortened
 from lightopt.report._images import SATURATED_COLOUR, Thumbnail, check_png_path, write_picture
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 EMPTY = "#f1f3f5"
 MARGIN, GAP = 36, 18
 TITLE, HEAD, TEXT = 32, 20, 15  # sizes of text [px]
-LINE = round(LINE_HEIGHT * TEXT)  # distance of lines of small text [px]
+TOP, LEFT, BOTTOM = 150, 150, 110  # room above the first row, before the first column and below the last row [px]
+CAPTION = 44  # room below each image [px]
+LEAST_WIDTH = 800  # of a sheet [px]
 
 # sides of a thumbnail [px]: many columns make them smaller, until they could not be told apart any more
 LARGEST, SMALLEST = 420, 240
@@ -46,7 +50,6 @@ def add_contact_sheets(
     return tuple(sheets)
 
 
-@drawings.fixed_style()
 def contact_sheet(
     image_set: ImageSet,
     path: str | Path,
@@ -68,104 +71,72 @@ def contact_sheet(
         written, or one of other content is there and `overwrite` is False.
     """
     path = check_png_path(path)
-    shown = _exposure(image_set, exposure)
-    sheet = _Sheet(image_set, shown, title or _names(image_set.manifest))
-    return write_picture(path, sheet.draw(), overwrite=overwrite)
+    sheet = _sheet(image_set, _exposure(image_set, exposure), title or _names(image_set.manifest))
+    return write_picture(path, sheet, overwrite=overwrite)
 
 
-class _Sheet:
-    """Which image stands where, and the sizes of it all [px]; an image is missing where the set has none."""
+@fixed_style()
+def _sheet(image_set: ImageSet, exposure: float, title: str) -> Image.Image:
+    from matplotlib.figure import Figure
 
-    def __init__(self, image_set: ImageSet, exposure: float, title: str) -> None:
-        entries = [entry for entry in image_set.images if entry.exposure == exposure]
-        self.manifest, self.exposure, self.title = image_set.manifest, exposure, title
-        self.lights = tuple(dict.fromkeys(entry.light for entry in entries))
-        self.postures = tuple(dict.fromkeys(entry.posture for entry in entries))
-        self.entries = {(entry.posture, entry.light): entry for entry in entries}
-        limit = max(SMALLEST, min(LARGEST, SHEET_WIDTH // len(self.lights)))
-        self.thumbnails = {key: entry_thumbnail(image_set, entry, limit) for key, entry in self.entries.items()}
-        rows, columns = np.max([t.picture.shape[:2] for t in self.thumbnails.values()], axis=0).tolist()
-        # narrow images still need room for the caption
-        self.cell = max(columns, text_width("8,888,888 px saturated (88.88 %)", TEXT)), rows
-        heads = [text_width(line, HEAD) for posture in self.postures for line in _posture_lines(posture)]
-        self.left = MARGIN + max([*heads, text_width("posture", TEXT)]) + 2 * GAP
-        self.top = MARGIN + round(LINE_HEIGHT * (TITLE + HEAD)) + 2 * LINE + 2 * GAP + GAP // 2
-        self.caption = (2 if any(len(self.positions(light)) > 1 for light in self.lights) else 1) * LINE + 10
+    entries = [entry for entry in image_set.images if entry.exposure == exposure]
+    lights = list(dict.fromkeys(entry.light for entry in entries))
+    postures = list(dict.fromkeys(entry.posture for entry in entries))
+    limit = max(SMALLEST, min(LARGEST, SHEET_WIDTH // len(lights)))
+    thumbnails = {(one.posture, one.light): (one, entry_thumbnail(image_set, one, limit)) for one in entries}
+    rows, columns = np.max([small.picture.shape[:2] for _, small in thumbnails.values()], axis=0).tolist()
+    columns = max(columns, SMALLEST)  # narrow images still need room for the caption
+    # cells have whole pixels, so that pictures lie pixel on pixel
+    used = LEFT + len(lights) * (columns + GAP) - GAP
+    width, height = max(used + MARGIN, LEAST_WIDTH), TOP + len(postures) * (rows + CAPTION + GAP) + BOTTOM
+    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
+    place = {"left": LEFT / width, "right": used / width, "bottom": (BOTTOM + CAPTION + GAP) / height}
+    place |= {"top": 1.0 - TOP / height, "wspace": GAP / columns, "hspace": (CAPTION + GAP) / rows}
+    cells = figure.subplots(len(postures), len(lights), squeeze=False, gridspec_kw=place)
+    at: dict[str, Any] = {"x": MARGIN / width, "va": "top", "ha": "left"}
+    most = (width - 2 * MARGIN) // TEXT  # characters of a line of small text, more or less
+    figure.suptitle(shortened(title, most // 2), y=1.0 - MARGIN / height, fontsize=TITLE * POINT, color=INK, **at)
+    small_text: dict[str, Any] = {"fontsize": TEXT * POINT, "color": SOFT}
+    facts = _facts(
+        image_set.manifest, f"{counted(len(lights), 'light')} × {counted(len(postures), 'posture')}", exposure
+    )
+    figure.text(y=1.0 - (MARGIN + 1.6 * TITLE) / height, s=facts, **at, **small_text)
+    figure.text(y=(BOTTOM - GAP) / height, s=_legend(image_set.manifest), **at, **small_text)
+    several = {one for one in lights if len({light_position(e) for e in entries if e.light == one}) > 1}
+    for cell, (posture, light) in zip(cells.flat, ((p, one) for p in postures for one in lights), strict=True):
+        cell.set(xticks=[], yticks=[], facecolor=EMPTY)
+        cell.spines[:].set_visible(False)
+        if posture == postures[0]:
+            own = next(entry for entry in entries if entry.light == light)
+            where = "several positions" if light in several else light_position(own)
+            name = shortened(light, columns // HEAD * 3 // 2)
+            cell.set_title(f"{name}\n{where}", loc="left", fontsize=TEXT * POINT, color=INK)
+        if light == lights[0]:
+            angles = f"θⱼ {degrees(posture.elevation_deg)}\nφⱼ {degrees(posture.rotation_deg)}"
+            cell.set_ylabel(angles, fontsize=HEAD * POINT, color=INK, rotation=0.0, ha="right", va="top", y=1.0)
+        if (posture, light) not in thumbnails:
+            cell.text(0.5, 0.5, "no image", ha="center", transform=cell.transAxes, **small_text)
+            continue
+        entry, small = thumbnails[posture, light]
+        cell.imshow(small.picture, interpolation="nearest")
+        text = saturation_text(small) + f"\n{light_position(entry)}" * (light in several)
+        colour = hex_colour(SATURATED_COLOUR) if small.saturated else SOFT
+        cell.set_xlabel(text, loc="left", fontsize=TEXT * POINT, color=colour)
+    return figure_image(figure)
 
-    def positions(self, light: str) -> list[ImageEntry]:
-        """An image for each position at which the light stood."""
-        own = [entry for (_, name), entry in self.entries.items() if name == light]
-        return list({(e.light_elevation_deg, e.light_azimuth_deg): e for e in own}.values())
 
-    def corner(self, row: int, column: int) -> tuple[int, int]:
-        """Upper left corner of a cell."""
-        return self.left + column * (self.cell[0] + GAP), self.top + row * (self.cell[1] + self.caption + GAP)
+def _facts(manifest: Manifest, number: str, exposure: float) -> str:
+    sensor = f"{manifest.bit_depth} bit, saturated from level {manifest.saturated_from:g}"
+    black = [f"black level {manifest.black_level:g}"] if manifest.black_level else []
+    return "   ·   ".join([manifest.kind, number, f"exposure {exposure:g}", sensor, *black])
 
-    def draw(self) -> Image.Image:
-        """The whole sheet."""
-        facts = self._facts()
-        right, bottom = self.corner(len(self.postures), len(self.lights))
-        text = MARGIN + max(text_width(self.title, TITLE), text_width(facts, TEXT), 620)
-        legend = 4 * LINE + 2 * GAP
-        drawing = Drawing(max(right - GAP, min(text, 1600)) + MARGIN, bottom - GAP + legend + MARGIN)
-        room = drawing.width - 2 * MARGIN
-        y = MARGIN + CAP_HEIGHT * TITLE
-        drawing.text(MARGIN, y, fit_text(self.title, TITLE, room), size=TITLE)
-        drawing.text(MARGIN, y + LINE + 10, fit_text(facts, TEXT, room), size=TEXT, colour=SOFT)
-        self._draw_heads(drawing)
-        for row, posture in enumerate(self.postures):
-            for column, light in enumerate(self.lights):
-                self._draw_cell(drawing, self.corner(row, column), posture, light)
-        _draw_legend(drawing, self.manifest)
-        return drawing.image()
 
-    def _facts(self) -> str:
-        manifest = self.manifest
-        number = f"{counted(len(self.lights), 'light')} × {counted(len(self.postures), 'posture')}"
-        sensor = f"{manifest.bit_depth} bit, saturated from level {manifest.saturated_from:g}"
-        black = [f"black level {manifest.black_level:g}"] if manifest.black_level else []
-        return "   ·   ".join([manifest.kind, number, f"exposure {self.exposure:g}", sensor, *black])
-
-    def _draw_heads(self, drawing: Drawing) -> None:
-        rule = self.top - GAP // 2
-        _draw_rule(drawing, rule, FAINT)
-        below, above = rule - 10, rule - 10 - LINE
-        drawing.text(MARGIN, below, "posture", size=TEXT, colour=SOFT)
-        for column, light in enumerate(self.lights):
-            x, _ = self.corner(0, column)
-            drawing.text(x, above, fit_text(light, HEAD, self.cell[0]), size=HEAD)
-            first, *others = self.positions(light)
-            where = f"elevation {degrees(first.light_elevation_deg)}, azimuth {degrees(first.light_azimuth_deg)}"
-            if others:
-                where = f"{1 + len(others)} positions"
-            elif text_width(where, TEXT) > self.cell[0]:
-                where = light_position(first)
-            drawing.text(x, below, where, size=TEXT, colour=SOFT)
-        for row, posture in enumerate(self.postures):
-            _, y = self.corner(row, 0)
-            if row:
-                _draw_rule(drawing, y - GAP // 2, EMPTY)
-            for i, line in enumerate(_posture_lines(posture)):
-                baseline = y + CAP_HEIGHT * HEAD + 4 + i * (LINE_HEIGHT * HEAD + 4)
-                drawing.text(MARGIN, baseline, line, size=HEAD)
-
-    def _draw_cell(self, drawing: Drawing, corner: tuple[int, int], posture: Posture, light: str) -> None:
-        (x, y), (width, height) = corner, self.cell
-        if (posture, light) not in self.entries:
-            drawing.rectangle((x, y, x + width, y + height), fill=EMPTY)
-            drawing.text(x + width / 2, y + height / 2, "no image", size=TEXT, colour=SOFT, align="center")
-            return
-        thumbnail = self.thumbnails[posture, light]
-        rows, columns = thumbnail.picture.shape[:2]
-        drawing.picture(thumbnail.picture, x, y + (height - rows) // 2)
-        if columns < width:  # a narrow image is framed, lest its black run into nothing
-            drawing.rectangle((x, y, x + width - 1, y + height - 1), outline=FAINT, width=1.0)
-        baseline = y + height + 8 + CAP_HEIGHT * TEXT
-        colour = drawings.hex_colour(SATURATED_COLOUR) if thumbnail.saturated else SOFT
-        drawing.text(x, baseline, saturation_text(thumbnail), size=TEXT, colour=colour)
-        if len(self.positions(light)) > 1:
-            note = light_position(self.entries[posture, light])
-            drawing.text(x, baseline + LINE, note, size=TEXT, colour=SOFT)
+def _legend(manifest: Manifest) -> str:
+    return (
+        f"Grey: level {manifest.black_level:g} to {manifest.max_level}, linear, averaged over cells of pixels.\n"
+        "Red: saturated pixels in a cell, from a single one to all of them.\n"
+        "Below each image: saturated pixels of the full image, and their share of all its pixels."
+    )
 
 
 def entry_thumbnail(image_set: ImageSet, entry: ImageEntry, limit: int) -> Thumbnail:
@@ -211,41 +182,3 @@ def _exposure(image_set: ImageSet, requested: float | None) -> float:
 def _names(manifest: Manifest) -> str:
     part, rig = (source and PurePosixPath(source.file).stem for source in (manifest.part, manifest.rig))
     return " on ".join(name for name in (part, rig) if name) or "Image set"
-
-
-def _posture_lines(posture: Posture) -> tuple[str, str]:
-    theta, phi = drawings.sub("θ", "j"), drawings.sub("φ", "j")
-    return f"{theta} {degrees(posture.elevation_deg)}", f"{phi} {degrees(posture.rotation_deg)}"
-
-
-def _draw_rule(drawing: Drawing, y: float, colour: str) -> None:
-    drawing.line(np.array([(MARGIN, y), (drawing.width - MARGIN - 1, y)]), colour=colour, width=1.0)
-
-
-def _draw_legend(drawing: Drawing, manifest: Manifest) -> None:
-    y = drawing.height - MARGIN - 4 * LINE
-    _draw_rule(drawing, y, FAINT)
-    levels = f"level {manifest.black_level:g} to {manifest.max_level}"
-    averaged = "averaged over cells of pixels"
-    ramp = np.linspace(0.0, 1.0, 180)[:, None]
-    tint = pictures.shade_of_saturation(ramp)
-    grey, red = np.repeat(255.0 * ramp, 3, axis=1), tint * np.array(SATURATED_COLOUR) + (1.0 - tint) * 128.0
-    # each with a long text and one for narrow sheets
-    long_grey = f"grey: {levels} shown linearly as black to white (screen values 0 to 255), {averaged}"
-    long_red = "red: share of saturated pixels in a cell, from a single one to all of them"
-    bars = (
-        (grey, long_grey, f"grey: {levels}, linear, {averaged}"),
-        (red, long_red, "red: saturated pixels in a cell, from one to all"),
-    )
-    height = round(CAP_HEIGHT * TEXT) + 4
-    top = y + GAP - 2
-    room = drawing.width - 2 * MARGIN
-    for colours, *texts in bars:
-        bar = np.broadcast_to(np.floor(colours + 0.5), (height, len(ramp), 3)).astype(np.uint8)
-        drawing.picture(bar, MARGIN, top)
-        beside = room - len(ramp) - GAP
-        text = next((t for t in texts if text_width(t, TEXT) <= beside), fit_text(texts[-1], TEXT, beside))
-        drawing.text(MARGIN + len(ramp) + GAP, top + height - 2, text, size=TEXT, colour=SOFT)
-        top += LINE + 6
-    text = "Below each image: saturated pixels of the full image, and their share of all its pixels."
-    drawing.text(MARGIN, top + height - 2, fit_text(text, TEXT, room), size=TEXT, colour=SOFT)

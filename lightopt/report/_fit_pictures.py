@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
@@ -12,11 +12,12 @@ from PIL import Image
 from lightopt.core.arrays import Float32
 from lightopt.images.comparison import diverging
 from lightopt.report._drawing import (
+    DPI,
     LINE,
     MARK,
+    POINT,
     SHADE,
     SOFT,
-    Drawing,
     chart,
     figure_image,
     fixed_style,
@@ -124,13 +125,16 @@ def residual_picture(
     measured, predicted: Sensor levels, shape (height, width); both are clipped at the saturation level first.
     saturated_from, full: Saturation level and full scale of the sensor.
     """
+    from matplotlib.figure import Figure
+
     top = np.float32(saturated_from)
     difference = np.minimum(measured, top) - np.clip(predicted, 0.0, top)
     width = difference.shape[1]
     scale = RESIDUAL_SCALE * full
-    legend = Drawing(width, LEGEND_HEIGHT)
-    legend.picture(diverging(np.tile(np.linspace(-1.0, 1.0, width), (LEGEND_HEIGHT, 1))), 0, 0)
-    legend.text(4.0, 17.0, f"−{scale:.3g}", size=13, colour="#ffffff")
-    legend.text(width - 4.0, 17.0, f"+{scale:.3g} levels", size=13, colour="#ffffff", align="right")
-    picture = np.concatenate([diverging(difference / scale), np.asarray(legend.image())])
+    figure = Figure(figsize=(width / DPI, LEGEND_HEIGHT / DPI), dpi=DPI)
+    figure.figimage(diverging(np.tile(np.linspace(-1.0, 1.0, width), (LEGEND_HEIGHT, 1))))
+    style: dict[str, Any] = {"fontsize": 13 * POINT, "color": "white", "va": "center"}
+    figure.text(4.0 / width, 0.5, f"−{scale:.3g}", **style)
+    figure.text(1.0 - 4.0 / width, 0.5, f"+{scale:.3g} levels", ha="right", **style)
+    picture = np.concatenate([diverging(difference / scale), np.asarray(figure_image(figure))])
     return write_picture(Path(path), Image.fromarray(picture))

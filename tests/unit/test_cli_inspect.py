@@ -420,7 +420,7 @@ def test_what_cannot_be_known_is_refused_before_any_work(cli, bench, parts, imag
     def never(*_, **__):
         raise AssertionError("inspected")
 
-    monkeypatch.setattr("lightopt.inspection._inspect.find_defects", never)
+    monkeypatch.setattr("lightopt.inspection._inspect.Inspector.inspect", never)
     manifest = json.loads((images / "manifest.json").read_text(encoding="utf-8"))
     (images / "manifest.json").write_text(json.dumps({**manifest, "part": None, "lightopt": None}), "utf-8")
     for sets in (images, [parts["bad"], images]):

@@ -292,8 +292,8 @@ def test_files_that_are_no_calibration_are_refused(cli, bench, good, taught):
     one = good[0][-1:]
     other = bench.folder / "other.json"
     for text, said in [
-        ("{", "expected the JSON of a calibration"),
-        ('{"format": "lightopt-fit/1"}', "expected a file of format lightopt-calibration/1"),
+        ("{", "not a calibration that lightopt wrote"),
+        ('{"format": "lightopt-fit/1"}', 'format "lightopt-fit/1", expected lightopt-calibration/1'),
         ('{"format": "lightopt-calibration/1"}', "not a calibration that lightopt wrote"),
     ]:
         other.write_text(text, encoding="utf-8")
@@ -305,7 +305,7 @@ def test_files_that_are_no_calibration_are_refused(cli, bench, good, taught):
     maps.write_bytes(maps.read_bytes()[:-1] + b"x")
     assert "not the maps that" in inspect(cli, bench, one, "--calibration", path).err
     maps.unlink()
-    assert "needs the maps beside it" in inspect(cli, bench, one, "--calibration", path).err
+    assert "with its maps beside it" in inspect(cli, bench, one, "--calibration", path).err
 
 
 @pytest.mark.parametrize("option", [("--evaluate",), ("--fail-on-defect",)])

@@ -27,8 +27,8 @@ from lightopt.inspection.detection._catalogue_score import (
     explain_deviations,
     reduced_deviations,
 )
+from lightopt.inspection.detection._defects import join_explained
 from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.detection._named_defects import join_explained
 from lightopt.inspection.detection._residual_score import threshold
 from lightopt.inspection.prediction._posture_view import posture_view
 from lightopt.inspection.prediction._prediction_cache import PredictionCache

@@ -121,7 +121,7 @@ def test_what_is_on_a_captured_part_is_in_the_file_that_it_was_taken_by(bench, r
     assert [d.name for d in source.part.defects] == ["stain", "dent"]
     # not as it was then
     named.write_text(named.read_text(encoding="utf-8") + "# edited\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"captured with named\.yaml, which is not beside .* or has changed since"):
+    with pytest.raises(InputError, match=r"part file named\.yaml is not beside .* or has changed"):
         truth_source(ImageSet(image_set.folder, by_named), good)
     # edited, and it is the one that is given
     assert len(truth_source(ImageSet(image_set.folder, by_named), load_part(named)).part.defects) == 2

@@ -28,7 +28,7 @@ from lightopt.inspection.detection._residual_score import (
     threshold,
 )
 from lightopt.inspection.detection._texture import EDGE_PX, texture_threshold, whiten_texture
-from lightopt.inspection.prediction._neighbourhood import _POWERS, RIDGE, _LocalFit, neighbourhood_view
+from lightopt.inspection.prediction._neighbourhood import _POWERS, RIDGE, _local_fit, neighbourhood_view
 from lightopt.inspection.prediction._posture_view import Photometry
 from lightopt.inspection.prediction._predict import Prediction
 from lightopt.optics import expose, image_rng
@@ -72,7 +72,7 @@ def test_the_fit_is_that_of_least_squares_place_by_place():
     rng = np.random.default_rng(1)
     image, weight = rng.normal(50.0, 5.0, (14, 18)), rng.random((14, 18)) * (rng.random((14, 18)) < 0.8)
     width = 2.5
-    (ours,) = _LocalFit(width).coefficients(weight, [image])
+    (ours,) = _local_fit(width, weight, [image])
     reach = math.ceil(3.0 * width)
     rows, columns = np.mgrid[:14, :18]
     for y, x in ((0, 0), (7, 9), (13, 4)):

@@ -17,7 +17,7 @@ from lightopt.inspection.evaluation._evaluation import KnownDefect
 from lightopt.report._page import Facts, Note, Picture, Table
 from lightopt.report.inspection import batch_report
 from lightopt.report.inspection._pictures import LABEL_COLOURS, _ball, overlay_image
-from lightopt.report.inspection._tables import truth_blocks
+from lightopt.report.inspection._report import truth_blocks
 
 
 def true_set(sizes, found):

@@ -1,5 +1,6 @@
 """Learn from good parts: their common deviations, and the highest scores that they reach."""
 
+import pickle
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,9 +30,8 @@ from lightopt.inspection.calibration._systematic import (
     subtract_mean,
     subtract_systematic,
 )
-from lightopt.inspection.detection._comparison import GREATEST_LEARNED_Z, compare
 from lightopt.inspection.detection._registry import DETECTORS
-from lightopt.inspection.detection._texture import whiten_texture
+from lightopt.inspection.detection._texture import GREATEST_LEARNED_Z, compare, whiten_texture
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import ExposuresByLight, RegisteredSet, nominal_pixels, register_set
@@ -57,12 +57,12 @@ class _GoodPosture:
         from_model, self.sums = self.sums, SystematicSums()
         self.mean = from_model.systematic().where_known()
         for path in self.packed:
-            one = PackedDeviations.load(path)
+            one = _read(path)
             nominal = one.nominal_image()
             found = subtract_mean(one.at_pixels(one.own), from_model.systematic(but=one).where_known(), nominal)
             packed = PackedDeviations.of(whiten_texture(found, threads=threads), nominal)
             self.sums.add(packed)
-            packed.save(path)
+            path.write_bytes(pickle.dumps(packed))
 
     @property
     def systematic(self) -> SystematicDeviations | None:
@@ -74,12 +74,16 @@ class _GoodPosture:
 
     def judge_next(self, options: InspectOptions, bank: TemplateBank, threads: int | None) -> None:
         """Judge the first set that is not judged yet by what the others have in common."""
-        one = PackedDeviations.load(self.packed[len(self.peaks)])
+        one = _read(self.packed[len(self.peaks)])
         common, found = self.sums.systematic(but=one), one.at_pixels(one.own)
         subtract = subtract_systematic if self.mean is None else divide_spread
         found = subtract(found, common, one.nominal_image())
         scores = DETECTORS[options.scored_by].score(found, options.min_images, None, bank, threads)
         self.peaks.append(float(scores.score.max(initial=0.0)))
+
+
+def _read(path: Path) -> PackedDeviations:
+    return pickle.loads(path.read_bytes())  # noqa: S301 - a temporary file of this run
 
 
 def calibrate(
@@ -97,10 +101,8 @@ def calibrate(
     """
     run = run or RunContext()
     refuse(options.problems())
-
     cache = PredictionCache()
     catalogue = build_catalogue(part) if DETECTORS[options.scored_by].uses_catalogue else ()
-
     how: dict[str, Any] = {"register": options.register, "reference": options.reference, "cache": cache}
 
     def registered() -> Iterator[tuple[str, RegisteredSet]]:
@@ -158,8 +160,8 @@ def calibrate_registered(
                 nominal = nominal_pixels(view, registered.nominal, registered.placement)
                 packed = PackedDeviations.of(found, nominal, greatest=GREATEST_LEARNED_Z if learned else GREATEST_Z)
                 gathered.sums.add(packed)
-                path = Path(folder) / f"{number}-{posture_folder(view.posture)}.npz"
-                packed.save(path)
+                path = Path(folder) / f"{number}-{posture_folder(view.posture)}.pickle"
+                path.write_bytes(pickle.dumps(packed))
                 gathered.packed.append(path)
             if missing := [posture for posture in postures if posture not in seen]:
                 raise InputError(

@@ -245,18 +245,10 @@ def read_calibration(path: Path) -> Calibration:
     try:
         data = path.read_bytes()
         content = json.loads(data)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read: {error.strerror or error}; give a calibration.json that lightopt wrote"
-        ) from error
-    except ValueError as error:
-        raise InputError(f"{path}: expected the JSON of a calibration: {error}") from error
-    found = content.get("format") if isinstance(content, dict) else None
-    if found != FORMAT:
-        raise InputError(f'{path}: expected a file of format {FORMAT}, found "{found}"; calibrate again')
-    try:
+        if content["format"] != FORMAT:
+            raise ValueError(f'format "{content["format"]}", expected {FORMAT}')
         sets = tuple(str(name) for name in content["good_sets"])
-        calibration = Calibration(
+        return Calibration(
             rate=float(content["false_alarms"]),
             sets=sets,
             postures=tuple(_posture(path, one, len(sets)) for one in content["postures"]),
@@ -265,11 +257,15 @@ def read_calibration(path: Path) -> Calibration:
             name=path.name,
             sha256=hashlib.sha256(data).hexdigest(),
         )
+    except OSError as error:
+        raise InputError(
+            f"{error.filename or path}: cannot be read: {error.strerror or error}; give a calibration.json that "
+            "lightopt wrote, with its maps beside it"
+        ) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
             f"{path}: not a calibration that lightopt wrote: {type(error).__name__} at {error}; calibrate again"
         ) from error
-    return calibration
 
 
 def _posture(path: Path, one: Mapping[str, Any], sets: int) -> CalibratedPosture:
@@ -280,13 +276,7 @@ def _posture(path: Path, one: Mapping[str, Any], sets: int) -> CalibratedPosture
     systematic = None
     if "maps" in one:
         maps = path.parent / str(one["maps"]["exr"])
-        try:
-            sha256 = file_sha256(maps)
-        except OSError as error:
-            raise InputError(
-                f"{maps}: cannot be read: {error.strerror or error}; {path.name} needs the maps beside it"
-            ) from error
-        if sha256 != one["maps"]["sha256"]:
+        if file_sha256(maps) != one["maps"]["sha256"]:
             raise InputError(f"{maps}: not the maps that {path} was written with; calibrate again")
         channels = read_exr(maps)
         mean, spread = (np.stack([channels[f"{kind}.{light}"] for light in exposures]) for kind in ("mean", "spread"))

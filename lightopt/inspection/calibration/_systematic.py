@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lightopt.core.arrays import Bool, Float32, Int32
+from lightopt.core.arrays import Bool, Float32, Int32, UInt8
 from lightopt.defects import SCALES_PX
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._residual_score import smoothed_deviations
@@ -43,12 +42,12 @@ class PackedDeviations:
 
     shape: tuple[int, int]
     # flat index of each pixel in the set's images, and in those of the part where its file has it (−1 outside of them),
-    # shape (n,); the others have shape (lights, n)
+    # shape (n,)
     own: Int32
     nominal: Int32
-    z: NDArray[np.float16]
-    usable: Bool
-    lit: Bool
+    z: NDArray[np.float16]  # shape (lights, n)
+    usable: UInt8  # bits along the second axis, shape (lights, n / 8)
+    lit: UInt8
     correlation: float = 0.0
 
     @staticmethod
@@ -57,7 +56,7 @@ class PackedDeviations:
         own = np.flatnonzero(found.usable.any(axis=0)).astype(np.int32)
         lights, rows, columns = found.z.shape
         z = np.clip(found.z.reshape(lights, -1)[:, own], -greatest, greatest)
-        usable, lit = (flags.reshape(lights, -1)[:, own] for flags in (found.usable, found.lit))
+        usable, lit = (np.packbits(flags.reshape(lights, -1)[:, own], axis=1) for flags in (found.usable, found.lit))
         packed = z.astype(np.float16)
         return PackedDeviations((rows, columns), own, nominal.ravel()[own], packed, usable, lit, found.correlation)
 
@@ -70,8 +69,9 @@ class PackedDeviations:
             flat[:, to[which]] = values[:, which]
             return flat.reshape(whole)
 
-        z = np.where(self.usable, self.z, 0.0).astype(np.float32)
-        return Deviations(image(z), np.ones(whole, np.float32), image(self.usable), image(self.lit), self.correlation)
+        usable, lit = (np.unpackbits(bits, axis=1, count=len(to)).astype(np.bool_) for bits in (self.usable, self.lit))
+        z = np.where(usable, self.z, 0.0).astype(np.float32)
+        return Deviations(image(z), np.ones(whole, np.float32), image(usable), image(lit), self.correlation)
 
     def nominal_image(self) -> Int32:
         """Flat index as :func:`nominal_pixels` gives it, shape (H, W); −1 where nothing was usable."""
@@ -79,22 +79,6 @@ class PackedDeviations:
         index = np.full(height * width, -1, np.int32)
         index[self.own] = self.nominal
         return index.reshape(height, width)
-
-    def save(self, path: Path) -> None:
-        flags: dict[str, Any] = {name: np.packbits(getattr(self, name), axis=1) for name in ("usable", "lit")}
-        flags |= {"shape": np.array(self.shape), "correlation": np.array(self.correlation)}
-        np.savez(path, own=self.own, nominal=self.nominal, z=self.z, **flags)
-
-    @staticmethod
-    def load(path: Path) -> PackedDeviations:
-        with np.load(path) as arrays:
-            own = arrays["own"]
-            rows, columns = (int(side) for side in arrays["shape"])
-            usable, lit = (
-                np.unpackbits(arrays[name], axis=1, count=len(own)).astype(np.bool_) for name in ("usable", "lit")
-            )
-            correlation = float(arrays["correlation"])
-            return PackedDeviations((rows, columns), own, arrays["nominal"], arrays["z"], usable, lit, correlation)
 
 
 def subtract_systematic(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:

@@ -13,9 +13,17 @@ from lightopt.defects import SCALES_PX, SHAPE_KINDS
 from lightopt.estimate.registration import Placement
 from lightopt.inspection._image_blocks import gaussian_taps
 from lightopt.inspection.detection._catalogue_score import ExplainedDefect
-from lightopt.inspection.detection._defects import Detection, Kind
+from lightopt.inspection.detection._defects import (
+    DISC,
+    GAP_PX,
+    Detection,
+    Kind,
+    NamedDefect,
+    label_connected,
+    name_defect,
+    triple,
+)
 from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.detection._named_defects import DISC, GAP_PX, NamedDefect, label_connected, name_defect, triple
 from lightopt.inspection.detection._residual_score import smoothed_deviations
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._registered_set import world_to_mesh_file

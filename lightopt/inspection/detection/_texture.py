@@ -1,4 +1,6 @@
-"""Texture as noise: its correlation is filtered out, its spread is measured, and so is the law of the scores on it.
+"""Deviations from the reference of an inspection, and texture as noise.
+
+The correlation of texture is filtered out, its spread is measured, and so is the law of the scores on it.
 
 Grain and brush marks are neither independent from pixel to pixel nor from image to image. So sums over pixels scatter
 more than their noise says, and more lights show the same chance deviation.
@@ -14,12 +16,22 @@ from scipy import fft, ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.threads import in_threads
-from lightopt.defects import SCALES_PX
+from lightopt.defects import DARK, SCALES_PX
 from lightopt.inspection._image_blocks import convolve, gaussian_taps, in_image_blocks
-from lightopt.inspection.detection._deviation import BLOCK_PX, CLIPPED, MEAN_OF_NORMAL, Deviations, normalise_rows
+from lightopt.inspection.detection._deviation import (
+    BLOCK_PX,
+    CLIPPED,
+    MEAN_OF_NORMAL,
+    Deviations,
+    deviations,
+    normalise_rows,
+)
 from lightopt.inspection.detection._regions import SPREAD_PX, find_regions
 from lightopt.inspection.detection._residual_score import noise_gain, smoothed_deviations
 from lightopt.inspection.fusion._synthetic_image import block_sums
+from lightopt.inspection.prediction._neighbourhood import neighbourhood_view
+from lightopt.inspection.prediction._posture_view import PostureView
+from lightopt.inspection.prediction._predict import ReferenceName
 
 # the spectrum is the median over tiles of the first of these sides of which the surface has so many
 TILES_PX, LEAST_TILES, MOST_TILES = (64, 32, 16), 24, 1000
@@ -32,12 +44,44 @@ EDGE_PX = 4
 # widest Gaussian; fewer would make the scores heavy-tailed.
 LOCAL_PX = 48.0
 
+# deviations from a model that is not exact are clipped here: good parts teach them to half a standard deviation at most
+GREATEST_LEARNED_Z = 1000.0
+
 CLEAR = 3.0  # correlations of fewer standard errors than this are chance
 MOST_CORRELATION = 0.95
 
 # shares of the surface between whose scores their law is fitted: first where even large defects have little weight
 MIDDLE_SHARES, UPPER_SHARES = (0.5, 0.1), (0.2, 0.02)
 MOST_DEFECTIVE = 0.25  # regions and their surroundings that cover more than this share are texture
+
+
+def compare(
+    view: PostureView, reference: ReferenceName, neighbourhood_px: float, *, threads: int | None = None
+) -> tuple[PostureView, Deviations]:
+    """A view with the levels of the reference, and the deviations from them.
+
+    Those from good parts are the model's still: a calibration has what good parts have in common beyond it.
+
+    neighbourhood_px: Width of the neighbourhood of a place.
+    """
+    if reference == "model":
+        return view, deviations(view, threads=threads)
+    if reference == "good-parts":
+        found = deviations(view, local=False, threads=threads)
+        np.clip(found.z, -GREATEST_LEARNED_Z, GREATEST_LEARNED_Z, out=found.z)
+        return view, found
+    view, known = neighbourhood_view(view, neighbourhood_px, threads=threads)
+    found = deviations(view, local=False, threads=threads)
+    found.z[~known] = 0.0
+    found = Deviations(found.z, found.scale, found.usable & known, found.lit & known)
+    return view, whiten_texture(found, threads=threads)
+
+
+def evaluable(found: Deviations, view: PostureView) -> Deviations:
+    """Deviations that count where the levels of a view, and not the model's, are dark or saturated."""
+    full = view.saturated & (view.predicted + view.deviation >= view.limit)
+    usable = found.usable & ~full
+    return replace(found, usable=usable, lit=usable & (view.predicted >= np.float32(DARK) * view.deviation))
 
 
 def whiten_texture(found: Deviations, *, threads: int | None = None) -> Deviations:

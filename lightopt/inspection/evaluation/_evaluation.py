@@ -72,9 +72,8 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
         beside = part.source.path.parent / own.file
         if not beside.is_file() or file_sha256(beside) != own.sha256:
             raise InputError(
-                f"{image_set.folder}: no ground truth for this part: the images have no labels, and were "
-                f"captured with {own.file}, which is not beside {part.source.path} or has changed since; put it there, "
-                "or inspect without ground truth"
+                f"{image_set.folder}: no ground truth for this part: the images have no labels, and their part file "
+                f"{own.file} is not beside {part.source.path} or has changed; put it there"
             )
         part, unchanged = load_part(beside), True
     if part.defects:
@@ -83,9 +82,8 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
         good = f"ground truth: {own.file}, with which the set was captured, lists no defects; the part counts as good"
         return TruthSource(part, warnings=(good,))
     raise InputError(
-        f"{image_set.folder}: no ground truth for this part: the images have no labels, as lightopt "
-        f"render writes them, and {part.source.path}, which has changed since the capture, lists no defects; give the "
-        "part file whose defects: are those of the part in the images, or inspect without ground truth"
+        f"{image_set.folder}: no ground truth for this part: the images have no labels, and {part.source.path}, which "
+        "has changed since the capture, lists no defects; give the part file that lists those in the images"
     )
 
 

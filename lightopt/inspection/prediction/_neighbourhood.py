@@ -7,7 +7,7 @@ uses means of blocks of pixels, and no neighbourhood reaches over an edge or int
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
@@ -94,52 +94,44 @@ def _fit_surface(level: Float32, model: Float32, known: Bool, width: float) -> t
     if np.count_nonzero(full) < LEAST_BLOCKS:
         return None
     means = [block_sums(values) / np.maximum(count, 1.0) for values in (level, model)]
-    fit = _LocalFit(width / side)
     weight = full.astype(np.float64)
     for _ in range(ROUNDS):
-        (surface,) = fit.coefficients(weight, means[:1])
+        (surface,) = _local_fit(width / side, weight, means[:1])
         off = np.abs(means[0] - surface[..., 0])
         spread = 1.4826 * float(np.median(off[full]))
         weight = np.where(full, np.square(np.maximum(1.0 - np.square(off / max(BIWEIGHT * spread, 1e-9)), 0.0)), 0.0)
     result = np.zeros((2, *known.shape), np.float32)
-    for surface, out in zip(fit.coefficients(weight, means), result, strict=True):
+    for surface, out in zip(_local_fit(width / side, weight, means), result, strict=True):
         _blend(np.ascontiguousarray(surface), side, out)
     return result[0], result[1]
 
 
-@dataclass(frozen=True)
-class _LocalFit:
-    """Weighted least squares of a quadratic around each block, with Gaussian weights of a width [blocks]."""
+def _local_fit(width: float, weight: Float64, images: Sequence[Float64]) -> list[Float64]:
+    # weighted least squares of a quadratic around each block, with Gaussian weights of a width [blocks]: coefficients
+    # of the terms of each image [level per block^power], shape (h, w, 6)
+    reach = math.ceil(REACH * width)
+    offset = np.arange(-reach, reach + 1) / width
+    taps = [np.exp(-0.5 * offset**2) * offset**power for power in range(5)]
 
-    width: float
+    def moment(values: Float64, powers: tuple[int, int]) -> Float64:
+        down = ndimage.correlate1d(values, taps[powers[0]], axis=0, mode="constant")
+        return np.asarray(ndimage.correlate1d(down, taps[powers[1]], axis=1, mode="constant"), np.float64)
 
-    def coefficients(self, weight: Float64, images: Sequence[Float64]) -> list[Float64]:
-        """Coefficients of the terms of each image around each block [level per block^power], shape (h, w, 6)."""
-        reach = math.ceil(REACH * self.width)
-        offset = np.arange(-reach, reach + 1) / self.width
-        taps = [np.exp(-0.5 * offset**2) * offset**power for power in range(5)]
-
-        def moment(values: Float64, powers: tuple[int, int]) -> Float64:
-            down = ndimage.correlate1d(values, taps[powers[0]], axis=0, mode="constant")
-            return np.asarray(ndimage.correlate1d(down, taps[powers[1]], axis=1, mode="constant"), np.float64)
-
-        orders = [(a, b) for a in range(5) for b in range(5 - a)]
-        moments = {powers: moment(weight, powers) for powers in orders}
-        units = np.array([self.width ** -(a + b) for a, b in _POWERS])
-        result: list[Float64] = []
-        for image in images:
-            right = np.stack([moment(weight * image, powers) for powers in _POWERS], axis=-1)
-            rows = [self._solve(moments, right, row) for row in range(len(image))]
-            result.append(np.stack(rows) * units)
-        return result
-
-    def _solve(self, moments: dict[tuple[int, int], Float64], right: Float64, row: int) -> Float64:
-        # a row at a time: matrices take six times as much memory as moments
-        terms = [[moments[a + c, b + d][row] for c, d in _POWERS] for a, b in _POWERS]
-        normal = np.moveaxis(np.array(terms), -1, 0)
-        total = np.maximum(normal[:, :1, :1], 1e-6)
-        normal += RIDGE * total * np.diag([1e-6, 1.0, 1.0, 1.0, 1.0, 1.0])
-        return np.linalg.solve(normal, right[row][..., None])[..., 0]
+    moments = {(a, b): moment(weight, (a, b)) for a in range(5) for b in range(5 - a)}
+    units = np.array([width ** -(a + b) for a, b in _POWERS])
+    result: list[Float64] = []
+    for image in images:
+        right = np.stack([moment(weight * image, powers) for powers in _POWERS], axis=-1)
+        rows: list[Float64] = []
+        for row in range(len(image)):
+            # a row at a time: matrices take six times as much memory as moments
+            terms = [[moments[a + c, b + d][row] for c, d in _POWERS] for a, b in _POWERS]
+            normal = np.moveaxis(np.array(terms), -1, 0)
+            total = np.maximum(normal[:, :1, :1], 1e-6)
+            normal += RIDGE * total * np.diag([1e-6, 1.0, 1.0, 1.0, 1.0, 1.0])
+            rows.append(np.linalg.solve(normal, right[row][..., None])[..., 0])
+        result.append(np.stack(rows) * units)
+    return result
 
 
 @kernel

@@ -194,46 +194,29 @@ def _merge_exposures(
         scale = gain * o.exposure * sensor.max_level / scene.reflectance.full_scale
         still = sensor.noise_variance(0.0, frames=o.frames)
         subtracted = np.broadcast_to(np.float32(o.subtracted), o.levels.shape)[rows]
-        _merge_exposure(
-            np.ascontiguousarray(o.levels[rows]),
-            o.saturated[rows],
-            np.ascontiguousarray(subtracted),
-            own["predicted"],
-            open_,
-            number + 1 == len(exposures),
-            scale,
-            sensor.black_level + photometry.dark,
-            photometry.dark,
-            sensor.saturated_from - sensor.black_level,
-            still,
-            sensor.noise_variance(1.0, frames=o.frames) - still - sensor.prnu**2,  # per level
-            sensor.prnu**2,
-            *(own[name] for name in ("level", "deviation", "slack", "limit", "saturated")),
-        )
+        image = np.ascontiguousarray(o.levels[rows]), o.saturated[rows], np.ascontiguousarray(subtracted)
+        black = sensor.black_level + photometry.dark, photometry.dark, sensor.saturated_from - sensor.black_level
+        pattern = sensor.prnu**2
+        variance = still, sensor.noise_variance(1.0, frames=o.frames) - still - pattern, pattern
+        result = own["level"], own["deviation"], own["slack"], own["limit"], own["saturated"]
+        last = number + 1 == len(exposures)
+        _merge_exposure(image, own["predicted"], open_, last, scale, black, variance, result)
 
 
 @kernel
 def _merge_exposure(
-    levels: Float32,
-    full: Bool,
-    subtracted: Float32,
+    image: tuple[Float32, Bool, Float32],
     predicted: Float32,
     open_: Bool,
     last: bool,
     scale: float,
-    black: float,
-    dark: float,
-    saturation: float,
-    still: float,
-    shot: float,
-    pattern: float,
-    level: Float32,
-    deviation: Float32,
-    slack: Float32,
-    limit: Float32,
-    saturated: Bool,
+    black: tuple[float, float, float],
+    noise: tuple[float, float, float],
+    result: tuple[Float32, Float32, Float32, Float32, Bool],
 ) -> None:
     # one exposure, of the pixels that no longer one could measure: where it is not saturated, or is the last
+    (levels, full, subtracted), (zero, dark, saturation), (still, shot, pattern) = image, black, noise
+    level, deviation, slack, limit, saturated = result
     height, width = levels.shape
     for y in range(height):
         for x in range(width):
@@ -244,7 +227,7 @@ def _merge_exposure(
             if not last and (full[y, x] or signal >= top):
                 continue
             open_[y, x] = False
-            level[y, x] = (levels[y, x] - black) / scale
+            level[y, x] = (levels[y, x] - zero) / scale
             variance = still + (shot + pattern * signal) * signal
             deviation[y, x] = math.sqrt(variance) / scale
             before = variance - 1.0 / 12.0
@@ -345,14 +328,11 @@ def fit_photometry(
             x[n] = darkest
             x[:n] = (right[:n] - normal[:n, n] * darkest) / np.diag(normal)[:n]
     accepted = np.all((x[:n] >= 1.0 / MOST_GAIN) & (x[:n] <= MOST_GAIN))
-    sets = [
-        (
-            names.index(o.light),
-            *_above_black(scene, o, light, everywhere),
-            _noise_share(scene, o, light, own, everywhere),
-        )
-        for o, light, own in zip(observations, predicted, scatter, strict=True)
-    ]
+    sets: list[tuple[int, Float64, Float64, Float64, Float64, Float64]] = []
+    for o, light, own in zip(observations, predicted, scatter, strict=True):
+        levels = _above_black(scene, o, light, everywhere)
+        noise, whole = _noise(scene, o, levels[0], own, everywhere)
+        sets.append((names.index(o.light), *levels, np.square(noise / whole)))  # share of the sensor's noise
     if not accepted or _capped_residual(sets, x) > _capped_residual(sets, nominal):
         # not these lights, not this part or another lobe: fitted gains must not hide that
         x = nominal
@@ -381,12 +361,6 @@ def _noise(
         return noise, noise
     scale = o.exposure * scene.sensor.max_level / scene.reflectance.full_scale
     return noise, np.hypot(noise, scale * spread.ravel()[index])
-
-
-def _noise_share(scene: Scene, o: Observation, predicted: Float32, spread: Float32 | None, index: Index) -> Float64:
-    # share of the sensor's noise in the variance
-    noise, whole = _noise(scene, o, _above_black(scene, o, predicted, index)[0], spread, index)
-    return np.square(noise / whole)
 
 
 def _sample(

@@ -20,13 +20,13 @@ from lightopt.estimate.registration import (
     observed_postures,
     place_part,
     read_observations,
-    register,
+    register as register_placement,
 )
 from lightopt.images import ImageSet
 from lightopt.inspection.prediction._neighbourhood import LEAST_PX, neighbourhood_px
 from lightopt.inspection.prediction._posture_view import PostureView, posture_view
+from lightopt.inspection.prediction._predict import ReferenceName
 from lightopt.inspection.prediction._prediction_cache import PredictionCache, observed_lights
-from lightopt.inspection.prediction._reference import ReferenceName
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_catalogue, build_scene, project, view_from_part
 
@@ -118,14 +118,6 @@ def nominal_scene(
     return scenes[key], observations
 
 
-def register_part(
-    scene: Scene, observations: Sequence[Observation], *, run: RunContext | None = None
-) -> tuple[Scene, Registration]:
-    """A scene with its part at the registered placement, and the displacement from the nominal one."""
-    found = register(scene, observations, caster=cast_rays_at(scene), run=run)
-    return place_part(scene, found.placement), found
-
-
 def _find(
     nominal: Scene, observations: Sequence[Observation], cache: PredictionCache, run: RunContext, *, register: bool
 ) -> tuple[Scene, Placement, Float64 | None]:
@@ -135,8 +127,8 @@ def _find(
     nearby = cache.nearby_placement(nominal, observations, threads=run.threads)
     if nearby is not None:
         return nearby
-    scene, found = register_part(nominal, observations, run=run)
-    scene, placement = cache.use_placement(scene, found.placement)
+    found = register_placement(nominal, observations, caster=cast_rays_at(nominal), run=run)
+    scene, placement = cache.use_placement(place_part(nominal, found.placement), found.placement)
     cache.registration = found
     return scene, placement, None
 

@@ -84,8 +84,7 @@ class EntryTemplates:
     width_px: Width of the middle size [pixels of these images]
     corner: Row and column of the first one's corner [px]
     border: Width of the border [pixels of these images]
-    change: Of each pixel, light and variant, in units of `unit`, shape (h, w, lights, variants)
-    unit: Standard deviations of the sum over a larger pixel
+    change: Of each pixel, light and variant, in units of :attr:`unit`, shape (h, w, lights, variants)
     count: Pixels of the image that count in each, shape (h, w, lights)
     foreshortening: Class of each pixel, −1 where no defect is tested, shape (h, w)
     step: Places to test are so many pixels apart, from the border on
@@ -102,13 +101,17 @@ class EntryTemplates:
     corner: tuple[int, int]
     border: int
     change: Int8
-    unit: float
     count: UInt8
     foreshortening: Int16
     pieces: Pieces
     step: int
     halves: tuple[tuple[float, float], ...]
     inverse: Float32
+
+    @property
+    def unit(self) -> float:
+        """Of the stored changes: standard deviations of the sum over a larger pixel."""
+        return MOST_CHANGE * self.ratio / CODES
 
     @property
     def poses(self) -> int:
@@ -162,12 +165,14 @@ def template_bank(
     deviation = expected_deviation(view)
     panels = [next(light for light in pixels.view.lights if light.name == name) for name in view.lights]
     hypotheses = [defect_hypotheses(entry) for ranges in catalogue for entry in ranges.in_sizes()]
-    entries = [_entry_pixels(own, view, deviation, surface, len(panels)) for own in hypotheses]
+    entries = [_templates_without_changes(own, view, deviation, surface, len(panels)) for own in hypotheses]
     # entries whose larger pixels are of one size see the same places of the surface
-    for ratio in dict.fromkeys(entry.ratio for entry in entries):
-        alike = [entry for entry in entries if entry.ratio == ratio]
-        _set_changes(alike, scene, view, surface, panels, caster, threads)
-    return tuple(_templates(entry, surface, threads) for entry in entries)
+    for ratio in dict.fromkeys(entry.ratio for entry, _ in entries):
+        alike, pixels = zip(*(one for one in entries if one[0].ratio == ratio), strict=True)
+        _set_changes(alike, pixels[0], scene, view, surface, panels, caster, threads)
+    for entry, _ in entries:
+        _set_inverse(entry, threads)
+    return tuple(entry for entry, _ in entries)
 
 
 def expected_deviation(view: PostureView) -> Float32:
@@ -191,37 +196,11 @@ def _surface(pixels: PosturePixels, clean: Bool) -> _Surface:
     return _Surface(pixels, index, references, classes, surface_footprint(camera, seen), typical_blur(camera, seen))
 
 
-@dataclass(frozen=True, eq=False)
-class _EntryPixels:
-    """The larger pixels of an entry, and what :class:`EntryTemplates` has of them; `change` is set later.
-
-    pixel: Of the image in the middle of each larger one that sees the part, shape (k,)
-    at: Number of the larger one in the raveled images, shape (k,)
-    """
-
-    hypotheses: DefectHypotheses
-    deviation: Float32
-    attenuation: Float32 | None
-    ratio: int
-    halves: tuple[tuple[float, float], ...]
-    step: int
-    corner: tuple[int, int]
-    border: int
-    count: UInt8
-    pixel: Index
-    at: Index
-    foreshortening: Int16
-    change: Int8
-
-    @property
-    def unit(self) -> float:
-        """Of the stored changes [standard deviations]."""
-        return MOST_CHANGE * self.ratio / CODES
-
-
-def _entry_pixels(
+def _templates_without_changes(
     own: DefectHypotheses, view: PostureView, deviation: Float32, surface: _Surface, lights: int
-) -> _EntryPixels:
+) -> tuple[EntryTemplates, Index]:
+    # `change` and `inverse` are set later; and the pixel of the image in the middle of each larger one that sees the
+    # part, shape (k,)
     grid = search_grid(own, surface.footprint, surface.blur)
     ratio = grid.ratio
     deviation, attenuation = entry_deviation(own, view, deviation)
@@ -237,26 +216,32 @@ def _entry_pixels(
         rows.start + ratio // 2 : rows.stop : ratio, columns.start + ratio // 2 : columns.stop : ratio
     ]
     index[border : border + middle.shape[0], border : border + middle.shape[1]] = middle
-    at = np.flatnonzero(index >= 0)
-    return _EntryPixels(
+    foreshortening = np.where(index < 0, np.int16(-1), surface.foreshortening[np.maximum(index, 0)])
+    classes = np.unique(foreshortening[index >= 0]).tolist()
+    footprint, blur = ratio * surface.footprint, surface.blur / ratio
+    places = [-(-(side - 2 * border) // grid.step) for side in index.shape]
+    templates = EntryTemplates(
         hypotheses=own,
         deviation=deviation,
         attenuation=attenuation,
         ratio=ratio,
-        halves=grid.halves,
-        step=grid.step,
+        width_px=math.hypot(own.shapes[1].width / footprint, blur),
         corner=(rows.start - border * ratio, columns.start - border * ratio),
         border=border,
-        count=count,
-        pixel=index.ravel()[at].astype(np.intp),
-        at=at,
-        foreshortening=np.where(index < 0, np.int16(-1), surface.foreshortening[np.maximum(index, 0)]),
         change=np.zeros((*index.shape, lights, len(own.slope)), np.int8),
+        count=count,
+        foreshortening=foreshortening,
+        pieces=_pieces(own, grid.halves, classes, footprint, blur, count.shape[1]),
+        step=grid.step,
+        halves=grid.halves,
+        inverse=np.zeros((len(own.turns) * len(grid.halves), *places), np.float32),
     )
+    return templates, index[index >= 0].astype(np.intp)
 
 
 def _set_changes(
-    entries: Sequence[_EntryPixels],
+    entries: Sequence[EntryTemplates],
+    pixel: Index,
     scene: Scene,
     view: PostureView,
     surface: _Surface,
@@ -265,7 +250,7 @@ def _set_changes(
     threads: int | None,
 ) -> None:
     # the changes of entries with the same pixels, worked out together
-    pixel, kinds = entries[0].pixel, [entry.hypotheses for entry in entries]
+    kinds, at = zip(*((entry.hypotheses, np.flatnonzero(entry.foreshortening >= 0)) for entry in entries), strict=True)
     variants = surface_variants(
         slope=np.concatenate([own.slope for own in kinds]),
         direction=np.concatenate([own.direction for own in kinds]),
@@ -294,8 +279,8 @@ def _set_changes(
         for i, levels in zip(group, found, strict=True):
             good, limit = (a[i][place].astype(np.float64)[:, None] for a in (view.predicted, view.limit))
             change_of_level = passed * (levels.varied.T - levels.good[:, None])
-            for entry, change in zip(entries, np.split(change_of_level, ends[:-1], axis=1), strict=True):
-                noise, to = entry.deviation[i][place].astype(np.float64)[:, None], entry.at[start:end]
+            for entry, all_of_it, change in zip(entries, at, np.split(change_of_level, ends[:-1], axis=1), strict=True):
+                noise, to = entry.deviation[i][place].astype(np.float64)[:, None], all_of_it[start:end]
                 lights, width = entry.change.shape[2:]
                 off = expected_change(good, good + change, deviation=noise, limit=limit)
                 off *= np.sqrt(entry.count.reshape(-1, lights)[to, i])[:, None]
@@ -304,41 +289,15 @@ def _set_changes(
     in_threads(shade, range(len(tasks)), threads)
 
 
-def _templates(entry: _EntryPixels, surface: _Surface, threads: int | None) -> EntryTemplates:
-    own, border, step, halves = entry.hypotheses, entry.border, entry.step, entry.halves
-    foreshortening = entry.foreshortening
-    height, breadth = foreshortening.shape
-    footprint = entry.ratio * surface.footprint
-    classes = np.unique(foreshortening[foreshortening >= 0]).tolist()
-    pieces = _pieces(own, halves, classes, footprint, surface.blur / entry.ratio, breadth)
-    places = (-(-(height - 2 * border) // step), -(-(breadth - 2 * border) // step))
-    inverse = np.zeros((len(own.turns) * len(halves), *places), np.float32)
+def _set_inverse(entry: EntryTemplates, threads: int | None) -> None:
+    pieces = entry.pieces.first, entry.pieces.pixel, entry.pieces.variant, entry.pieces.weight
+    grid = len(entry.hypotheses.shapes), entry.border, entry.step
 
     def invert(top: int) -> None:
-        bottom = min(top + _ROWS, places[0])
-        _invert(
-            entry.change, foreshortening, pieces.first, pieces.pixel, pieces.variant, pieces.weight, len(own.shapes),
-            border, step, top, bottom, LEAST_EXPECTED / entry.unit, inverse,
-        )  # fmt: skip
+        rows = top, min(top + _ROWS, entry.inverse.shape[1])
+        _invert(entry.change, entry.foreshortening, pieces, grid, rows, LEAST_EXPECTED / entry.unit, entry.inverse)
 
-    in_threads(invert, range(0, places[0], _ROWS), threads)
-    return EntryTemplates(
-        hypotheses=own,
-        deviation=entry.deviation,
-        attenuation=entry.attenuation,
-        ratio=entry.ratio,
-        width_px=math.hypot(own.shapes[1].width / footprint, surface.blur / entry.ratio),
-        corner=entry.corner,
-        border=border,
-        change=entry.change,
-        unit=entry.unit,
-        count=entry.count,
-        foreshortening=foreshortening,
-        pieces=pieces,
-        step=step,
-        halves=halves,
-        inverse=inverse,
-    )
+    in_threads(invert, range(0, entry.inverse.shape[1], _ROWS), threads)
 
 
 def entry_deviation(own: DefectHypotheses, view: PostureView, deviation: Float32) -> tuple[Float32, Float32 | None]:
@@ -396,24 +355,19 @@ def _pieces(
 def _invert(
     change: Int8,
     foreshortening: Int16,
-    first: Int32,
-    pixel: Int32,
-    variant: Int32,
-    weight: Float32,
-    sizes: int,
-    border: int,
-    step: int,
-    top: int,
-    bottom: int,
+    pieces: tuple[Int32, Int32, Int32, Float32],
+    grid: tuple[int, int, int],
+    rows: tuple[int, int],
     least: float,
     inverse: Float32,
 ) -> None:
-    # rows of places from `top` to `bottom`: 1/√ΣE of the middle size in units of the stored changes
+    # some rows of places: 1/√ΣE of the middle size in units of the stored changes
+    (first, pixel, variant, weight), (sizes, border, step) = pieces, grid
     poses, _, columns = inverse.shape
     _, width, lights, variants = change.shape
     flat = change.reshape(-1)
     own = np.zeros(lights, np.float32)
-    for i in range(top, bottom):
+    for i in range(rows[0], rows[1]):
         for k in range(columns):
             y, x = border + i * step, border + k * step
             if foreshortening[y, x] < 0:

@@ -1,17 +1,16 @@
 """The part coloured by what the images of the best set show of each patch, and of defects on it, and why not more."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from lightopt import design
 from lightopt.core.arrays import UInt8
-from lightopt.core.errors import percent
 from lightopt.core.transforms import Posture
 from lightopt.rendering import GRAZING_DEG, grain_of, trace_samples
-from lightopt.report._drawing import CAP_HEIGHT, SOFT, Drawing, fixed_style, hex_colour, text_width
+from lightopt.report._drawing import DPI, POINT, SOFT, figure_image, fixed_style, hex_colour
 from lightopt.report._page import Block, Note, SurfaceView, Table
 from lightopt.report._surface import ColouredSurface, SurfaceLayer, first_view, surface_classes
 from lightopt.scene import view_from_part
@@ -45,22 +44,8 @@ SHARES = (
 BACKGROUND = (255, 255, 255)
 LEAST_SHADE = 0.8  # brightness of a surface that is seen edge on; one that faces the camera has its legend's colour
 BLOCK_ROWS = 64  # of a picture, traced at once
+LEAST_WIDTH = 640  # of a picture with its legend [px]
 SMALLEST_LEGEND, LARGEST_LEGEND = 13, 26  # sizes of a legend's text [px]; in between a fiftieth of the picture's width
-
-
-@dataclass(frozen=True)
-class PostureClasses:
-    """Class of each patch in a posture, indices into :data:`LEVEL_CLASSES`, shape (p,), uint8.
-
-    `areas` are those of the inspectable classes [µm²], counted as the objectives count; `left_out` is the share of
-    the surface in view that is left out, `grain` how far shares may be off since each patch counts as its middle does.
-    """
-
-    posture: Posture
-    classes: UInt8
-    areas: tuple[int, ...]
-    left_out: float
-    grain: float
 
 
 def level_classes(levels: design.Levels, thresholds: design.LevelThresholds) -> UInt8:
@@ -74,13 +59,13 @@ def level_classes(levels: design.Levels, thresholds: design.LevelThresholds) -> 
 def surface_blocks(output: design.DesignOutput) -> list[Block]:
     """One view of the part with all its colourings; areas as a table."""
     shown = _postures(output)
-    levels = [_layer(one) for one in shown]
+    levels = [layer for layer, _ in shown]
     summary: list[Block] = []
     if shown:
         # what one posture does not show another may
-        best = np.min([one.classes for one in shown], axis=0)
+        best = np.min([layer.of_face for layer in levels], axis=0)
         shares = _shares(output, best)
-        summary = [_table(shown), _combined_note(shares, len(shown))]
+        summary = [_table([row for _, row in shown]), _combined_note(shares, len(shown))]
         if len(shown) > 1:
             classes = surface_classes(LEVEL_CLASSES, [*shares[:_LEFT_OUT], "", shares[_UNSEEN]])
             levels.insert(0, SurfaceLayer(name="the best of all postures", classes=classes, of_face=best))
@@ -122,8 +107,9 @@ def _caption(output: design.DesignOutput) -> str:
     )
 
 
-def _postures(output: design.DesignOutput) -> list[PostureClasses]:
-    table, found = output.patches, list[PostureClasses]()
+def _postures(output: design.DesignOutput) -> list[tuple[SurfaceLayer, list[str]]]:
+    # of each posture the classes of the patches, and a row of the table of areas, counted as the objectives count
+    table, found = output.patches, list[tuple[SurfaceLayer, list[str]]]()
     for result in output.result.results:
         if result.answers[0].nothing is not None:
             continue
@@ -133,18 +119,17 @@ def _postures(output: design.DesignOutput) -> list[PostureClasses]:
             classes[left_out] = _LEFT_OUT
             classes[seen] = level_classes(levels, output.result.thresholds)
             own = table.patches.areas[seen]
-            units, grazing = design.area_units(own), float(table.patches.areas[left_out].sum())
-            areas = tuple(int(units[classes[seen] == k].sum()) for k in range(_LEFT_OUT))
-            share = grazing / (grazing + float(own.sum()))
-            found.append(PostureClasses(posture, classes, areas, left_out=share, grain=grain_of(own)))
+            units, grain = design.area_units(own), grain_of(own)
+            areas = [int(units[classes[seen] == k].sum()) for k in range(_LEFT_OUT)]
+            counted = sum(areas)
+            shares = [design.share_text(area / max(1, counted), grain) for area in areas]
+            legend = surface_classes(LEVEL_CLASSES, [*shares, "", ""])
+            layer = SurfaceLayer(name=f"posture {posture}", classes=legend, of_face=classes)
+            cells = [f"{design.area_text(a, grain * counted)} ({b})" for a, b in zip(areas, shares, strict=True)]
+            grazing = float(table.patches.areas[left_out].sum())
+            rest = design.share_text(grazing / (grazing + float(own.sum())), grain)
+            found.append((layer, [str(posture), *cells, rest]))
     return found
-
-
-def _layer(shown: PostureClasses) -> SurfaceLayer:
-    counted = sum(shown.areas)
-    amounts = [*(design.share_text(area / max(1, counted), shown.grain) for area in shown.areas), "", ""]
-    classes = surface_classes(LEVEL_CLASSES, amounts)
-    return SurfaceLayer(name=f"posture {shown.posture}", classes=classes, of_face=shown.classes)
 
 
 def _shares(output: design.DesignOutput, classes: UInt8) -> list[str]:
@@ -158,15 +143,7 @@ def _shares(output: design.DesignOutput, classes: UInt8) -> list[str]:
     ]
 
 
-def _table(shown: list[PostureClasses]) -> Table:
-    rows: list[list[str]] = []
-    for one in shown:
-        grain, counted = one.grain, sum(one.areas)
-        areas = (
-            f"{design.area_text(a, grain * counted)} ({design.share_text(a / max(1, counted), grain)})"
-            for a in one.areas
-        )
-        rows.append([str(one.posture), *areas, design.share_text(one.left_out, grain)])
+def _table(rows: list[list[str]]) -> Table:
     return Table(
         header=["posture", *(label for label, _ in LEVEL_CLASSES[:_UNSEEN])],
         rows=rows,
@@ -208,8 +185,8 @@ def blind_pictures(result: design.DesignResult) -> dict[Posture, UInt8]:
             shaded = colours[patches.patch_at(hits.face, hits.u, hits.v)] * shade
             rows.reshape(-1, 3)[hits.ray] = np.rint(shaded).astype(np.uint8)
         title = (
-            f"posture {posture}: shares of the surface × defects without what is left out; pale where other defects "
-            "are seen"
+            f"posture {posture}: shares of the surface × defects without what is left out;\n"
+            "pale where other defects are seen"
         )
         pictures[posture] = _with_legend(picture, title, design.blind_legend(spots))
     return pictures
@@ -257,23 +234,24 @@ def blind_layer(name: str, spots: design.BlindSpots) -> SurfaceLayer:
 @fixed_style()
 def _with_legend(picture: UInt8, title: str, rows: Sequence[design.LegendRow]) -> UInt8:
     """A picture with a title and a legend below it, on white; it is made wider where they need more room."""
-    height, width = picture.shape[:2]
+    from matplotlib.figure import Figure
+    from matplotlib.legend_handler import HandlerTuple
+    from matplotlib.patches import Patch
+
+    width = max(picture.shape[1], LEAST_WIDTH)
     size = min(LARGEST_LEGEND, max(SMALLEST_LEGEND, width // 50))
-    gap, line, swatch = size, round(1.7 * size), size + size // 3
-    # in columns: swatches, label, amount
-    label = 1.5 * gap + max(len(row.colours) for row in rows) * swatch
-    amount = label + max(text_width(row.label, size) for row in rows) + gap + text_width(percent(1.0), size)
-    wide = max(width, math.ceil(amount) + gap, text_width(title, size) + 2 * gap)
-    drawing = Drawing(wide, height + 2 * gap + (len(rows) + 1) * line)
-    drawing.picture(picture, 0, 0)
-    baseline = height + gap + CAP_HEIGHT * size
-    drawing.text(gap, baseline, title, size=size)
-    for row in rows:
-        baseline += line
-        for k, colour in enumerate(row.colours):
-            left, top = gap + k * swatch, round(baseline - 0.9 * size)
-            box = (left, top, left + size, top + size)
-            drawing.rectangle(box, fill=hex_colour(colour), outline=SOFT, width=1.0)
-        drawing.text(label, baseline, row.label, size=size)
-        drawing.text(amount, baseline, row.amount, size=size, align="right")
-    return np.array(drawing.image())
+    figure = Figure(figsize=(width / DPI, 1.7 * size * (len(rows) + 3) / DPI), dpi=DPI)
+    swatches: list[Any] = [
+        tuple(Patch(facecolor=hex_colour(one), edgecolor=SOFT) for one in row.colours) for row in rows
+    ]
+    labels = [f"{row.label}: {row.amount}" for row in rows]
+    style: dict[str, Any] = {
+        "handler_map": {tuple: HandlerTuple(ndivide=None)},
+        "frameon": False,
+        "handlelength": 3.0,
+        "handleheight": 1.0,
+    }
+    style |= {"fontsize": size * POINT, "title_fontsize": size * POINT, "alignment": "left"}
+    figure.legend(swatches, labels, title=title, loc="center left", **style)
+    wide = np.pad(picture, ((0, 0), (0, width - picture.shape[1]), (0, 0)), constant_values=255)
+    return np.concatenate([wide, np.asarray(figure_image(figure))])

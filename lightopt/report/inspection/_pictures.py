@@ -11,13 +11,14 @@ from scipy import ndimage
 
 from lightopt import inspection
 from lightopt.core.arrays import Bool, Float64, Int32
-from lightopt.report._drawing import CAP_HEIGHT, font_file, hex_colour
+from lightopt.report._drawing import font_file, hex_colour
 from lightopt.report._images import png_bytes, shrunk, write_picture
 from lightopt.report._page import Block, Gallery, Picture, SurfaceView
 from lightopt.report._surface import ColouredSurface, SurfaceLayer, first_view, surface_classes
 
 BOX_MARGIN_PX = 3
 LABEL_SIZE, LABEL_GAP_PX = 15, 3
+CAP_HEIGHT = 0.73  # of the font, per em
 # numbers are at least this share of the picture's width, lines of boxes about this: a wide picture is looked at from
 # afar
 LABEL_SHARE, LINE_SHARE = 1 / 43, 1 / 800
