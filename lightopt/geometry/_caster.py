@@ -4,8 +4,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from embreex import rtcore_scene
@@ -205,8 +204,7 @@ def _rays_of_pairs(begins: Float64, targets: Float64, point: Int32, target: Int3
     return np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(targets[target] - origins, np.float32)
 
 
-@dataclass(frozen=True)
-class Hits:
+class Hits(NamedTuple):
     """Rays that met the mesh, solved in float64 on the plane of the triangle that Embree named; shapes (k,)."""
 
     ray: Int32  # index of the ray among those cast
@@ -227,13 +225,11 @@ def resolve_hits(face: Int32, origin: Float64, directions: Float64, vertices: Fl
     origin: Of the rays [mm], a common one of shape (3,), or shape (n, 3)
     directions: Shape (n, 3), any length
     """
-    return Hits(*_resolve(face, np.atleast_2d(origin), directions, vertices, faces))
+    return _resolve(face, np.atleast_2d(origin), directions, vertices, faces)
 
 
 @kernel
-def _resolve(
-    face: Int32, origins: Float64, directions: Float64, vertices: Float64, faces: Int32
-) -> tuple[Int32, Int32, Float64, Float64, Float64, Float64]:
+def _resolve(face: Int32, origins: Float64, directions: Float64, vertices: Float64, faces: Int32) -> Hits:
     count = np.count_nonzero(face >= 0)
     ray, hit = np.empty(count, np.int32), np.empty(count, np.int32)
     u, v, distance, points = np.empty(count), np.empty(count), np.empty(count), np.empty((count, 3))
@@ -267,4 +263,4 @@ def _resolve(
         points[k, 0], points[k, 1], points[k, 2] = x, y, z
         distance[k] = np.sqrt((x - origin.x) ** 2 + (y - origin.y) ** 2 + (z - origin.z) ** 2)
         k += 1
-    return ray, hit, u, v, points, distance
+    return Hits(ray, hit, u, v, points, distance)

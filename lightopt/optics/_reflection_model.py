@@ -299,22 +299,7 @@ def lobe_beside(lobe: Lobe, normal: Vector) -> Lobe:
 @kernel
 def lobe_across(lobe: Lobe, across: Vector) -> Lobe:
     """The lobe of a brushed surface, by the unit vector across its brushing, or 0 where it has no direction."""
-    length = math.sqrt(1.0 - 1.0 / lobe.widening)
-    return Lobe(
-        lobe.inverse,
-        lobe.farthest,
-        lobe.plain,
-        lobe.ggx,
-        lobe.share,
-        lobe.wider,
-        lobe.shares,
-        lobe.inverses,
-        lobe.n,
-        lobe.k,
-        lobe.normal_reflectance,
-        lobe.widening,
-        scaled(across, length),
-    )
+    return Lobe(*lobe[:-1], scaled(across, math.sqrt(1.0 - 1.0 / lobe.widening)))
 
 
 @kernel
@@ -441,21 +426,8 @@ def gaussian_lobe(lobe: Lobe, number: int) -> tuple[float, Lobe]:
     share, inverse = lobe.share, lobe.inverse
     if number > 0:
         share, inverse = lobe.shares[number - 1], lobe.inverses[number - 1]
-    return share, Lobe(
-        inverse,
-        MAX_LOBE_EXPONENT * lobe.widening,
-        (lobe.n == 0.0) & (lobe.widening == 1.0),
-        False,
-        1.0,
-        0,
-        lobe.shares,
-        lobe.inverses,
-        lobe.n,
-        lobe.k,
-        lobe.normal_reflectance,
-        lobe.widening,
-        lobe.across,
-    )
+    plain = (lobe.n == 0.0) & (lobe.widening == 1.0)
+    return share, Lobe(inverse, MAX_LOBE_EXPONENT * lobe.widening, plain, False, 1.0, 0, *lobe[6:])
 
 
 @kernel
@@ -466,18 +438,5 @@ def lobe_of_width(lobe: Lobe, inverse: float) -> Lobe:
     """
     factor = inverse / lobe.inverse
     a, b, c, d, e = lobe.inverses
-    return Lobe(
-        inverse,
-        lobe.farthest,
-        lobe.plain,
-        lobe.ggx,
-        lobe.share,
-        lobe.wider,
-        lobe.shares,
-        (a * factor, b * factor, c * factor, d * factor, e * factor),
-        lobe.n,
-        lobe.k,
-        lobe.normal_reflectance,
-        lobe.widening,
-        lobe.across,
-    )
+    wider = (a * factor, b * factor, c * factor, d * factor, e * factor)
+    return Lobe(inverse, *lobe[1:7], wider, *lobe[8:])

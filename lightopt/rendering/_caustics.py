@@ -266,17 +266,18 @@ def _spread(areas: Float64, light: Float64, squares: Float64) -> Float64:
     # levels of samples, over which light is spread as far around each as enough rays are, so that its sum is kept
     levels, left = np.zeros(light.shape), light != 0.0
     for window in WINDOWS:
-        total, off = (_blurred(image, window) * window**2 for image in (light, squares))
+        total, off = (blurred(image, window) * window**2 for image in (light, squares))
         own = left if window == WINDOWS[-1] else left & (total**2 >= ENOUGH * off)
         if own.any():
             share = np.zeros(light.shape)
-            share[own] = light[own] / _blurred(areas, window)[own]
-            levels += _blurred(share, window)
+            share[own] = light[own] / blurred(areas, window)[own]
+            levels += blurred(share, window)
             left &= ~own
     return levels
 
 
-def _blurred(image: Float64, window: int) -> Float64:
+def blurred(image: Float64, window: int) -> Float64:
+    """Means over so many rows and columns around each sample, taken twice, where there is nothing outside the image."""
     if window == 1:
         return image
     return ndimage.uniform_filter(ndimage.uniform_filter(image, window, mode="constant"), window, mode="constant")

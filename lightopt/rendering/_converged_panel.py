@@ -26,7 +26,7 @@ from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._penumbra_cells import ConvergedLight
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
 from lightopt.rendering._point_lights import clear_targets, facing_targets, shade_points, visible_counts
-from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._surface import SurfacePoint, SurfacePoints
 from lightopt.rendering._surface_light import shade_surface_lights
 from lightopt.rendering._whole_panel import add_spread_points, whole_panel
 from lightopt.scene import Scene
@@ -131,11 +131,11 @@ def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> Con
     leanings = [a * side for side in (light.across, light.along) for a in (1.5, 5.0, -5.0)]
     tilts = [towards, *(towards + leaning for leaning in leanings)]
     normals = [Vector(*(tilt / np.linalg.norm(tilt))) for tilt in tilts]
-    places = list(itertools.product(positions, normals))
-    exact = [rectangle_diffuse(p, n, n, panel, WHOLE_PANEL, LAMBERT, 24) for p, n in places]
+    places = [SurfacePoint(p, n, n, 1.0) for p, n in itertools.product(positions, normals)]
+    exact = [rectangle_diffuse(at, panel, WHOLE_PANEL, LAMBERT, 24) for at in places]
     count = 0
     for count in (2, 3, 4, 6, 8, 12, 16, 20):
-        found = [rectangle_diffuse(p, n, n, panel, WHOLE_PANEL, LAMBERT, count) for p, n in places]
+        found = [rectangle_diffuse(at, panel, WHOLE_PANEL, LAMBERT, count) for at in places]
         if max(abs(a - b) for a, b in zip(found, exact, strict=True)) <= DIFFUSE_TOLERANCE:
             break
     distance = float(np.linalg.norm(light.centre - centre))
@@ -262,9 +262,7 @@ def _shade_by_one_ray(
         terms[index] = np.stack(found, axis=1)
         return terms[:, 0], terms[:, 1]
     if light.cells:
-        geometry = surface.points, surface.frames, surface.views
-        own = reflectance.lobe, reflectance.diffuse
-        add_spread_points(*geometry, seen, panel_numbers(light.light), light.cells, *own, terms)
+        add_spread_points(surface.rows, seen, light.cells, _converged_light(light, reflectance), terms)
     else:
         _add_whole_panel(surface, seen, _converged_light(light, reflectance), terms)
     terms *= light.light.total_weight
@@ -329,7 +327,7 @@ def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> Con
 
 def _add_whole_panel(surface: SurfacePoints, chosen: Bool, light: ConvergedLight, terms: Float64) -> None:
     index = np.flatnonzero(chosen).astype(np.int32)
-    whole_panel(surface.points, surface.frames, surface.views, index, light, terms)
+    whole_panel(surface.rows, index, light, terms)
 
 
 def _work_out(surface: SurfacePoints, chosen: Bool, light: ConvergedLight, caster: RayCaster, terms: Float64) -> Bool:
@@ -367,19 +365,7 @@ def _shade_penumbrae(
             missing = points_in(at, corners, side, k) & ~has_whole
             _add_whole_panel(surface, missing, light, whole)
             has_whole |= missing
-            smooth = smooth_squares(
-                surface.points,
-                surface.normals,
-                surface.facets,
-                surface.views,
-                surface.front,
-                at,
-                corners,
-                side,
-                coarse,
-                whole,
-                light,
-            )
+            smooth = smooth_squares(surface.rows, at, corners, side, coarse, whole, light)
             corners = corners[smooth]
             nodes = nodes_of(at, corners, side, k) & ~known
             crossed = np.where(nodes, _work_out(surface, nodes, light, caster, terms), crossed)

@@ -35,7 +35,7 @@ from lightopt.rendering._panel_quadrature import (
     rectangle_diffuse,
     rectangle_specular,
 )
-from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at, surface_point
 from lightopt.rendering._variant_numbers import VariantNumbers, leaning
 
 CELLS = 4  # cells along a side of a panel of which a part hides some
@@ -63,28 +63,15 @@ def panel_variants(
     if caster is not None and len(mixed):
         # along the panel's second side first, as panel_grid has them
         cells[mixed] = panel_probes(surface.take(mixed), panel_grid(converged.light, CELLS * CELLS), caster)
-    _levels(
-        surface.points,
-        surface.frames,
-        references,
-        surface.views,
-        number,
-        clear.shape[1],
-        cells,
-        panel_numbers(converged.light),
-        converged.nodes,
-        variants,
-        levels,
-    )
+    panel, rows = panel_numbers(converged.light), surface.rows
+    _levels(rows, references, number, clear.shape[1], cells, panel, converged.nodes, variants, levels)
     return levels
 
 
 @kernel
 def _levels(
-    points: Float64,
-    frames: Float64,
+    rows: PointRows,
     references: Float64,
-    views: Float64,
     number: Int64,
     all_probes: int,
     cells: Bool,
@@ -94,40 +81,38 @@ def _levels(
     levels: Float64,
 ) -> None:
     lean, R_d, R_s, inverse, most, form, diffuse = variants
+    points, frames, views, _, _ = rows
     linear = is_lambert(diffuse)
     for i in range(len(points)):
         if number[i] == 0:
             continue
         whole = number[i] == all_probes
-        p, n, v, r = (vector_at(points, i), vector_at(frames, i), vector_at(views, i), vector_at(references, i))
-        a = cross(n, r)
-        towards = _light_vector(p, panel, panel_nodes, cells[i], whole)
-        half, spread = half_vector_cone(p, v, panel.centre, half_diagonal(panel))
-        light = minus(panel.centre, p)
+        plain, r = point_at(points, frames, views, i), vector_at(references, i)
+        a = cross(plain.n, r)
+        towards = _light_vector(plain.p, panel, panel_nodes, cells[i], whole)
+        half, spread = half_vector_cone(plain, panel.centre, half_diagonal(panel))
+        light = minus(panel.centre, plain.p)
         own = lobe_at(form, frames, i)
         for t in range(len(lean)):
-            turned = leaning(lean, t, n, r, a)
-            lowest = dot(turned, light)
-            lowest -= 0.5 * abs(dot(turned, panel.across))
-            lowest -= 0.5 * abs(dot(turned, panel.along))
+            at = surface_point(plain.p, leaning(lean, t, plain.n, r, a), plain.v)
+            lowest = dot(at.n, light) - 0.5 * abs(dot(at.n, panel.across)) - 0.5 * abs(dot(at.n, panel.along))
             if linear and lowest >= 0.0:
-                d = dot(turned, towards)
+                d = dot(at.n, towards)
             elif whole:
-                d = rectangle_diffuse(p, turned, v, panel, WHOLE_PANEL, diffuse, panel_nodes)
+                d = rectangle_diffuse(at, panel, WHOLE_PANEL, diffuse, panel_nodes)
             else:
-                d = _cells_diffuse(p, turned, v, panel, diffuse, panel_nodes, cells[i])
+                d = _cells_diffuse(at, panel, diffuse, panel_nodes, cells[i])
             s = 0.0
-            n_dot_v = dot(turned, v)
-            if n_dot_v > 0.0:
-                lobe = lobe_beside(lobe_of_width(own, inverse[t]), turned)
-                divisor = specular_divisor(n_dot_v, square_across(v, lobe), lobe)
+            if at.n_dot_v > 0.0:
+                lobe = lobe_beside(lobe_of_width(own, inverse[t]), at.n)
+                divisor = specular_divisor(at.n_dot_v, square_across(at.v, lobe), lobe)
                 furthest = farthest_exponent(most[t] - math.log(divisor), lobe)
                 reach = spread + math.sqrt(max(0.0, furthest) / inverse[t])
-                if reach >= math.pi or dot(turned, half) > math.cos(reach):
+                if reach >= math.pi or dot(at.n, half) > math.cos(reach):
                     if whole:
-                        s = rectangle_specular(p, turned, v, n_dot_v, panel, WHOLE_PANEL, lobe, panel_nodes)
+                        s = rectangle_specular(at, panel, WHOLE_PANEL, lobe, panel_nodes)
                     else:
-                        s = _cells_specular(p, turned, v, n_dot_v, panel, lobe, panel_nodes, cells[i])
+                        s = _cells_specular(at, panel, lobe, panel_nodes, cells[i])
             levels[i, t] = R_d[t] * d + R_s[t] * s
 
 
@@ -158,9 +143,7 @@ def _light_vector(p: Vector, panel: PanelNumbers, count: int, cells: Bool, whole
 
 
 @kernel
-def _cells_diffuse(
-    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, form: DiffuseForm, count: int, cells: Bool
-) -> float:
+def _cells_diffuse(at: SurfacePoint, panel: PanelNumbers, form: DiffuseForm, count: int, cells: Bool) -> float:
     few = math.ceil(2.0 * count / CELLS)
     total = 0.0
     for row in range(CELLS):
@@ -169,14 +152,12 @@ def _cells_diffuse(
             if cells[row * CELLS + column]:
                 s0 = column / CELLS - 0.5
                 area = Rectangle(s0, s0 + 1.0 / CELLS, t0, t0 + 1.0 / CELLS)
-                total += rectangle_diffuse(p, n, v, panel, area, form, few)
+                total += rectangle_diffuse(at, panel, area, form, few)
     return total
 
 
 @kernel
-def _cells_specular(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, lobe: Lobe, panel_nodes: int, cells: Bool
-) -> float:
+def _cells_specular(at: SurfacePoint, panel: PanelNumbers, lobe: Lobe, panel_nodes: int, cells: Bool) -> float:
     total = 0.0
     for row in range(CELLS):
         t0 = row / CELLS - 0.5
@@ -188,6 +169,6 @@ def _cells_specular(
                 while end < CELLS and cells[row * CELLS + end]:
                     end += 1
                 area = Rectangle(column / CELLS - 0.5, end / CELLS - 0.5, t0, t0 + 1.0 / CELLS)
-                total += rectangle_specular(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
+                total += rectangle_specular(at, panel, area, lobe, panel_nodes)
             column = end
     return total

@@ -526,7 +526,7 @@ class _PostureJob:
     def _trace(self, columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
         order, *at = _tiles(columns, rows)
         hits, surface = trace_samples(self.caster, self.scene.mesh, self.view.camera, *at, neighbours=True)
-        return replace(hits, ray=order[hits.ray]), surface
+        return hits._replace(ray=order[hits.ray]), surface
 
     def _wavy(self, surface: SurfacePoints) -> SurfacePoints:
         waviness, place = self.scene.waviness, self.scene.placement

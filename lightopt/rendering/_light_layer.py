@@ -15,7 +15,7 @@ import numpy as np
 from lightopt.core.arrays import Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.core.vectors import Vector, divided, dot, length, minus, plus, vector_at
+from lightopt.core.vectors import divided, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, panel_grid, panel_numbers, panel_point
 from lightopt.optics import LAMBERT, DiffuseForm, Lobe, Reflectance, lobe_at
@@ -28,8 +28,8 @@ from lightopt.rendering._panel_quadrature import (
     rectangle_diffuse,
     rectangle_specular,
 )
-from lightopt.rendering._point_lights import point_terms
-from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._point_lights import diffuse_only, point_terms
+from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at
 from lightopt.rendering._surface_light import least_deflection, light_of_channels
 
 _CHUNK = 8192
@@ -67,14 +67,13 @@ class LightLayer:
         if isinstance(self.light, SurfaceLight):
             return light_of_channels(self.surface, [self.light], reflectance, diffuse=False, threads=threads)[1][0]
         panel, lobe = panel_numbers(self.light), reflectance.lobe
-        s = self.surface
-        result = np.zeros(len(s))
+        rows, count = self.surface.rows, len(self.surface)
+        result = np.zeros(count)
 
         def chunk(start: int) -> None:
-            end = min(start + _CHUNK, len(s))
-            _specular(s.points, s.frames, s.views, self.grid, panel, lobe, self.nodes, start, end, result)
+            _specular(rows, self.grid, panel, lobe, self.nodes, (start, min(start + _CHUNK, count)), result)
 
-        in_threads(chunk, range(0, len(s), _CHUNK), threads)
+        in_threads(chunk, range(0, count, _CHUNK), threads)
         result *= self.light.total_weight
         return result
 
@@ -130,11 +129,11 @@ def light_layer(
     diffuse = np.zeros(len(surface))
     deflection = np.zeros(len(surface))
 
-    geometry = surface.points, surface.normals, surface.views
+    rows = surface.rows
 
     def chunk(start: int) -> None:
-        end = min(start + _CHUNK, len(surface))
-        _diffuse_and_deflection(*geometry, grid, panel, form, nodes, start, end, diffuse, deflection)
+        part = start, min(start + _CHUNK, len(surface))
+        _diffuse_and_deflection(rows, grid, panel, form, nodes, part, diffuse, deflection)
 
     in_threads(chunk, range(0, len(surface), _CHUNK), threads)
     diffuse *= light.total_weight
@@ -145,65 +144,59 @@ def light_layer(
 
 @kernel
 def _specular(
-    points: Float64,
-    frames: Float64,
-    views: Float64,
+    rows: PointRows,
     grid: Float64,
     panel: PanelNumbers,
     lobe: Lobe,
     panel_nodes: int,
-    start: int,
-    end: int,
+    part: tuple[int, int],
     result: Float64,
 ) -> None:
-    for i in range(start, end):
-        p, n, v = vector_at(points, i), vector_at(frames, i), vector_at(views, i)
-        if out_of_reach(p, n, v, panel, lobe):
+    points, frames, views, _, _ = rows
+    for i in range(*part):
+        at = point_at(points, frames, views, i)
+        if out_of_reach(at, panel, lobe):
             continue
-        n_dot_v, turned = dot(n, v), lobe_at(lobe, frames, i)
+        turned = lobe_at(lobe, frames, i)
         if len(grid) == 0:
-            result[i] = rectangle_specular(p, n, v, n_dot_v, panel, WHOLE_PANEL, turned, panel_nodes)
+            result[i] = rectangle_specular(at, panel, WHOLE_PANEL, turned, panel_nodes)
             continue
         total = 0.0
         for k in range(len(grid)):
-            _, s = point_terms(p, n, v, n_dot_v, vector_at(grid, k), panel, turned, LAMBERT)
-            total += s
+            total += point_terms(at, vector_at(grid, k), panel, turned, LAMBERT)[1]
         result[i] = total / len(grid)
 
 
 @kernel
 def _diffuse_and_deflection(
-    points: Float64,
-    normals: Float64,
-    views: Float64,
+    rows: PointRows,
     grid: Float64,
     panel: PanelNumbers,
     form: DiffuseForm,
     panel_nodes: int,
-    start: int,
-    end: int,
+    part: tuple[int, int],
     diffuse: Float64,
     deflection: Float64,
 ) -> None:
-    for i in range(start, end):
-        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
-        deflection[i] = _deflection(p, n, v, panel)
+    points, frames, views, _, _ = rows
+    for i in range(*part):
+        at = point_at(points, frames, views, i)
+        deflection[i] = _deflection(at, panel)
         if len(grid) == 0:
-            diffuse[i] = rectangle_diffuse(p, n, v, panel, WHOLE_PANEL, form, panel_nodes)
+            diffuse[i] = rectangle_diffuse(at, panel, WHOLE_PANEL, form, panel_nodes)
             continue
         total = 0.0
         for k in range(len(grid)):
-            d, _ = point_terms(p, n, v, 0.0, vector_at(grid, k), panel, NO_LOBE, form)
-            total += d
+            total += point_terms(diffuse_only(at), vector_at(grid, k), panel, NO_LOBE, form)[0]
         diffuse[i] = total / len(grid)
 
 
 @kernel
-def _deflection(p: Vector, n: Vector, v: Vector, panel: PanelNumbers) -> float:
+def _deflection(at: SurfacePoint, panel: PanelNumbers) -> float:
     # at the place of the panel nearest to the mirrored view
-    s, t = mirror_point(p, n, v, dot(n, v), panel)
+    s, t = mirror_point(at, panel)
     s, t = min(max(s, -0.5), 0.5), min(max(t, -0.5), 0.5)
-    light = minus(panel_point(panel, s, t), p)
-    half = plus(divided(light, length(light)), v)
-    chord = length(minus(n, divided(half, length(half))))
+    light = minus(panel_point(panel, s, t), at.p)
+    half = plus(divided(light, length(light)), at.v)
+    chord = length(minus(at.n, divided(half, length(half))))
     return 2.0 * math.asin(min(1.0, 0.5 * chord))

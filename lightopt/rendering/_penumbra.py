@@ -26,12 +26,13 @@ from lightopt.rendering._penumbra_cells import (
     SIDE_SHARE,
     VISIBLE,
     ConvergedLight,
+    Edge,
     Squares,
     add_crossed_cells,
     add_visible_cells,
     places_beside_chords,
 )
-from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._surface import PointRows, SurfacePoints
 
 # cells along each side of the panel; of a cell where the edge is bent; and of such a cell of that finer grid
 GRIDS = (8, 4, 4)
@@ -66,19 +67,18 @@ def shade_penumbra(surface: SurfacePoints, light: ConvergedLight, caster: RayCas
 
 def _shade_squares(work: _Work, squares: Squares, *, depth: int) -> Bool:
     # adds the light of the visible area of squares; returns which of them the edge of a shadow crosses
-    surface, light = work.surface, work.light
-    given = surface.points, surface.frames, surface.views, light, squares
+    given = work.surface.rows, work.light, squares
     state = _states_at_corners(work, squares, GRIDS[depth])
     stake = add_visible_cells(*given, state, work.terms)
     if depth == 0:
-        level = work.terms @ (light.diffuse_level, light.specular_level) + 0.5 * stake.sum(axis=(1, 2))
+        level = work.terms @ (work.light.diffuse_level, work.light.specular_level) + 0.5 * stake.sum(axis=(1, 2))
         work.tolerance[:] = LEVEL_TOLERANCE + RELATIVE_TOLERANCE * level
     stake /= work.tolerance[squares.point][:, None, None]
-    across = _edge_crossings(work, squares, state, stake, vertical=False)
-    along = _edge_crossings(work, squares, state, stake, vertical=True)
+    across, along = (_edge_crossings(work, squares, state, stake, vertical=vertical) for vertical in (False, True))
+    edge = Edge(state, across, along)
     last = depth + 1 == len(GRIDS)
-    bent = np.zeros(stake.shape, np.bool_) if last else _bent_edges(work, squares, state, stake, across, along)
-    add_crossed_cells(*given, state, across, along, stake, bent, work.terms)
+    bent = np.zeros(stake.shape, np.bool_) if last else _bent_edges(work, squares, edge, stake)
+    add_crossed_cells(*given, edge, stake, bent, work.terms)
     if bent.any():
         for finer in _finer_squares(squares, bent, divisions=GRIDS[depth + 1]):
             _shade_squares(work, finer, depth=depth + 1)
@@ -107,9 +107,7 @@ def _states_at_corners(work: _Work, squares: Squares, n: int) -> UInt8:
 def _states(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: NDArray[Any]) -> UInt8:
     # what is seen at places (x, y) of squares, counted in cells of their grid
     surface = work.surface
-    state, undecided, point, targets = _horizon_state(
-        surface.points, surface.normals, surface.facets, work.light.panel, squares, square, x, y
-    )
+    state, undecided, point, targets = _horizon_state(surface.rows, work.light.panel, squares, square, x, y)
     # each ray has a target of its own
     index = np.arange(len(undecided), dtype=np.int32)
     blocked = work.caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=index)
@@ -119,17 +117,11 @@ def _states(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: ND
 
 @kernel
 def _horizon_state(
-    points: Float64,
-    normals: Float64,
-    facets: Float64,
-    panel: PanelNumbers,
-    squares: Squares,
-    square: Index,
-    x: Any,
-    y: Any,
+    rows: PointRows, panel: PanelNumbers, squares: Squares, square: Index, x: Any, y: Any
 ) -> tuple[UInt8, Int32, Int32, Float64]:
     # what the horizon decides: below the interpolated one there is no light, below the face's own plane the face is in
     # the way; the rest needs a ray
+    points, frames, _, facets, _ = rows
     state = np.empty(len(square), np.uint8)
     undecided, origin = np.empty(len(square), np.int32), np.empty(len(square), np.int32)
     targets = np.empty((len(square), 3))
@@ -139,7 +131,7 @@ def _horizon_state(
         s, t = squares.s[square[j]] + x[j] * squares.cell, squares.t[square[j]] + y[j] * squares.cell
         target = panel_point(panel, s - 0.5, t - 0.5)
         towards = minus(target, vector_at(points, i))
-        if dot(vector_at(normals, i), towards) <= 0.0:
+        if dot(vector_at(frames, i), towards) <= 0.0:
             state[j] = BELOW
         elif dot(vector_at(facets, i), towards) <= 0.0:
             state[j] = BLOCKED
@@ -201,9 +193,9 @@ def _crossed_sides(state: UInt8, stake: Float64, vertical: bool) -> tuple[Int64,
     return index[0, :m].copy(), index[1, :m].copy(), index[2, :m].copy(), index[3, :m].copy(), from_blocked[:m].copy()
 
 
-def _bent_edges(work: _Work, squares: Squares, state: UInt8, stake: Float64, across: Float64, along: Float64) -> Bool:
+def _bent_edges(work: _Work, squares: Squares, edge: Edge, stake: Float64) -> Bool:
     # cells where the edge of the shadow is not the chord between its crossings, as far as that matters
-    bent, cell, x, y, expected = places_beside_chords(state, stake, across, along)
+    bent, cell, x, y, expected = places_beside_chords(edge, stake)
     n = stake.shape[1]
     seen = _states(work, squares, cell // (n * n), x, y)
     bent.ravel()[cell[(seen == BLOCKED) != expected]] = True

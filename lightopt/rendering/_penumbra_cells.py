@@ -5,10 +5,7 @@ is seen at its corners, and by where the edge crosses its sides.
 
 What the functions share
 ------------------------
-points, frames, views: Of a :class:`lightopt.rendering.SurfacePoints`
 state: What is seen at the corners of the cells, shape (q, n + 1, n + 1): BELOW, VISIBLE or BLOCKED
-across, along: Where the edge crosses the sides of cells that run along s and along t, as a share of the side; shape
-    (q, n + 1, n) and (q, n, n + 1)
 stake: Of crossed cells, the light of the whole cell in units of the error allowed; 0 of others; shape (q, n, n)
 terms: Diffuse and specular light so far, per unit of R_d and R_s, of a panel of weight 1; shape (k, 2)
 """
@@ -20,10 +17,10 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import dot, vector_at
 from lightopt.lights import PanelNumbers
 from lightopt.optics import DiffuseForm, Lobe, lobe_at
 from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
+from lightopt.rendering._surface import PointRows, point_at
 
 # what a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle
 BELOW, VISIBLE, BLOCKED = 1, 2, 3
@@ -70,10 +67,21 @@ class Squares(NamedTuple):
     cell: float
 
 
+class Edge(NamedTuple):
+    """The edge of the shadow in the cells of some squares.
+
+    state: As above
+    across, along: Where it crosses the sides of cells that run along s and along t, as a share of the side; shape
+        (q, n + 1, n) and (q, n, n + 1)
+    """
+
+    state: UInt8
+    across: Float64
+    along: Float64
+
+
 @kernel
-def places_beside_chords(
-    state: UInt8, stake: Float64, across: Float64, along: Float64
-) -> tuple[Bool, Int64, Float64, Float64, Bool]:
+def places_beside_chords(edge: Edge, stake: Float64) -> tuple[Bool, Int64, Float64, Float64, Bool]:
     """Places that show whether the edge of the shadow is straight inside the crossed cells where that matters.
 
     They are on both sides of the chord between the edge's crossings, as far from it as the edge may be without harm.
@@ -84,12 +92,7 @@ def places_beside_chords(
     """
     q, n = stake.shape[0], stake.shape[1]
     bent = np.zeros(stake.shape, np.bool_)
-    candidates = 0
-    for i in range(q):
-        for row in range(n):
-            for column in range(n):
-                candidates += stake[i, row, column] > 1.0
-    cell = np.empty(4 * candidates, np.int64)
+    cell = np.empty(4 * np.count_nonzero(stake > 1.0), np.int64)
     x, y = np.empty(len(cell)), np.empty(len(cell))
     expected = np.empty(len(cell), np.bool_)
     m = 0
@@ -100,7 +103,7 @@ def places_beside_chords(
                     continue
                 chords = 0
                 for first in range(4):
-                    begins, ax, ay, bx, by, sign = _chord(state, across, along, i, row, column, first)
+                    begins, ax, ay, bx, by, sign = _chord(edge, i, row, column, first)
                     if not begins:
                         continue
                     chords += 1
@@ -127,25 +130,19 @@ def places_beside_chords(
 
 @kernel
 def add_visible_cells(
-    points: Float64,
-    frames: Float64,
-    views: Float64,
-    light: ConvergedLight,
-    squares: Squares,
-    state: UInt8,
-    terms: Float64,
+    rows: PointRows, light: ConvergedLight, squares: Squares, state: UInt8, terms: Float64
 ) -> Float64:
     """Add the light of the visible cells to `terms`; return the levels of the whole of each crossed one, (q, n, n)."""
     point, s, t, cell = squares
+    points, frames, views, _, _ = rows
     panel = light.panel
     q, n = len(point), state.shape[1] - 1
     stake = np.zeros((q, n, n))
     few = math.ceil(2.0 * light.nodes * cell)
     for i in range(q):
         k = point[i]
-        p, normal, v = vector_at(points, k), vector_at(frames, k), vector_at(views, k)
-        n_dot_v, lobe = dot(normal, v), lobe_at(light.lobe, frames, k)
-        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, lobe)
+        at, lobe = point_at(points, frames, views, k), lobe_at(light.lobe, frames, k)
+        glossy = at.n_dot_v > 0.0 and not out_of_reach(at, panel, lobe)
         for row in range(n):
             t0 = t[i] + row * cell - 0.5
             column = 0
@@ -160,10 +157,8 @@ def add_visible_cells(
                     end += 1
                 area = Rectangle(s[i] + column * cell - 0.5, s[i] + end * cell - 0.5, t0, t0 + cell)
                 order = max(2, math.ceil(light.nodes * (area.s1 - area.s0))) if kind == VISIBLE else few
-                d = rectangle_diffuse(p, normal, v, panel, area, light.form, order)
-                g = 0.0
-                if glossy:
-                    g = rectangle_specular(p, normal, v, n_dot_v, panel, area, lobe, light.nodes)
+                d = rectangle_diffuse(at, panel, area, light.form, order)
+                g = rectangle_specular(at, panel, area, lobe, light.nodes) if glossy else 0.0
                 if kind == VISIBLE:
                     terms[k, 0] += d
                     terms[k, 1] += g
@@ -175,44 +170,33 @@ def add_visible_cells(
 
 @kernel
 def add_crossed_cells(
-    points: Float64,
-    frames: Float64,
-    views: Float64,
-    light: ConvergedLight,
-    squares: Squares,
-    state: UInt8,
-    across: Float64,
-    along: Float64,
-    stake: Float64,
-    left_out: Bool,
-    terms: Float64,
+    rows: PointRows, light: ConvergedLight, squares: Squares, edge: Edge, stake: Float64, left_out: Bool, terms: Float64
 ) -> None:
     """Add the light of the visible part of the crossed cells, except those `left_out`, to `terms`."""
     point, s, t, cell = squares
+    points, frames, views, _, _ = rows
     panel = light.panel
-    q, n = len(point), state.shape[1] - 1
+    q, n = len(point), edge.state.shape[1] - 1
     runs = np.empty((4 * MOST_STRIPS, 4))
     few = math.ceil(2.0 * light.nodes * cell)
     for i in range(q):
         k = point[i]
-        p, normal, v = vector_at(points, k), vector_at(frames, k), vector_at(views, k)
-        n_dot_v, lobe = dot(normal, v), lobe_at(light.lobe, frames, k)
-        glossy = n_dot_v > 0.0 and not out_of_reach(p, normal, v, panel, lobe)
+        at, lobe = point_at(points, frames, views, k), lobe_at(light.lobe, frames, k)
+        glossy = at.n_dot_v > 0.0 and not out_of_reach(at, panel, lobe)
         for row in range(n):
             for column in range(n):
-                kind = _cell_kind(state, i, row, column)
-                if kind != 0 or left_out[i, row, column]:
+                if _cell_kind(edge.state, i, row, column) != 0 or left_out[i, row, column]:
                     continue
                 strips = math.ceil(math.sqrt(STRIP_SHARE * stake[i, row, column]))
                 strips = min(max(strips, LEAST_STRIPS), MOST_STRIPS)
-                count = _visible_strips(state, across, along, i, row, column, strips, runs)
+                count = _visible_strips(edge, i, row, column, strips, runs)
                 for j in range(count):
                     s0, s1 = s[i] + runs[j, 0] * cell - 0.5, s[i] + runs[j, 1] * cell - 0.5
                     t0, t1 = t[i] + runs[j, 2] * cell - 0.5, t[i] + runs[j, 3] * cell - 0.5
                     area = Rectangle(s0, s1, t0, t1)
-                    terms[k, 0] += rectangle_diffuse(p, normal, v, panel, area, light.form, few)
+                    terms[k, 0] += rectangle_diffuse(at, panel, area, light.form, few)
                     if glossy:
-                        terms[k, 1] += rectangle_specular(p, normal, v, n_dot_v, panel, area, lobe, light.nodes)
+                        terms[k, 1] += rectangle_specular(at, panel, area, lobe, light.nodes)
 
 
 @kernel
@@ -229,14 +213,12 @@ def _cell_kind(state: UInt8, i: int, row: int, column: int) -> int:
 
 
 @kernel
-def _chord(
-    state: UInt8, across: Float64, along: Float64, i: int, row: int, column: int, first: int
-) -> tuple[bool, float, float, float, float, float]:
+def _chord(edge: Edge, i: int, row: int, column: int, first: int) -> tuple[bool, float, float, float, float, float]:
     # the chord that cuts off the visible stretch of a cell's boundary that begins with corner `first`, if one does: its
     # ends (ax, ay), (bx, by) and the sign with which sign·((bx − ax)·(y − ay) − (by − ay)·(x − ax)) ≥ 0 is visible.
     # Corners and sides go round the cell: corner c is followed by side c; x and y in [0, 1] are the cell's own
-    corner_x = (0.0, 1.0, 1.0, 0.0)
-    corner_y = (0.0, 0.0, 1.0, 1.0)
+    state, across, along = edge
+    corner_x, corner_y = (0.0, 1.0, 1.0, 0.0), (0.0, 0.0, 1.0, 1.0)
     seen = (
         state[i, row, column] != BLOCKED,
         state[i, row, column + 1] != BLOCKED,
@@ -258,13 +240,11 @@ def _chord(
 
 
 @kernel
-def _visible_strips(
-    state: UInt8, across: Float64, along: Float64, i: int, row: int, column: int, strips: int, runs: Float64
-) -> int:
+def _visible_strips(edge: Edge, i: int, row: int, column: int, strips: int, runs: Float64) -> int:
     # strips [s0, s1] × [t0, t1], in cells, that cover the visible area of a cell; returns their number
     count = 0
     for first in range(4):
-        begins, ax, ay, bx, by, sign = _chord(state, across, along, i, row, column, first)
+        begins, ax, ay, bx, by, sign = _chord(edge, i, row, column, first)
         if not begins:
             continue
         # strips run across the edge, so that each is cut where the edge is and not counted whole or not at all

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,35 @@ inspection covers."""
 
 GRAZING_COSINE = math.cos(math.radians(GRAZING_DEG))
 """Cosine of :data:`GRAZING_DEG`: a place with a smaller cosine between normal and view is seen at a grazing angle."""
+
+
+class PointRows(NamedTuple):
+    """Surface points in the form that kernels take; arrays as :class:`SurfacePoints` has them."""
+
+    points: Float64
+    frames: Float64
+    views: Float64
+    facets: Float64
+    front: Bool
+
+
+class SurfacePoint(NamedTuple):
+    """One of them: p [mm], unit normal n, unit view direction v, and cosθ_o."""
+
+    p: Vector
+    n: Vector
+    v: Vector
+    n_dot_v: float
+
+
+@kernel
+def surface_point(p: Vector, n: Vector, v: Vector) -> SurfacePoint:
+    return SurfacePoint(p, n, v, dot(n, v))
+
+
+@kernel
+def point_at(points: Float64, frames: Float64, views: Float64, i: int) -> SurfacePoint:
+    return surface_point(vector_at(points, i), vector_at(frames, i), vector_at(views, i))
 
 
 @dataclass(frozen=True)
@@ -71,15 +100,28 @@ class SurfacePoints:
     def take(self, index: Index | slice) -> SurfacePoints:
         """The points at `index`, shape (j,), or those of a slice, which are not copied."""
         return SurfacePoints(
-            self.points[index],
-            self.normals[index],
-            self.facets[index],
-            self.views[index],
-            self.front[index],
-            self.outside,
-            None if self.material is None else self.material[index],
-            None if self.across is None else self.across[index],
+            **{name: value[index] if isinstance(value, np.ndarray) else value for name, value in self._fields()}
         )
+
+    @classmethod
+    def joined(cls, parts: Sequence[SurfacePoints]) -> SurfacePoints:
+        """The points of one or more surfaces of a part, one after the other."""
+        return cls(
+            **{
+                name: np.concatenate([getattr(part, name) for part in parts])
+                if isinstance(value, np.ndarray)
+                else value
+                for name, value in parts[0]._fields()
+            }
+        )
+
+    def _fields(self) -> Iterator[tuple[str, Any]]:
+        return ((field.name, getattr(self, field.name)) for field in fields(self))
+
+    @property
+    def rows(self) -> PointRows:
+        """In the form that kernels take."""
+        return PointRows(self.points, self.frames, self.views, self.facets, self.front)
 
     def by_material(self, belonging: Sequence[Of]) -> Iterator[tuple[Index | slice, SurfacePoints, Of]]:
         """Indices of the points of each material, these points, and what belongs to it; none without points."""
@@ -152,11 +194,8 @@ def surface_at(hits: Hits, mesh: TriangleMesh, eyes: Float64, *, outside: bool) 
     eyes: Where the rays come from [mm], a common place of shape (3,), or one for each hit, shape (k, 3)
     outside: Whether they come from outside the part's bounding sphere, or from points that were seen from there
     """
-    smooth = mesh.normals is not None
-    vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
-    found = _interpolate(
-        mesh.vertices, mesh.faces, vertex_normals, smooth, hits.face, hits.u, hits.v, hits.points, np.atleast_2d(eyes)
-    )
+    smooth = mesh.normals if mesh.normals is not None else np.zeros((0, 3))
+    found = _interpolate(mesh.vertices, mesh.faces, smooth, hits, np.atleast_2d(eyes))
     material = None if mesh.material is None else mesh.material[hits.face]
     across = mesh.across_brushing(hits.points, found[0], hits.face)
     return SurfacePoints(hits.points, *found, outside=outside, material=material, across=across)
@@ -164,21 +203,12 @@ def surface_at(hits: Hits, mesh: TriangleMesh, eyes: Float64, *, outside: bool) 
 
 @kernel
 def _interpolate(
-    vertices: Float64,
-    faces: Int32,
-    vertex_normals: Float64,
-    smooth: bool,
-    face: Int32,
-    u: Float64,
-    v: Float64,
-    points: Float64,
-    eyes: Float64,
+    vertices: Float64, faces: Int32, vertex_normals: Float64, hits: Hits, eyes: Float64
 ) -> tuple[Float64, Float64, Float64, Bool]:
+    # normals, those of the facets, directions to the eyes, and whether these are in front
+    _, face, u, v, points, _ = hits
     k = len(face)
-    normals = np.empty((k, 3))
-    facets = np.empty((k, 3))
-    views = np.empty((k, 3))
-    front = np.empty(k, np.bool_)
+    normals, facets, views, front = np.empty((k, 3)), np.empty((k, 3)), np.empty((k, 3)), np.empty(k, np.bool_)
     for i in range(k):
         a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
         corner = vector_at(vertices, a)
@@ -187,9 +217,9 @@ def _interpolate(
         view = minus(vector_at(eyes, i if len(eyes) > 1 else 0), vector_at(points, i))
         view = divided(view, length(view))
         normal = facet
-        if smooth:
+        if len(vertex_normals) > 0:
             w = 1.0 - u[i] - v[i]
-            na, nb, nc = (vector_at(vertex_normals, a), vector_at(vertex_normals, b), vector_at(vertex_normals, c))
+            na, nb, nc = vector_at(vertex_normals, a), vector_at(vertex_normals, b), vector_at(vertex_normals, c)
             mean = Vector(
                 w * na.x + u[i] * nb.x + v[i] * nc.x,
                 w * na.y + u[i] * nb.y + v[i] * nc.y,

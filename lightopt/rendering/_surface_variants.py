@@ -42,7 +42,7 @@ from lightopt.optics import (
 from lightopt.rendering._converged_panel import ConvergedPanel, channel_groups, panel_probes, probe_targets
 from lightopt.rendering._converged_variants import panel_variants
 from lightopt.rendering._point_lights import PAIRS_AT_ONCE, add_points, clear_targets
-from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._surface import PointRows, SurfacePoints
 from lightopt.rendering._surface_light_variants import surface_light_variants
 from lightopt.rendering._variant_numbers import VariantNumbers
 
@@ -232,40 +232,20 @@ def _point_variants(
     else:
         # towards every light that the facet faces, whatever the normals
         clear = clear_targets(replace(surface, normals=surface.facets), grid, caster, geometric=False)
-    numbers, weight = panel_numbers(light), light.total_weight / light.points
-    diffuse, specular = add_points(
-        surface.points,
-        surface.frames,
-        surface.views,
-        grid,
-        clear,
-        numbers,
-        weight,
+    numbers, weight, rows = panel_numbers(light), light.total_weight / light.points, surface.rows
+    diffuse, specular = add_points(rows, grid, clear, numbers, weight, reflectance.lobe, reflectance.diffuse)
+    # large arrays that NumPy makes have large pages
+    varied = np.empty((len(variants.lean), len(surface)), dtype)
+    own = VariantNumbers(
+        variants.lean,
+        variants.R_d,
+        variants.R_s,
+        0.5 / variants.sigma**2,
+        _most_exponents(variants.R_s, light.total_weight, MIN_COS_VIEW),
         reflectance.lobe,
         reflectance.diffuse,
     )
-    # large arrays that NumPy makes have large pages
-    varied = np.empty((len(variants.lean), len(surface)), dtype)
-    _point_kernel(
-        surface.points,
-        surface.frames,
-        references,
-        surface.views,
-        grid,
-        clear,
-        numbers,
-        weight,
-        VariantNumbers(
-            variants.lean,
-            variants.R_d,
-            variants.R_s,
-            0.5 / variants.sigma**2,
-            _most_exponents(variants.R_s, light.total_weight, MIN_COS_VIEW),
-            reflectance.lobe,
-            reflectance.diffuse,
-        ),
-        varied,
-    )
+    _point_kernel(rows, references, grid, clear, numbers, weight, own, varied)
     return VariantLevels(good=reflectance.R_d * diffuse + reflectance.R_s * specular, varied=varied)
 
 
@@ -310,10 +290,8 @@ def _converged_variants(
 
 @kernel
 def _point_kernel(
-    points: Float64,
-    surface_frames: Float64,
+    rows: PointRows,
     references: Float64,
-    views: Float64,
     grid: Float64,
     clear: Bool,
     panel: PanelNumbers,
@@ -322,7 +300,7 @@ def _point_kernel(
     varied: Levels,
 ) -> None:
     # levels of the variants, shape (t, k)
-    count, lights = len(points), len(grid)
+    count, lights = len(references), len(grid)
     lean, R_d, R_s, inverse, most, form, diffuse = variants  # taken from a tuple, an array's references are counted
     frames, sums, towards = np.zeros(21 * _AT_ONCE), np.zeros(4 * _AT_ONCE), np.zeros(3 * _AT_ONCE)
     rays, boxes, lit = np.zeros((lights, 8 * _AT_ONCE)), np.zeros((lights + 1, 2, 3)), np.zeros(lights, np.bool_)
@@ -333,7 +311,7 @@ def _point_kernel(
             lit[k] = clear[k, first : first + number].any()
             some |= lit[k]
         if some:
-            _fill_frames(points, surface_frames, references, views, form, first, number, frames)
+            _fill_frames(rows, references, form, first, number, frames)
             towards[:], boxes[lights, 0], boxes[lights, 1] = 0.0, np.inf, -np.inf
             for k in range(lights):
                 if lit[k]:
@@ -389,18 +367,10 @@ def _lobe_in_frame(lobe: Lobe, frames: Float64, j: int, normal: Vector) -> Lobe:
 
 
 @kernel
-def _fill_frames(
-    points: Float64,
-    surface_frames: Float64,
-    references: Float64,
-    views: Float64,
-    form: Lobe,
-    first: int,
-    number: int,
-    frames: Float64,
-) -> None:
+def _fill_frames(rows: PointRows, references: Float64, form: Lobe, first: int, number: int, frames: Float64) -> None:
     # three rows each: points, normals n, references r, n × r, views, and in the frames (n, r, n × r) the views and what
     # a lobe has across the brushing
+    points, surface_frames, views, _, _ = rows
     for j in range(number):
         for axis in range(3):
             frames[axis * _AT_ONCE + j] = points[first + j, axis]
