@@ -8,7 +8,7 @@ from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import side_by_side
 from lightopt.geometry._topology import EdgePairs, join, merge_rows, next_corner
-from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross, unit_crosses
+from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross, face_crosses, unit_crosses
 
 _ANGLE_ROUNDING = 1e-9  # facet normals of coordinates in float64 are good to about this [rad]
 _SAME_NORMAL = 1e-5  # components of one normal written twice in float32 or with six decimals differ by less
@@ -38,7 +38,7 @@ def smooth_normals(
     number = np.empty(len(group), dtype=np.int32)
     number[members] = np.arange(len(members), dtype=np.int32)
     new_faces = number[group].reshape(-1, 3)
-    summed = _sum_by_angle(angles, flat, new_faces, len(members))
+    summed = _sums((angles[:, :, None] * flat[:, None]).reshape(-1, 3), new_faces.ravel(), len(members))
     normals, cancelled = _unit_or(summed, flat[members // 3])
     return TriangleMesh(vertices[faces.reshape(-1)[members]], new_faces, normals), cancelled
 
@@ -60,7 +60,9 @@ def carried_normals(
     """
     # triangle edges are long against rounding, so sums over the faces around a vertex point to its outside
     flat = unit_crosses(vertices, faces)
-    outside, any_flat = _around_vertices(vertices, faces, flat)
+    corners, any_flat = faces.ravel(), np.zeros_like(vertices)
+    any_flat[corners] = np.repeat(flat, 3, axis=0)
+    outside = _sums(np.repeat(face_crosses(vertices, faces), 3, axis=0), corners, len(vertices))
     unit, _ = _unit_or(outside, any_flat, least=0.0)
     used = np.zeros(len(vertices), dtype=np.bool_)
     used[faces] = True
@@ -77,7 +79,7 @@ def carried_normals(
         if some.any()
     ]
     if crease_angle is not None:
-        warnings += _smeared_creases(given, faces.reshape(-1), flat, pairs, crease_angle)
+        warnings += _smeared_creases(given, corners, flat, pairs, crease_angle)
     first, number = merge_rows(np.concatenate([vertices, given], axis=1)[used])
     compact = np.full(len(vertices), -1, dtype=np.int32)
     compact[used] = number
@@ -111,17 +113,9 @@ def _bends(flat: Float64, pairs: Int32) -> Float64:
     return angles
 
 
-@kernel
-def _around_vertices(vertices: Float64, faces: Int32, flat: Float64) -> tuple[Float64, Float64]:
-    # the sum of the facets' normals by their areas around each vertex, and the last of the facets' unit normals
-    total, last = np.zeros_like(vertices), np.zeros_like(vertices)
-    for f in range(len(faces)):
-        cross = face_cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
-        for k in range(3):
-            for axis in range(3):
-                total[faces[f, k], axis] += cross[axis]
-                last[faces[f, k], axis] = flat[f, axis]
-    return total, last
+def _sums(rows: Float64, vertex: Int32, count: int) -> Float64:
+    # of the rows of each vertex, shape (count, 3)
+    return np.stack([np.bincount(vertex, column, count) for column in rows.T], axis=1, dtype=np.float64)
 
 
 def _unit_or(vectors: Float64, fallback: Float64, *, least: float = 1e-9) -> tuple[Float64, int]:
@@ -155,13 +149,3 @@ def _corner_angles(vertices: Float64, faces: Int32) -> Float64:
             dot = (b[0] - a[0]) * (c[0] - a[0]) + (b[1] - a[1]) * (c[1] - a[1]) + (b[2] - a[2]) * (c[2] - a[2])
             angles[f, k] = np.arctan2(np.sqrt(x * x + y * y + z * z), dot)
     return angles
-
-
-@kernel
-def _sum_by_angle(angles: Float64, flat: Float64, new_faces: Int32, vertex_count: int) -> Float64:
-    total = np.zeros((vertex_count, 3))
-    for f in range(len(new_faces)):
-        for k in range(3):
-            for axis in range(3):
-                total[new_faces[f, k], axis] += angles[f, k] * flat[f, axis]
-    return total

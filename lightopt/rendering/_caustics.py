@@ -123,15 +123,15 @@ def _thrown(
     lit = np.flatnonzero(surface.front & (shining != 0.0))
     surface = surface.take(lit)
     ways, gathered = np.zeros((len(lit), 3)), np.zeros(len(lit))
-    for index, own_points, own in surface.by_material(part.reflectances):
-        s, at = own_points, np.arange(len(own_points))
-        found = lobe_rays(s.frames, s.facets, s.views, own.lobe, at, places[4, lit][index], places[5, lit][index])
-        ways[index], gathered[index] = found[0], own.R_s * found[1]
+    for index, some, own in surface.by_material(part.reflectances):
+        u, turn = places[4, lit][index], places[5, lit][index]
+        ways[index], light_along = lobe_rays(some.rows, own.lobe, np.arange(len(some)), u, turn)
+        gathered[index] = own.R_s * light_along
     # the lobe gathers light along a ray as it throws light the other way, but for Lambert's cosine
     cosine = np.einsum("ij,ij->i", surface.normals, surface.views)
     thrown = weight[lit] * shining[lit] * cosine * gathered
-    some = np.flatnonzero(thrown != 0.0)
-    surface, ways, thrown, ray = surface.take(some), ways[some], thrown[some], lit[some]
+    kept = np.flatnonzero(thrown != 0.0)
+    surface, ways, thrown, ray = surface.take(kept), ways[kept], thrown[kept], lit[kept]
     met = part.caster.next_hit(surface.points, surface.facets, ways)
     if part.blocker is not None:
         index = np.flatnonzero(met >= 0).astype(np.int32)

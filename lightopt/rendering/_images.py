@@ -36,7 +36,7 @@ from lightopt.rendering._direct_view import direct_levels
 from lightopt.rendering._interreflection import PartLight
 from lightopt.rendering._lens_means import TYPICAL_VIEWS, lens_means
 from lightopt.rendering._penumbra_squares import SIDES
-from lightopt.rendering._surface import SurfacePoints, trace_samples
+from lightopt.rendering._surface import PointRows, SurfacePoints, trace_samples
 from lightopt.rendering._surface_light import shade_surface_lights
 from lightopt.scene import PartView, Scene, lens_share, screen_window, through_lens, view_from_part
 
@@ -399,7 +399,7 @@ class _PostureJob:
                     if places is None:
                         pixels[target] = self._means(values, hits, grid, own)
                     else:
-                        _store_values(*places, values, pixels)
+                        _store_values(places, values, pixels)
 
     def _light(
         self,
@@ -588,29 +588,17 @@ class _PostureJob:
         g = self.geometry
         if g is None:
             return
-        _store_surface(
-            *places,
-            surface.points,
-            surface.normals,
-            hits.distance,
-            surface.front,
-            self.view.rotation,
-            self.view.translation,
-            g.points,
-            g.normals,
-            g.distance,
-            g.hit,
-            self.back,
-        )
+        pose, images = (self.view.rotation, self.view.translation), (g.points, g.normals, g.distance, g.hit, self.back)
+        _store_surface(places, surface.rows, hits.distance, pose, images)
         if self.patches is not None:
-            _store_values(*places, self.patches.patch_at(hits.face, hits.u, hits.v), g.patch)
+            _store_values(places, self.patches.patch_at(hits.face, hits.u, hits.v), g.patch)
         if g.material is not None and surface.material is not None:
-            _store_values(*places, surface.material, g.material)
+            _store_values(places, surface.material, g.material)
         if g.defect is not None:
             label = np.full(len(surface), -1, np.int32)
             for some in marked:
                 label[some.index] = some.label
-            _store_values(*places, label, g.defect)
+            _store_values(places, label, g.defect)
 
 
 def _no_hit(shape: tuple[int, int], *, defects: bool, regions: bool) -> Geometry:
@@ -699,25 +687,18 @@ def _places(ray: Int32, columns: int, own_start: int, own_end: int, top: int, le
 
 @kernel
 def _store_surface(
-    index: Int32,
-    row: Int32,
-    column: Int32,
-    points: Float64,
-    normals: Float64,
+    places: _Places,
+    surface: PointRows,
     distance: Float64,
-    front: Bool,
-    rotation: Float64,
-    translation: Float64,
-    point_image: Float32,
-    normal_image: Float32,
-    distance_image: Float32,
-    hit_image: Bool,
-    back_image: Bool,
+    pose: tuple[Float64, Float64],
+    images: tuple[Float32, Float32, Float32, Bool, Bool],
 ) -> None:
     # turned into the world's frame
+    (index, row, column), (points, frames, _, _, front), (rotation, translation) = places, surface, pose
+    point_image, normal_image, distance_image, hit_image, back_image = images
     for j in range(len(index)):
         i, y, x = index[j], row[j], column[j]
-        p, n = vector_at(points, i), vector_at(normals, i)
+        p, n = vector_at(points, i), vector_at(frames, i)
         for axis in range(3):
             turned = vector_at(rotation, axis)
             point_image[y, x, axis] = dot(turned, p) + translation[axis]
@@ -728,7 +709,8 @@ def _store_surface(
 
 
 @kernel
-def _store_values(index: Int32, row: Int32, column: Int32, values: Any, image: Any) -> None:
+def _store_values(places: _Places, values: Any, image: Any) -> None:
+    index, row, column = places
     for j in range(len(index)):
         image[row[j], column[j]] = values[index[j]]
 

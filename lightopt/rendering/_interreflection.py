@@ -41,7 +41,7 @@ from lightopt.optics import (
     white_level,
 )
 from lightopt.rendering._converged_panel import ConvergedPanel, converged_panel, isolated_levels
-from lightopt.rendering._surface import SurfacePoints, surface_at
+from lightopt.rendering._surface import PointRows, SurfacePoints, surface_at
 from lightopt.scene import Scene
 
 # cells of the unit square of (u, turn), from which directions are made, with a first ray through the middle of each
@@ -60,7 +60,7 @@ _STEP_U, _STEP_V = 0.7548776662466927, 0.5698402909980532  # 1/g and 1/g² of g�
 _SCATTER = 1e3  # by which places are multiplied for starts of the sequence [1/mm]
 
 # directions of rays from some of the points, shape (rays, 3), and weights, 0 where nothing is gathered
-_Rays = Callable[[SurfacePoints, Index, Float64, Float64], tuple[Float64, Float64]]
+_Rays = Callable[[PointRows, Index, Float64, Float64], tuple[Float64, Float64]]
 _Levels = Callable[[SurfacePoints], Float64]
 
 
@@ -133,13 +133,9 @@ class PartLight:
 
     def _ways(self, own: Reflectance, *, by_lobe: bool) -> tuple[float, _Rays]:
         # rays of points of a reflectance, and the factor of what they gather
-        def by_cosine(surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
-            return _rays_by_cosine(surface.normals, surface.facets, surface.views, own.diffuse, point, u, turn)
-
-        def of_lobe(surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
-            return lobe_rays(surface.frames, surface.facets, surface.views, own.lobe, point, u, turn)
-
-        return (own.R_s / (math.pi * self.white), of_lobe) if by_lobe else (own.R_d / self.white, by_cosine)
+        if by_lobe:
+            return own.R_s / (math.pi * self.white), lambda rows, *places: lobe_rays(rows, own.lobe, *places)
+        return own.R_d / self.white, lambda rows, *places: _rays_by_cosine(rows, own.diffuse, *places)
 
     def _converged(self, surface: SurfacePoints, own: Reflectance, threads: int | None, *, by_lobe: bool) -> Float64:
         # factor times the mean over the unit square of (u, turn), and about its error. What a first ray of each cell
@@ -201,7 +197,7 @@ class PartLight:
         self, surface: SurfacePoints, rays: _Rays, point: Index, u: Float64, turn: Float64, levels: _Levels
     ) -> Float64:
         end_if_stopped()
-        directions, weights = rays(surface, point, u, turn)
+        directions, weights = rays(surface.rows, point, u, turn)
         own = np.flatnonzero(weights > 0.0)
         origins, ways = surface.points[point[own]], directions[own]
         faces = self.caster.next_hit(origins, surface.facets[point[own]], ways)
@@ -323,19 +319,17 @@ def _turned(n: Vector, angle: float, turn: float) -> Vector:
 
 
 @kernel
-def lobe_rays(
-    frames: Float64, facets: Float64, views: Float64, lobe: Lobe, point: Index, u: Float64, turn: Float64
-) -> tuple[Float64, Float64]:
+def lobe_rays(rows: PointRows, lobe: Lobe, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
     """Directions in which the lobe of points gathers light, shape (k, 3), and weights, shape (k,).
 
     The mean of weight times light is ∫ lobe/cosθ_o · light dω. Views are mirrored by half vectors as dense as a lobe of
     SPREAD times the width, whose rays meet highlights in its tail, as many by each of several lobes; dω of light
     is 4 (V·H) dω of H. In each direction from the normal, the lobe of a brushed surface is one of another width.
 
-    frames, facets, views: Of a :class:`lightopt.rendering.SurfacePoints`
     point: Of each ray, shape (k,)
     u, turn: Place of each ray in the unit square, shape (k,)
     """
+    _, frames, views, facets, _ = rows
     directions, weights = np.empty((len(point), 3)), np.zeros(len(point))
     for k in range(len(point)):
         i = point[k]
@@ -392,17 +386,18 @@ def _solid_angle(delta: float, lobe: Lobe) -> float:
 
 @kernel
 def _rays_by_cosine(
-    normals: Float64, facets: Float64, views: Float64, form: DiffuseForm, point: Index, u: Float64, turn: Float64
+    rows: PointRows, form: DiffuseForm, point: Index, u: Float64, turn: Float64
 ) -> tuple[Float64, Float64]:
     # as dense as N·l; weights are diffuse light over that of Lambert's
+    _, frames, views, facets, _ = rows
     directions, weights = np.empty((len(point), 3)), np.zeros(len(point))
     for k in range(len(point)):
-        way = _turned(vector_at(normals, point[k]), math.asin(math.sqrt(u[k])), turn[k])
+        way = _turned(vector_at(frames, point[k]), math.asin(math.sqrt(u[k])), turn[k])
         directions[k, 0], directions[k, 1], directions[k, 2] = way
         if dot(vector_at(facets, point[k]), way) > 0.0:
             weights[k] = 1.0
             if not is_lambert(form):
-                n, v = vector_at(normals, point[k]), vector_at(views, point[k])
+                n, v = vector_at(frames, point[k]), vector_at(views, point[k])
                 cosine = math.sqrt(1.0 - u[k])
                 weights[k] = diffuse_term(cosine, dot(n, v), dot(way, v), form) / cosine
     return directions, weights

@@ -16,7 +16,7 @@ from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.rendering._converged_panel import shadow_targets
 from lightopt.rendering._point_lights import visible_counts
-from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
+from lightopt.rendering._surface import GRAZING_COSINE, PointRows, SurfacePoints, trace_samples
 from lightopt.scene import PartView, Scene, pixel_directions, screen_window, view_from_part
 
 UNLIT, WHOLE, LEFT_OUT = 0, 1, 2
@@ -72,24 +72,10 @@ def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: 
         hits, surface = trace_samples(caster, scene.mesh, view.camera, x, y, neighbours=True)
         return row[hits.ray], column[hits.ray], surface
 
-    blocks = in_threads(block, range(top, bottom, _BLOCK_ROWS), threads)
-    row = np.concatenate([b[0] for b in blocks] or [np.zeros(0, np.int32)])
-    column = np.concatenate([b[1] for b in blocks] or [np.zeros(0, np.int32)])
-    empty, none = np.zeros((0, 3)), np.zeros(0, np.bool_)
-    surface = SurfacePoints(
-        np.concatenate([b[2].points for b in blocks] or [empty]),
-        np.concatenate([b[2].normals for b in blocks] or [empty]),
-        np.concatenate([b[2].facets for b in blocks] or [empty]),
-        np.concatenate([b[2].views for b in blocks] or [empty]),
-        np.concatenate([b[2].front for b in blocks] or [none]),
-        caster.is_outside(view.camera.position),
-        None
-        if scene.mesh.material is None
-        else np.concatenate([b[2].material for b in blocks if b[2].material is not None] or [none.astype(np.uint8)]),
-        np.concatenate([b[2].across for b in blocks if b[2].across is not None] or [empty])
-        if any(scene.mesh.brushing)
-        else None,
-    )
+    # no row at all is a block, too
+    blocks = in_threads(block, range(top, max(bottom, top + 1), _BLOCK_ROWS), threads)
+    rows, all_columns, parts = zip(*blocks, strict=True)
+    row, column, surface = np.concatenate(rows), np.concatenate(all_columns), SurfacePoints.joined(parts)
     shape = (scene.camera.height, scene.camera.width)
     edge = _spread(_edges(surface, row, column, shape), row, column)
     cosine: Float64 = np.einsum("ij,ij->i", surface.normals, surface.views)
@@ -136,15 +122,9 @@ def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: i
         row, column, faces[hits.face] = row[hits.ray], column[hits.ray], True
         index = np.full((len(rows) + 1, shape[1] + 1), -1, np.int32)
         index[row - rows[0], column] = np.arange(len(row), dtype=np.int32)
-        material = np.zeros(0, np.uint8) if surface.material is None else surface.material
-        differing = _differing(
-            surface.points, surface.normals, surface.facets, material, row, column, index, int(rows[0]), shape[0]
-        )
-        rays = pixel_directions(camera, x[hits.ray], y[hits.ray])
-        _store_masks(
-            surface.normals, surface.facets, surface.views, surface.front, hits.distance, rays, solid_angle,
-            differing, row, column, first, last, hit, edge, clean, grazing, area,
-        )  # fmt: skip
+        differing = _differing(surface.rows, _materials(surface), row, column, index, int(rows[0]), shape[0])
+        rays, masks = pixel_directions(camera, x[hits.ray], y[hits.ray]), (hit, edge, clean, grazing, area)
+        _store_masks(surface.rows, hits.distance, rays, solid_angle, differing, (row, column), (first, last), masks)
 
     in_threads(block, range(top, bottom, _BLOCK_ROWS), threads)
     clean &= ~_widened(edge)
@@ -153,31 +133,24 @@ def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: i
 
 @kernel
 def _store_masks(
-    normals: Float64,
-    facets: Float64,
-    views: Float64,
-    front: Bool,
+    surface: PointRows,
     distance: Float64,
     rays: Float64,
     solid_angle: float,
     differing: Bool,
-    row: Int32,
-    column: Int32,
-    first: int,
-    last: int,
-    hit: Bool,
-    edge: Bool,
-    clean: Bool,
-    grazing: Bool,
-    area: Float32,
+    pixels: tuple[Int32, Int32],
+    part: tuple[int, int],
+    masks: tuple[Bool, Bool, Bool, Bool, Float32],
 ) -> None:
-    # of the pixels in rows [first, last)
+    # of the pixels, by row and column, in some rows [first, last)
+    (row, column), (first, last), (hit, edge, clean, grazing, area) = pixels, part, masks
+    _, frames, views, facets, front = surface
     for i in range(len(row)):
         y, x = row[i], column[i]
         if not first <= y < last:
             continue
         view, ray = vector_at(views, i), vector_at(rays, i)
-        facing = dot(vector_at(normals, i), view) >= GRAZING_COSINE
+        facing = dot(vector_at(frames, i), view) >= GRAZING_COSINE
         hit[y, x], edge[y, x] = True, differing[i]
         # back faces are no grazing views: they are black, and counted
         clean[y, x], grazing[y, x] = front[i] and facing, front[i] and not facing
@@ -248,24 +221,21 @@ def _edges(surface: SurfacePoints, row: Int32, column: Int32, shape: tuple[int, 
     # by seeing no part at all
     index = np.full((shape[0] + 1, shape[1] + 1), -1, np.int32)
     index[row, column] = np.arange(len(row), dtype=np.int32)
-    material = np.zeros(0, np.uint8) if surface.material is None else surface.material
-    return _differing(surface.points, surface.normals, surface.facets, material, row, column, index, 0, shape[0])
+    return _differing(surface.rows, _materials(surface), row, column, index, 0, shape[0])
+
+
+def _materials(surface: SurfacePoints) -> UInt8:
+    # none where there is one only
+    return np.zeros(0, np.uint8) if surface.material is None else surface.material
 
 
 @kernel
 def _differing(
-    points: Float64,
-    normals: Float64,
-    facets: Float64,
-    material: UInt8,
-    row: Int32,
-    column: Int32,
-    index: Int32,
-    top: int,
-    rows: int,
+    surface: PointRows, material: UInt8, row: Int32, column: Int32, index: Int32, top: int, rows: int
 ) -> Bool:
     # `index`: of the point that each pixel sees, −1 where none, from row `top` on, with a row and a column more; of an
     # image of so many rows. In its first and last row flags are not complete
+    points, frames, _, facets, _ = surface
     edge = np.zeros(len(row), np.bool_)
     columns = index.shape[1] - 1
     for a in range(len(row)):
@@ -281,7 +251,7 @@ def _differing(
                 edge[a] = True
                 continue
             step = minus(vector_at(points, b), vector_at(points, a))
-            crease = dot(vector_at(normals, a), vector_at(normals, b)) < CREASE_COSINE
+            crease = dot(vector_at(frames, a), vector_at(frames, b)) < CREASE_COSINE
             rise = abs(dot(step, vector_at(facets, a)))
             border = len(material) > 0 and material[a] != material[b]
             if crease or border or rise > STEEPEST_STEP * math.sqrt(dot(step, step)):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
@@ -99,24 +100,19 @@ class SurfacePoints:
 
     def take(self, index: Index | slice) -> SurfacePoints:
         """The points at `index`, shape (j,), or those of a slice, which are not copied."""
-        return SurfacePoints(
-            **{name: value[index] if isinstance(value, np.ndarray) else value for name, value in self._fields()}
-        )
+        return self._mapped(lambda _, value: value[index])
 
     @classmethod
     def joined(cls, parts: Sequence[SurfacePoints]) -> SurfacePoints:
         """The points of one or more surfaces of a part, one after the other."""
-        return cls(
-            **{
-                name: np.concatenate([getattr(part, name) for part in parts])
-                if isinstance(value, np.ndarray)
-                else value
-                for name, value in parts[0]._fields()
-            }
-        )
+        return parts[0]._mapped(lambda name, _: np.concatenate([getattr(part, name) for part in parts]))
 
-    def _fields(self) -> Iterator[tuple[str, Any]]:
-        return ((field.name, getattr(self, field.name)) for field in fields(self))
+    def _mapped(self, work: Callable[[str, NDArray[Any]], NDArray[Any]]) -> SurfacePoints:
+        # with arrays that are made from the name and the value of each
+        arrays = {
+            name: value for name, value in vars(self).items() if isinstance(value, np.ndarray) and name != "frames"
+        }
+        return replace(self, **{name: work(name, value) for name, value in arrays.items()})
 
     @property
     def rows(self) -> PointRows:
