@@ -170,18 +170,13 @@ class SurfaceLight(PanelLight):
     """A light of another shape than the panel, or one channel of it, in whichever frame its vectors are given.
 
     What it has of a panel is the frame that it stands in, with the size of the rectangle around it.
-
-    kind: Of the light, as in the rig file
-    entry: Number of its entry in the rig file; channels of one entry have the surface in common
-    elements: Of its surface, shape (e, ELEMENT_NUMBERS)
-    pattern: What multiplies the radiance
-    direct_level: Of a pixel that looks straight at its full radiance at exposure 1, per unit of gain [grey level]
     """
 
-    kind: str
-    entry: int
-    elements: Float64
-    pattern: Pattern
+    kind: str  # of the light, as in the rig file
+    entry: int  # number of its entry in the rig file; channels of one entry have the surface in common
+    elements: Float64  # of its surface, shape (e, ELEMENT_NUMBERS)
+    pattern: Pattern  # what multiplies the radiance
+    # of a pixel that looks straight at its full radiance at exposure 1, per unit of gain [grey level]
     direct_level: float = 0.0
 
     def moved(self, rotation: Float64, translation: Float64) -> SurfaceLight:

@@ -15,35 +15,24 @@ from lightopt.core.transforms import azimuth_tangent, direction, elevation_tange
 
 @dataclass(frozen=True, kw_only=True)
 class PanelLight:
-    """A rectangular panel, in whichever frame its vectors are given (world or part).
-
-    elevation, azimuth: Where its centre stands, world frame [rad]
-    distance: Panel centre to origin [mm]
-    centre: [mm], shape (3,)
-    across, along: Unit vectors of its sides, shape (3,); e_φ and e_θ of a panel that faces the origin
-    outward: Unit vector across × along, shape (3,), from the origin to a panel that faces it; it shines along −outward
-    size: Sides along `across` and `along` [mm]
-    points: Number of point lights k², or ``"auto"`` for the converged panel
-    inverse_square: Whether light falls off with (reference distance / r)²
-    reference_distance: [mm]; None for the panel's own distance
-    emission_exponent: n of the emission cosⁿ(angle to the panel's axis); 0 is the paper's point light
-    """
+    """A rectangular panel, in whichever frame its vectors are given (world or part)."""
 
     name: str
-    elevation: float
-    azimuth: float
-    distance: float
-    centre: Float64
-    across: Float64
-    along: Float64
+    elevation: float  # where its centre stands, world frame [rad]
+    azimuth: float  # where its centre stands, world frame [rad]
+    distance: float  # panel centre to origin [mm]
+    centre: Float64  # [mm], shape (3,)
+    across: Float64  # unit vectors of its sides, shape (3,); e_φ and e_θ of a panel that faces the origin
+    along: Float64  # unit vectors of its sides, shape (3,); e_φ and e_θ of a panel that faces the origin
+    # unit vector across × along, shape (3,), from the origin to a panel that faces it; it shines along −outward
     outward: Float64
-    size: tuple[float, float]
-    points: int | Literal["auto"]
+    size: tuple[float, float]  # sides along `across` and `along` [mm]
+    points: int | Literal["auto"]  # number of point lights k², or ``"auto"`` for the converged panel
     normalisation: Literal["mean", "sum"] = "mean"
     gain: float = 1.0
-    inverse_square: bool = False
-    emission_exponent: float = 0.0
-    reference_distance: float | None = None
+    inverse_square: bool = False  # whether light falls off with (reference distance / r)²
+    emission_exponent: float = 0.0  # n of the emission cosⁿ(angle to the panel's axis); 0 is the paper's point light
+    reference_distance: float | None = None  # [mm]; None for the panel's own distance
 
     @property
     def total_weight(self) -> float:

@@ -12,17 +12,13 @@ from lightopt.lights._panel import PanelLight
 
 
 class PanelNumbers(NamedTuple):
-    """A panel in the part's frame; a point of it is ``centre + s·across + t·along`` with s, t in [−½, ½].
-
-    across, along: As long as the panel's sides [mm]
-    distance: At which the fall-off is 1 [mm]
-    """
+    """A panel in the part's frame; a point of it is ``centre + s·across + t·along`` with s, t in [−½, ½]."""
 
     centre: Vector
-    across: Vector
-    along: Vector
+    across: Vector  # as long as the panel's sides [mm]
+    along: Vector  # as long as the panel's sides [mm]
     outward: Vector
-    distance: float
+    distance: float  # at which the fall-off is 1 [mm]
     inverse_square: bool
     emission_exponent: float
 

@@ -22,16 +22,12 @@ PICTURE = 2
 
 
 class Pattern(NamedTuple):
-    """What the radiance of a light is multiplied by, at each place on it.
+    """What the radiance of a light is multiplied by, at each place on it."""
 
-    terms: Shape (b, TERM_NUMBERS)
-    values: Levels of all pictures, each in full and in means of 2 × 2, 4 × 4, ... of its pixels, one after the other
-    levels: Where each of these begins in `values`, its rows and its columns, shape (pictures, halvings, 3)
-    """
-
-    terms: Float64
+    terms: Float64  # shape (b, TERM_NUMBERS)
+    # levels of all pictures, each in full and in means of 2 × 2, 4 × 4, ... of its pixels, one after the other
     values: Float32
-    levels: Int64
+    levels: Int64  # where each of these begins in `values`, its rows and its columns, shape (pictures, halvings, 3)
 
 
 def _stripes(terms: list[list[float]]) -> Pattern:

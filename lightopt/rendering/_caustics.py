@@ -42,16 +42,11 @@ _LEAST_COSINE = 0.02  # of light to the face, by which that to the normal is div
 
 @dataclass(frozen=True)
 class LandedLight:
-    """What landed on the part under one light, k rays, part frame.
+    """What landed on the part under one light, k rays, part frame."""
 
-    points: [mm], shape (k, 3)
-    facets: Unit normals of the faces there, shape (k, 3)
-    light: Diffuse level times the area that shows it [grey level · mm²], shape (k,)
-    """
-
-    points: Float64
-    facets: Float64
-    light: Float64
+    points: Float64  # [mm], shape (k, 3)
+    facets: Float64  # unit normals of the faces there, shape (k, 3)
+    light: Float64  # diffuse level times the area that shows it [grey level · mm²], shape (k,)
 
 
 def landed_light(part: PartLight, eye: Float64, rays: int, threads: int | None = None) -> list[LandedLight]:

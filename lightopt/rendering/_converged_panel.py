@@ -48,17 +48,13 @@ _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
 
 @dataclass(frozen=True)
 class ConvergedPanel:
-    """A panel with the quadrature that it needs for a part.
-
-    nodes: Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do
-    least_distance: From the panel's centre to the sphere around the part [mm]; 0 inside it
-    cells: A side, of which each has a place that stands for it under light that rays gather, another one for each
-        point; 0 where these take the whole panel, too
-    """
+    """A panel with the quadrature that it needs for a part."""
 
     light: PanelLight
-    nodes: int
-    least_distance: float
+    nodes: int  # Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do
+    least_distance: float  # from the panel's centre to the sphere around the part [mm]; 0 inside it
+    # a side, of which each has a place that stands for it under light that rays gather, another one for each point; 0
+    # where these take the whole panel, too
     cells: int = 0
 
     def points_for(self, sigma: float) -> int | None:
@@ -77,19 +73,18 @@ class ConvergedPanel:
 
 @dataclass(frozen=True, eq=False)
 class PanelVisibility:
-    """What k surface points see of a panel.
+    """What k surface points see of a panel."""
 
-    coarse: By the coarse rays: _DARK, _CLEAR, _HIDDEN or _MIXED, shape (k,)
-    penumbra: Whether the point was shaded as one in a penumbra, shape (k,)
-    """
-
-    coarse: UInt8
-    penumbra: Bool
+    coarse: UInt8  # by the coarse rays: _DARK, _CLEAR, _HIDDEN or _MIXED, shape (k,)
+    penumbra: Bool  # whether the point was shaded as one in a penumbra, shape (k,)
 
     @classmethod
     def empty(cls, count: int) -> "PanelVisibility":
         """That of so many points, to be filled in."""
         return cls(np.empty(count, np.uint8), np.empty(count, np.bool_))
+
+
+Shaded = tuple[Float64, Float64, PanelVisibility | None]
 
 
 def panel_to_shade(panel: PanelLight, caster: RayCaster) -> PanelLight | ConvergedPanel:
@@ -174,6 +169,34 @@ def shade_converged(
     return terms[:, 0], terms[:, 1], PanelVisibility(coarse, shaded)
 
 
+def shade_together(
+    surface: SurfacePoints,
+    lights: Sequence[PanelLight | ConvergedPanel],
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+    *,
+    sample: Index,
+    shape: tuple[int, int],
+    threads: int = 1,
+) -> list[Shaded]:
+    """Diffuse and specular levels of lights that are one of :func:`channel_groups`, and what the points see of a panel.
+
+    sample, shape: As :func:`shade_converged` takes them
+    threads: That work on the points of lights that are no panels
+    """
+    channels = [light for light in lights if isinstance(light, SurfaceLight)]
+    if channels:
+        both = shade_surface_lights(surface, channels, reflectance=reflectance, caster=caster, threads=threads)
+        return [(reflectance.R_d * d, reflectance.R_s * s, None) for d, s in zip(*both, strict=True)]
+    (light,) = lights
+    if isinstance(light, ConvergedPanel):
+        how: dict[str, Any] = {"sample": sample, "shape": shape, "reflectance": reflectance, "caster": caster}
+        diffuse, specular, seen = shade_converged(surface, light, **how)
+    else:
+        (diffuse, specular), seen = shade_light(surface, light, reflectance=reflectance, caster=caster), None
+    return [(reflectance.R_d * diffuse, reflectance.R_s * specular, seen)]
+
+
 def shade_isolated(
     surface: SurfacePoints,
     panels: Sequence[PanelLight],
@@ -182,66 +205,44 @@ def shade_isolated(
     caster: RayCaster,
     shadows: bool,
     threads: int = 1,
-) -> list[Float64]:
-    """Level under each light of points that are not neighbours, as images have it [grey level], shape (k,) each.
+) -> Float64:
+    """Level under each light of points that are not neighbours, as images have it [grey level], shape (lights, k).
 
     panels: Part frame; channels of one light are worked out together
     reflectances: By the points' materials
     threads: That work on the points of such a light
     """
     shaded = [panel_to_shade(panel, caster) for panel in panels]
-    levels = [np.empty(len(surface)) for _ in panels]
-    for index, some, own in surface.by_material(reflectances):
-        found = isolated_levels(some, shaded, own, caster if shadows else None, threads=threads)
-        for all_levels, own_levels in zip(levels, found, strict=True):
-            all_levels[index] = own_levels
-    return levels
+    return isolated_levels(surface, shaded, reflectances, caster if shadows else None, threads=threads)
 
 
 def isolated_levels(
     surface: SurfacePoints,
     shaded: Sequence[PanelLight | ConvergedPanel],
-    reflectance: Reflectance,
+    reflectances: Sequence[Reflectance],
     blocker: RayCaster | None,
     *,
     penumbrae: bool = True,
     threads: int = 1,
-) -> list[Float64]:
+) -> Float64:
     """As :func:`shade_isolated`, of lights from :func:`panel_to_shade`; without a caster, without shadows.
 
     penumbrae: Whether panels may be seen in part; otherwise a ray to one of their places, in turn, decides for all
     """
-    levels: dict[int, Float64] = {}
-    for group in channel_groups(shaded):
-        lights = [light for i in group if isinstance(light := shaded[i], SurfaceLight)]
-        if lights:
-            diffuse, specular = shade_surface_lights(
-                surface, lights, reflectance=reflectance, caster=blocker, threads=threads
-            )
-            levels |= {
-                i: reflectance.R_d * d + reflectance.R_s * s for i, d, s in zip(group, diffuse, specular, strict=True)
-            }
-            continue
-        for i in group:
-            d, s = _shade_alone(surface, shaded[i], reflectance, blocker, penumbrae)
-            levels[i] = reflectance.R_d * d + reflectance.R_s * s
-    return [levels[i] for i in range(len(shaded))]
-
-
-def _shade_alone(
-    surface: SurfacePoints,
-    light: PanelLight | ConvergedPanel,
-    reflectance: Reflectance,
-    caster: RayCaster | None,
-    penumbrae: bool,
-) -> tuple[Float64, Float64]:
-    if not penumbrae:
-        return _shade_by_one_ray(surface, light, reflectance, caster)
-    if not isinstance(light, ConvergedPanel):
-        return shade_light(surface, light, reflectance=reflectance, caster=caster)
-    # every second place of a row
-    sample, shape = 2 * np.arange(len(surface)), (1, 2 * len(surface))
-    return shade_converged(surface, light, sample=sample, shape=shape, reflectance=reflectance, caster=caster)[:2]
+    levels = np.empty((len(shaded), len(surface)))
+    for index, some, own in surface.by_material(reflectances):
+        # every second place of a row
+        sample, shape = 2 * np.arange(len(some)), (1, 2 * len(some))
+        for group in channel_groups(shaded):
+            lights = [shaded[i] for i in group]
+            if penumbrae or isinstance(lights[0], SurfaceLight):
+                found = shade_together(some, lights, own, blocker, sample=sample, shape=shape, threads=threads)
+                for i, (diffuse, specular, _) in zip(group, found, strict=True):
+                    levels[i, index] = diffuse + specular
+            else:
+                diffuse, specular = _shade_by_one_ray(some, lights[0], own, blocker)
+                levels[group[0], index] = own.R_d * diffuse + own.R_s * specular
+    return levels
 
 
 def _shade_by_one_ray(

@@ -21,18 +21,12 @@ from lightopt.rendering._surface import SurfacePoints
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DefectSamples:
-    """Samples of one reflectance that lie in defects, j of them.
+    """Samples of one reflectance that lie in defects, j of them."""
 
-    index: Of each among the samples of the surface, shape (j,)
-    label: Index of the defect, shape (j,)
-    surface: The points with the normals of the disturbed surface
-    reflectance: Of all of them
-    """
-
-    index: Index
-    label: Int32
-    surface: SurfacePoints
-    reflectance: Reflectance
+    index: Index  # of each among the samples of the surface, shape (j,)
+    label: Int32  # index of the defect, shape (j,)
+    surface: SurfacePoints  # the points with the normals of the disturbed surface
+    reflectance: Reflectance  # of all of them
 
     def light(
         self,

@@ -40,50 +40,32 @@ LEAST_RAYS_ACROSS = 3  # rays across a defect from which on its share of a pixel
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions:
-    """What to render and how.
+    """What to render and how."""
 
-    lights: Names of the lights to render; all by default
-    points: Point lights per panel, instead of the rig's
-    exposures: Exposures of the camera's PNGs; the linear images are at exposure 1
-    noise: Seed of the sensor's noise in the PNGs; None for none
-    layers: Whether the EXRs get the diffuse and the specular component as channels of their own
-    shadows: Whether the part casts shadows on itself
-    supersample: n² rays per pixel
-    patch_budget: About how many patches may be visible
-    defects: Whether the part's defects are shown; the good part otherwise
-    bounces: How often light goes from the part to the part before it reaches the camera
-    """
-
-    lights: tuple[str, ...] | None = None
+    lights: tuple[str, ...] | None = None  # names of the lights to render; all by default
     postures: tuple[Posture, ...] | None = None
-    points: int | Literal["auto"] | None = None
-    exposures: tuple[float, ...] = (1.0,)
-    noise: int | None = None
-    layers: bool = False
-    shadows: bool = True
-    supersample: int = 1
-    patch_budget: int = DEFAULT_PATCH_BUDGET
-    defects: bool = True
-    bounces: int = 0
+    points: int | Literal["auto"] | None = None  # point lights per panel, instead of the rig's
+    exposures: tuple[float, ...] = (1.0,)  # exposures of the camera's PNGs; the linear images are at exposure 1
+    noise: int | None = None  # seed of the sensor's noise in the PNGs; None for none
+    layers: bool = False  # whether the EXRs get the diffuse and the specular component as channels of their own
+    shadows: bool = True  # whether the part casts shadows on itself
+    supersample: int = 1  # n² rays per pixel
+    patch_budget: int = DEFAULT_PATCH_BUDGET  # about how many patches may be visible
+    defects: bool = True  # whether the part's defects are shown; the good part otherwise
+    bounces: int = 0  # how often light goes from the part to the part before it reaches the camera
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderedSet:
-    """What :func:`render_image_set` left on disk.
-
-    resumed: Number of those that a previous run with the same inputs had finished
-    rays: Number of rays cast for images
-    patches: What the patch refinement reached; None where nothing was left to do
-    replaced: Number of files of another set that were removed (with `force`)
-    """
+    """What :func:`render_image_set` left on disk."""
 
     folder: Path
     images: int
-    resumed: int
+    resumed: int  # number of those that a previous run with the same inputs had finished
     warnings: tuple[str, ...]
-    rays: int = 0
-    patches: str | None = None
-    replaced: int = 0
+    rays: int = 0  # number of rays cast for images
+    patches: str | None = None  # what the patch refinement reached; None where nothing was left to do
+    replaced: int = 0  # number of files of another set that were removed (with `force`)
 
 
 def render_image_set(

@@ -66,22 +66,15 @@ _Levels = Callable[[SurfacePoints], Float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PartLight:
-    """What the light of the part on itself depends on, in one posture.
-
-    lights: Part frame, from :meth:`of_scene`
-    reflectances: By the materials of the mesh's faces
-    blocker: For shadows; None for none
-    environment: Level of the surroundings under a light of gain 1 [grey level]
-    bounces: From the part to the part
-    """
+    """What the light of the part on itself depends on, in one posture."""
 
     mesh: TriangleMesh
     caster: RayCaster
-    blocker: RayCaster | None
-    lights: Sequence[PanelLight | ConvergedPanel]
-    reflectances: tuple[Reflectance, ...]
-    environment: float
-    bounces: int
+    blocker: RayCaster | None  # for shadows; None for none
+    lights: Sequence[PanelLight | ConvergedPanel]  # part frame, from :meth:`of_scene`
+    reflectances: tuple[Reflectance, ...]  # by the materials of the mesh's faces
+    environment: float  # level of the surroundings under a light of gain 1 [grey level]
+    bounces: int  # from the part to the part
 
     @classmethod
     def of_scene(
@@ -216,20 +209,18 @@ class PartLight:
         levels = np.zeros((2, len(self.lights), len(surface)))
         if not self.bounces:
             return levels
-        for index, some, own in surface.by_material(shown):
-            wide = math.hypot(own.sigma, angle)
-            spread = replace(own, R_d=0.0, R_s=own.R_s * (own.sigma / wide) ** 2, sigma=wide)
-            for array, one in zip(levels, (own, spread) if own.R_s else (own,), strict=False):
-                array[:, index] = isolated_levels(some, self.lights, one, None, penumbrae=False)
+        levels[0] = isolated_levels(surface, self.lights, shown, None, penumbrae=False)
+        if any(own.R_s for own in shown):
+            wide = [(own, math.hypot(own.sigma, angle)) for own in shown]
+            spread = [replace(own, R_d=0.0, R_s=own.R_s * (own.sigma / w) ** 2, sigma=w) for own, w in wide]
+            levels[1] = isolated_levels(surface, self.lights, spread, None, penumbrae=False)
         return levels
 
     def _levels(self, surface: SurfacePoints, bounces: int, shown: Sequence[Reflectance]) -> Float64:
         # levels of points that rays met before so many bounces, shape (1, lights, k); shown: for direct light
-        levels = np.zeros((1, len(self.lights), len(surface)))
         if not bounces:
-            return levels
-        for index, some, own in surface.by_material(shown):
-            levels[0][:, index] = isolated_levels(some, self.lights, own, self.blocker, penumbrae=False)
+            return np.zeros((1, len(self.lights), len(surface)))
+        levels = isolated_levels(surface, self.lights, shown, self.blocker, penumbrae=False)[None]
         if surface.front.any() and (bounces > 1 or self.environment):
             seen_from_front = np.flatnonzero(surface.front)
             for index, some, own in surface.take(seen_from_front).by_material(self.reflectances):

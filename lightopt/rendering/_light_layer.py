@@ -37,23 +37,17 @@ _CHUNK = 8192
 
 @dataclass(frozen=True, kw_only=True)
 class LightLayer:
-    """Light of one panel at n surface points that see all of it.
+    """Light of one panel at n surface points that see all of it."""
 
-    surface: The points, part frame
-    diffuse: Per unit of R_d, shape (n,)
-    form: Of the diffuse light
-    deflection: About the least angle δ between the normal and the half vectors of the panel's points [rad], shape (n,):
-        nothing narrower than this reaches the camera as a highlight
-    grid: The panel's point lights [mm], shape (m, 3); none of them for the converged panel
-    nodes: Gauss–Legendre nodes a side that the converged panel needs for its fall-off and emission; 0 with point lights
-    """
-
-    surface: SurfacePoints
+    surface: SurfacePoints  # the points, part frame
     light: PanelLight
-    diffuse: Float64
-    form: DiffuseForm
+    diffuse: Float64  # per unit of R_d, shape (n,)
+    form: DiffuseForm  # of the diffuse light
+    # about the least angle δ between the normal and the half vectors of the panel's points [rad], shape (n,): nothing
+    # narrower than this reaches the camera as a highlight
     deflection: Float64
-    grid: Float64
+    grid: Float64  # the panel's point lights [mm], shape (m, 3); none of them for the converged panel
+    # Gauss–Legendre nodes a side that the converged panel needs for its fall-off and emission; 0 with point lights
     nodes: int
 
     def take(self, index: Index) -> LightLayer:

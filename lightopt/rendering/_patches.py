@@ -49,27 +49,21 @@ _TILE = 4  # pixels along a side of the tiles that points are tested in
 
 @dataclass(frozen=True, kw_only=True)
 class PatchTable:
-    """A part's patches and from which postures the camera sees them; part frame.
-
-    postures: The postures considered
-    visible: Whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p)
-    grazing: Whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p):
-        such patches count in no score and no share of that posture. Where edges are left out, also at edges
-    max_edge: Longest edge of a patch that the camera may see, unless the mesh was finer already [mm]
-    footprint: Side of a pixel's footprint on the part, where it is smallest [mm]
-    seen_faces: Faces of the mesh that the camera sees, where they use up the budget of patches; 0 otherwise, and of a
-        table from arrays
-    exceeded: The budget of patches, where more are visible although the camera sees fewer faces: half of the budget is
-        for cutting; 0 otherwise, and of a table from arrays
-    """
+    """A part's patches and from which postures the camera sees them; part frame."""
 
     patches: Patches
-    postures: tuple[Posture, ...]
-    visible: Bool
+    postures: tuple[Posture, ...]  # the postures considered
+    visible: Bool  # whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p)
+    # whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p): such
+    # patches count in no score and no share of that posture. Where edges are left out, also at edges
     grazing: Bool
-    max_edge: float
-    footprint: float
+    max_edge: float  # longest edge of a patch that the camera may see, unless the mesh was finer already [mm]
+    footprint: float  # side of a pixel's footprint on the part, where it is smallest [mm]
+    # faces of the mesh that the camera sees, where they use up the budget of patches; 0 otherwise, and of a table from
+    # arrays
     seen_faces: int = 0
+    # the budget of patches, where more are visible although the camera sees fewer faces: half of the budget is for
+    # cutting; 0 otherwise, and of a table from arrays
     exceeded: int = 0
 
     def inspectable(self, posture: Posture) -> Index:
@@ -137,14 +131,10 @@ class PatchTable:
 
 @dataclass(frozen=True)
 class PatchPixels:
-    """Which pixels show each patch.
+    """Which pixels show each patch."""
 
-    start: The pixels of patch i are ``pixels[start[i]:start[i + 1]]``; shape (p + 1,)
-    pixels: Raveled pixel indices, ascending within a patch
-    """
-
-    start: Int64
-    pixels: Int64
+    start: Int64  # the pixels of patch i are ``pixels[start[i]:start[i + 1]]``; shape (p + 1,)
+    pixels: Int64  # raveled pixel indices, ascending within a patch
 
     def of(self, patch: int) -> Int64:
         """Raveled indices of the pixels whose centre shows a patch; empty for a patch smaller than a pixel."""

@@ -37,45 +37,32 @@ LEAST_STRIPS, MOST_STRIPS = 2, 16  # strips that the visible area of a crossed c
 
 
 class ConvergedLight(NamedTuple):
-    """A panel in the part's frame, and how bright its light is on a surface.
-
-    diffuse_level, specular_level: Grey levels per unit of the two terms: R_d and R_s times the panel's total weight
-    lobe: Of the specular term
-    form: Of the diffuse term
-    nodes: Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission; a cell needs fewer
-    """
+    """A panel in the part's frame, and how bright its light is on a surface."""
 
     panel: PanelNumbers
-    diffuse_level: float
-    specular_level: float
-    lobe: Lobe
-    form: DiffuseForm
+    diffuse_level: float  # grey levels per unit of the two terms: R_d and R_s times the panel's total weight
+    specular_level: float  # grey levels per unit of the two terms: R_d and R_s times the panel's total weight
+    lobe: Lobe  # of the specular term
+    form: DiffuseForm  # of the diffuse term
+    # Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission; a cell needs fewer
     nodes: int
 
 
 class Squares(NamedTuple):
-    """Squares of the panel that are divided into a grid, q of them; several may belong to one surface point.
+    """Squares of the panel that are divided into a grid, q of them; several may belong to one surface point."""
 
-    point: Surface point of each, shape (q,)
-    s, t: Lower corner, in units of the panel's sides, from 0 to 1; shape (q,)
-    cell: Side of the grid's cells, in the same units
-    """
-
-    point: Int32
-    s: Float64
-    t: Float64
-    cell: float
+    point: Int32  # surface point of each, shape (q,)
+    s: Float64  # lower corner, in units of the panel's sides, from 0 to 1; shape (q,)
+    t: Float64  # lower corner, in units of the panel's sides, from 0 to 1; shape (q,)
+    cell: float  # side of the grid's cells, in the same units
 
 
 class Edge(NamedTuple):
-    """The edge of the shadow in the cells of some squares.
+    """The edge of the shadow in the cells of some squares."""
 
-    state: As above
-    across, along: Where it crosses the sides of cells that run along s and along t, as a share of the side; shape
-        (q, n + 1, n) and (q, n, n + 1)
-    """
-
-    state: UInt8
+    state: UInt8  # as in all functions
+    # where it crosses the sides of cells that run along s and along t, as a share of the side; shape (q, n + 1, n) and
+    # (q, n, n + 1)
     across: Float64
     along: Float64
 

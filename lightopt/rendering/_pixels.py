@@ -41,22 +41,15 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class PosturePixels:
-    """What the pixel centres of one posture's images look at, k of them.
+    """What the pixel centres of one posture's images look at, k of them."""
 
-    posture, view: Of the part; camera and lights in the part's frame
-    row, column: Of each pixel, shape (k,)
-    surface: Where the rays meet the part, part frame
-    clean: Off silhouettes, creases, back faces and grazing views, shape (k,)
-    shape: Rows and columns of the image
-    """
-
-    posture: Posture
-    view: PartView
-    row: Int32
-    column: Int32
-    surface: SurfacePoints
-    clean: Bool
-    shape: tuple[int, int]
+    posture: Posture  # of the part; camera and lights in the part's frame
+    view: PartView  # of the part; camera and lights in the part's frame
+    row: Int32  # of each pixel, shape (k,)
+    column: Int32  # of each pixel, shape (k,)
+    surface: SurfacePoints  # where the rays meet the part, part frame
+    clean: Bool  # off silhouettes, creases, back faces and grazing views, shape (k,)
+    shape: tuple[int, int]  # rows and columns of the image
 
 
 def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: int | None = None) -> PosturePixels:
@@ -85,20 +78,13 @@ def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: 
 
 @dataclass(frozen=True, kw_only=True)
 class PixelMasks:
-    """What kind of surface each pixel centre of one posture's images looks at; arrays of shape (H, W) but `faces`.
+    """What kind of surface each pixel centre of one posture's images looks at; arrays of shape (H, W) but `faces`."""
 
-    hit: Whether it is the part at all
-    clean: Off silhouettes, creases, back faces and grazing views: as :class:`PosturePixels` has it
-    grazing: Front faces at more than :data:`GRAZING_DEG` to their normal
-    area: Of the surface that the pixel sees [mm²], 0 off the part
-    faces: Whether a pixel centre looks at each face of the mesh, shape (f,)
-    """
-
-    hit: Bool
-    clean: Bool
-    grazing: Bool
-    area: Float32
-    faces: Bool
+    hit: Bool  # whether it is the part at all
+    clean: Bool  # off silhouettes, creases, back faces and grazing views: as :class:`PosturePixels` has it
+    grazing: Bool  # front faces at more than :data:`GRAZING_DEG` to their normal
+    area: Float32  # of the surface that the pixel sees [mm²], 0 off the part
+    faces: Bool  # whether a pixel centre looks at each face of the mesh, shape (f,)
 
 
 def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: int | None = None) -> PixelMasks:

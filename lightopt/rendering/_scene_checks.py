@@ -20,25 +20,19 @@ BLOCK_RAYS = 65_536
 
 @dataclass(frozen=True, kw_only=True)
 class PanelInPart:
-    """A panel that is inside the part, wholly or in places.
-
-    share: Of the panel that is inside
-    """
+    """A panel that is inside the part, wholly or in places."""
 
     light: str
     posture: Posture
-    share: float
+    share: float  # of the panel that is inside
     text: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class TooFewPixels:
-    """A part that too few pixels see, in every posture.
+    """A part that too few pixels see, in every posture."""
 
-    pixels: That see it in the posture that shows it best
-    """
-
-    pixels: int
+    pixels: int  # that see it in the posture that shows it best
     text: str
 
 

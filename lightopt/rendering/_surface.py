@@ -63,25 +63,16 @@ def point_at(points: Float64, frames: Float64, views: Float64, i: int) -> Surfac
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points of the surface that a camera looks at, k of them, part frame.
+    """Points of the surface that a camera looks at, k of them, part frame."""
 
-    points: [mm], shape (k, 3)
-    normals: Interpolated unit normals N that shading uses, shape (k, 3)
-    facets: Unit geometric normals of the faces, shape (k, 3)
-    views: Unit vectors V towards the camera, shape (k, 3)
-    front: False where the camera sees the back of a face, which is black; shape (k,)
-    outside: Whether the camera stands outside the part's bounding sphere
-    material: Number of the reflectance of each, shape (k,); None: one reflectance, number 0
-    across: Unit tangents across the brushing, 0 where it has no direction, shape (k, 3); None: nothing is brushed
-    """
-
-    points: Float64
-    normals: Float64
-    facets: Float64
-    views: Float64
-    front: Bool
-    outside: bool = False
-    material: UInt8 | None = None
+    points: Float64  # [mm], shape (k, 3)
+    normals: Float64  # interpolated unit normals N that shading uses, shape (k, 3)
+    facets: Float64  # unit geometric normals of the faces, shape (k, 3)
+    views: Float64  # unit vectors V towards the camera, shape (k, 3)
+    front: Bool  # False where the camera sees the back of a face, which is black; shape (k,)
+    outside: bool = False  # whether the camera stands outside the part's bounding sphere
+    material: UInt8 | None = None  # number of the reflectance of each, shape (k,); None: one reflectance, number 0
+    # unit tangents across the brushing, 0 where it has no direction, shape (k, 3); None: nothing is brushed
     across: Float64 | None = None
 
     @cached_property

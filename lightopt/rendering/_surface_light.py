@@ -820,20 +820,13 @@ def _replace_pieces(
 
 @dataclass(frozen=True)
 class Channels:
-    """Channels of one light: the surface that they have in common, and what each makes of it.
+    """Channels of one light: the surface that they have in common, and what each makes of it."""
 
-    elements: Of all channels, of radiance 1, shape (e, ELEMENT_NUMBERS)
-    pattern: The terms of all patterns, of coefficient 1
-    shares: Radiance times coefficient of each channel, element and term, shape (channels, e, b)
-    group: Of each element, of those that are alike in every channel, shape (e,)
-    group_shares: The shares of the groups, shape (channels, groups, b)
-    """
-
-    elements: Float64
-    pattern: Pattern
-    shares: Float64
-    group: Index
-    group_shares: Float64
+    elements: Float64  # of all channels, of radiance 1, shape (e, ELEMENT_NUMBERS)
+    pattern: Pattern  # the terms of all patterns, of coefficient 1
+    shares: Float64  # radiance times coefficient of each channel, element and term, shape (channels, e, b)
+    group: Index  # of each element, of those that are alike in every channel, shape (e,)
+    group_shares: Float64  # the shares of the groups, shape (channels, groups, b)
 
 
 def channels_of(lights: Sequence[SurfaceLight]) -> Channels:

@@ -65,31 +65,23 @@ Levels = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurfaceVariants:
-    """What each point of a surface is tried as, t ways.
+    """What each point of a surface is tried as, t ways."""
 
-    lean: Components of each variant's normal along the point's normal, its reference direction and the direction
-        across, which with the first two makes a right-handed frame; shape (t, 3)
-    R_d, R_s, sigma: Of each, shape (t,)
-    reflectance: Of the surface as it is
-    """
-
+    # components of each variant's normal along the point's normal, its reference direction and the direction across,
+    # which with the first two makes a right-handed frame; shape (t, 3)
     lean: Float64
-    R_d: Float64
-    R_s: Float64
-    sigma: Float64
-    reflectance: Reflectance
+    R_d: Float64  # of each, shape (t,)
+    R_s: Float64  # of each, shape (t,)
+    sigma: Float64  # of each, shape (t,)
+    reflectance: Reflectance  # of the surface as it is
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class VariantLevels:
-    """Light of a panel from k surface points [grey level].
+    """Light of a panel from k surface points [grey level]."""
 
-    good: Of the surface as it is, from the same points or cells of the panel, shape (k,)
-    varied: Of the variants, shape (t, k); of the type that was wanted
-    """
-
-    good: Float64
-    varied: Levels
+    good: Float64  # of the surface as it is, from the same points or cells of the panel, shape (k,)
+    varied: Levels  # of the variants, shape (t, k); of the type that was wanted
 
 
 def surface_variants(

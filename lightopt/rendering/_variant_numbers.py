@@ -9,24 +9,17 @@ from lightopt.optics import DiffuseForm, Lobe
 
 
 class VariantNumbers(NamedTuple):
-    """The variants of a surface in the form that kernels take.
+    """The variants of a surface in the form that kernels take."""
 
-    lean: Normals in the points' frames, shape (t, 3)
-    R_d, R_s: Of each, shape (t,)
-    inverse: 1/(2σ²) [rad⁻²], shape (t,)
-    most: The lobe is negligible where it is less than e^−most of its height, for the view that it is brightest in,
-        shape (t,)
-    lobe: Form of all lobes, of any width
-    diffuse: Form of the diffuse light of all
-    """
-
-    lean: Float64
-    R_d: Float64
-    R_s: Float64
-    inverse: Float64
+    lean: Float64  # normals in the points' frames, shape (t, 3)
+    R_d: Float64  # of each, shape (t,)
+    R_s: Float64  # of each, shape (t,)
+    inverse: Float64  # 1/(2σ²) [rad⁻²], shape (t,)
+    # the lobe is negligible where it is less than e^−most of its height, for the view that it is brightest in, shape
+    # (t,)
     most: Float64
-    lobe: Lobe
-    diffuse: DiffuseForm
+    lobe: Lobe  # form of all lobes, of any width
+    diffuse: DiffuseForm  # form of the diffuse light of all
 
 
 @kernel
