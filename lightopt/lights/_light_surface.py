@@ -272,7 +272,7 @@ def cone_elements(
     widening, rise = (end[0] - start[0]) / long, (end[1] - start[1]) / long
     u, v = np.linspace(*turn, cells[0] + 1), np.linspace(0.0, long, cells[1] + 1)
     # ∂u × ∂v goes with rise·radial − widening·outward
-    return _grid(u, v, shape=CONE, side=1.0, height=start[1], radius=start[0], widening=widening, rise=rise)
+    return _grid(u, v, shape=CONE, side=1.0, profile=(start[1], start[0], widening, rise))
 
 
 def frame_elements(size: tuple[float, float], hole: float) -> Float64:
@@ -286,7 +286,7 @@ def frame_elements(size: tuple[float, float], hole: float) -> Float64:
         near, far = (0.5 * size[(quarter + k) % 2] for k in range(2))
         corner = math.atan2(far, near)
         u, v = np.linspace(-corner, corner, 7), np.linspace(0.0, 1.0, 3)
-        rows = _grid(u, v, shape=FRAME, side=1.0, radius=0.5 * hole, widening=near)
+        rows = _grid(u, v, shape=FRAME, side=1.0, profile=(0.0, 0.5 * hole, near, 0.0))
         cosine, sine = (round(f(0.5 * math.pi * quarter)) for f in (math.cos, math.sin))
         rows[:, 4:10] = cosine, sine, 0.0, -sine, cosine, 0.0
         sides.append(rows)
@@ -321,28 +321,18 @@ def sphere_elements(
     cells: Elements around and up
     """
     u, v = np.linspace(*turn, cells[0] + 1), np.linspace(*height, cells[1] + 1)
-    return _grid(u, v, shape=SPHERE, side=-1.0, radius=radius)
+    return _grid(u, v, shape=SPHERE, side=-1.0, profile=(0.0, radius, 0.0, 0.0))
 
 
 def _grid(
-    u: Float64,
-    v: Float64,
-    *,
-    shape: int,
-    side: float,
-    height: float = 0.0,
-    radius: float = 0.0,
-    widening: float = 0.0,
-    rise: float = 0.0,
+    u: Float64, v: Float64, *, shape: int, side: float, profile: Sequence[float] = (0.0, 0.0, 0.0, 0.0)
 ) -> Float64:
-    rows = np.zeros(((len(u) - 1) * (len(v) - 1), ELEMENT_NUMBERS))
-    k = 0
-    for i in range(len(u) - 1):
-        for j in range(len(v) - 1):
-            rows[k, 0], rows[k, 3] = shape, height
-            rows[k, 4:13] = np.eye(3).ravel()
-            rows[k, 13:22] = u[i], u[i + 1], v[j], v[j + 1], radius, widening, rise, side, 1.0
-            k += 1
+    # elements between lines of u and v; profile: height, radius, widening, rise
+    i, j = (a.ravel() for a in np.mgrid[: len(u) - 1, : len(v) - 1])
+    rows = np.zeros((len(i), ELEMENT_NUMBERS))
+    rows[:, 0], rows[:, 3], rows[:, 4:13] = shape, profile[0], np.eye(3).ravel()
+    rows[:, 13:17] = np.stack([u[i], u[i + 1], v[j], v[j + 1]], axis=1)
+    rows[:, 17:22] = *profile[1:], side, 1.0
     return rows
 
 

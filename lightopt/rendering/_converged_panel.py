@@ -22,8 +22,7 @@ from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight, panel_grid, panel_numbers
 from lightopt.optics import LAMBERT, Reflectance
 from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
-from lightopt.rendering._penumbra import shade_penumbra
-from lightopt.rendering._penumbra_cells import ConvergedLight
+from lightopt.rendering._penumbra import ConvergedLight, shade_penumbra
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
 from lightopt.rendering._point_lights import clear_targets, facing_targets, shade_points, visible_counts
 from lightopt.rendering._surface import SurfacePoint, SurfacePoints

@@ -6,6 +6,7 @@ panel is taken in 4 × 4 cells, each seen or hidden as its centre is.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from lightopt.optics import (
     specular_divisor,
     square_across,
 )
-from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes
+from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes, probe_targets
 from lightopt.rendering._panel_quadrature import (
     NODES,
     WEIGHTS,
@@ -36,7 +37,28 @@ from lightopt.rendering._panel_quadrature import (
     rectangle_specular,
 )
 from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at, surface_point
-from lightopt.rendering._variant_numbers import VariantNumbers, leaning
+
+
+class VariantNumbers(NamedTuple):
+    """The variants of a surface in the form that kernels take."""
+
+    lean: Float64  # normals in the points' frames, shape (t, 3)
+    R_d: Float64  # of each, shape (t,)
+    R_s: Float64  # of each, shape (t,)
+    inverse: Float64  # 1/(2σ²) [rad⁻²], shape (t,)
+    # the lobe is negligible where it is less than e^−most of its height, for the view that it is brightest in, shape
+    # (t,)
+    most: Float64
+    lobe: Lobe  # form of all lobes, of any width
+    diffuse: DiffuseForm  # form of the diffuse light of all
+
+
+@kernel
+def leaning(lean: Float64, t: int, n: Vector, r: Vector, a: Vector) -> Vector:
+    """Normal of variant t in the frame of the vectors n (the point's normal), r (its reference) and a = n × r."""
+    c0, c1, c2 = lean[t, 0], lean[t, 1], lean[t, 2]
+    return Vector(c0 * n.x + c1 * r.x + c2 * a.x, c0 * n.y + c1 * r.y + c2 * a.y, c0 * n.z + c1 * r.z + c2 * a.z)
+
 
 CELLS = 4  # cells along a side of a panel of which a part hides some
 
@@ -45,26 +67,25 @@ def panel_variants(
     surface: SurfacePoints,
     references: Float64,
     converged: ConvergedPanel,
-    clear: Bool,
     caster: RayCaster | None,
     variants: VariantNumbers,
 ) -> Float64:
     """Levels of variants of a surface under a converged panel, shape (k, t).
 
     surface, references: As :func:`lightopt.rendering._surface_variants.shade_variants` takes them
-    clear: Which of its probes each point's facet faces and sees, shape (k, 5)
-    caster: For the cells of panels that are seen in part; None for no shadows
+    caster: For the probes, and the cells of panels that are seen in part; None for no shadows
     variants: With coefficients times the panel's weight
     """
     levels = np.zeros((len(surface), len(variants.lean)))
-    number = clear.sum(axis=1)
-    mixed = np.flatnonzero((number > 0) & (number < clear.shape[1]))
-    cells = np.ones((len(surface), CELLS * CELLS), np.bool_)
-    if caster is not None and len(mixed):
+    probes = probe_targets(converged.light)
+    number, cells = np.full(len(surface), len(probes)), np.ones((len(surface), CELLS * CELLS), np.bool_)
+    if caster is not None:
+        number = panel_probes(surface, probes, caster).sum(axis=1)
+        mixed = np.flatnonzero((number > 0) & (number < len(probes)))
         # along the panel's second side first, as panel_grid has them
         cells[mixed] = panel_probes(surface.take(mixed), panel_grid(converged.light, CELLS * CELLS), caster)
     panel, rows = panel_numbers(converged.light), surface.rows
-    _levels(rows, references, number, clear.shape[1], cells, panel, converged.nodes, variants, levels)
+    _levels(rows, references, number, len(probes), cells, panel, converged.nodes, variants, levels)
     return levels
 
 

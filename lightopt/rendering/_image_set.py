@@ -20,7 +20,7 @@ from lightopt.geometry import RayCaster
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
 from lightopt.lights import PanelLight
 from lightopt.optics import expose, image_rng
-from lightopt.rendering._images import Geometry, LightImage, PostureImages, cast_rays_at, rays_of_images, render_posture
+from lightopt.rendering._images import LightImage, PostureImages, cast_rays_at, rays_of_images, render_posture
 from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
 from lightopt.rendering._scene_checks import refuse_unusable_scene
 from lightopt.scene import Scene, build_scene, coarse_warnings, defect_facts, pixel_footprint
@@ -276,8 +276,7 @@ def _write_posture(
     """
     posture = images.posture
     if not writer.geometry_done(posture):
-        facts = {"back_face_pixels": images.back_faces}
-        disk.add(_add_geometry, writer, images, facts)
+        disk.add(_add_geometry, writer, images)
     names = [light.name for light in rig.lights]
     for light, image in zip(scene.lights, images.lights, strict=True):
         for exposure in rig.exposures(light.name, options.exposures):
@@ -286,8 +285,17 @@ def _write_posture(
                 disk.add(_add_image, writer, scene, images, light, image, exposure, seeds)
 
 
-def _add_geometry(writer: ImageSetWriter, images: PostureImages, facts: dict[str, Any]) -> None:
-    writer.add_geometry(images.posture, _geometry_channels(images.geometry), metadata=facts)
+def _add_geometry(writer: ImageSetWriter, images: PostureImages) -> None:
+    g = images.geometry
+    channels = {
+        **{f"P.{axis}": g.points[..., i] for i, axis in enumerate("XYZ")},
+        **{f"N.{axis}": g.normals[..., i] for i, axis in enumerate("XYZ")},
+        "Z": g.distance,
+        "patch": g.patch.astype(np.float32),
+    }
+    if g.defect is not None:
+        channels["defect"] = g.defect.astype(np.float32)
+    writer.add_geometry(images.posture, channels, metadata={"back_face_pixels": images.back_faces})
 
 
 def _add_image(
@@ -331,14 +339,3 @@ def _bits(value: float) -> int:
 def _degrees(angle: float) -> float:
     # radians came from degrees of at most a few decimals; rounding gives those back
     return round(float(np.degrees(angle)), 9)
-
-
-def _geometry_channels(geometry: Geometry) -> dict[str, Float32]:
-    labels = {} if geometry.defect is None else {"defect": geometry.defect.astype(np.float32)}
-    return {
-        **{f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")},
-        **{f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")},
-        "Z": geometry.distance,
-        "patch": geometry.patch.astype(np.float32),
-        **labels,
-    }

@@ -102,28 +102,18 @@ def light_layer(
     caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for
     form: Of the diffuse light
     """
+    grid, nodes, (diffuse, deflection) = np.zeros((0, 3)), 0, np.zeros((2, len(surface)))
+    layer = LightLayer(
+        surface=surface, light=light, diffuse=diffuse, form=form, deflection=deflection, grid=grid, nodes=nodes
+    )
     if isinstance(light, SurfaceLight):
         (diffuse,), _ = light_of_channels(surface, [light], form, threads=threads)
-        none = np.zeros((0, 3))
-        return LightLayer(
-            surface=surface,
-            light=light,
-            diffuse=diffuse,
-            form=form,
-            deflection=least_deflection(surface, light),
-            grid=none,
-            nodes=0,
-        )
-    panel = panel_numbers(light)
+        return replace(layer, diffuse=diffuse, deflection=least_deflection(surface, light))
     if light.points == "auto":
-        converged = converged_panel(light, centre=caster.centre, radius=caster.radius)
-        grid, nodes = np.zeros((0, 3)), converged.nodes
+        nodes = converged_panel(light, centre=caster.centre, radius=caster.radius).nodes
     else:
-        grid, nodes = panel_grid(light, light.points), 0
-    diffuse = np.zeros(len(surface))
-    deflection = np.zeros(len(surface))
-
-    rows = surface.rows
+        grid = panel_grid(light, light.points)
+    rows, panel = surface.rows, panel_numbers(light)
 
     def chunk(start: int) -> None:
         part = start, min(start + _CHUNK, len(surface))
@@ -131,9 +121,7 @@ def light_layer(
 
     in_threads(chunk, range(0, len(surface), _CHUNK), threads)
     diffuse *= light.total_weight
-    return LightLayer(
-        surface=surface, light=light, diffuse=diffuse, form=form, deflection=deflection, grid=grid, nodes=nodes
-    )
+    return replace(layer, grid=grid, nodes=nodes)
 
 
 @kernel

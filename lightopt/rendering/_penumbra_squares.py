@@ -25,7 +25,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, dot, length, minus, vector_at
 from lightopt.lights import half_diagonal
 from lightopt.rendering._panel_quadrature import half_vector_cone
-from lightopt.rendering._penumbra_cells import ConvergedLight
+from lightopt.rendering._penumbra import ConvergedLight
 from lightopt.rendering._surface import PointRows, SurfacePoint, point_at
 
 SIDES = (16, 8, 4)  # of the squares, one after the other; of any smaller one all samples would be worked out

@@ -30,6 +30,7 @@ from lightopt.optics import (
     specular_lobe,
     square_across,
 )
+from lightopt.rendering._converged_variants import VariantNumbers, leaning
 from lightopt.rendering._panel_quadrature import NODES, half_vector_cone, half_vector_map
 from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at, surface_point
 from lightopt.rendering._surface_light import (
@@ -44,7 +45,6 @@ from lightopt.rendering._surface_light import (
     specular_of_element,
     whole_element,
 )
-from lightopt.rendering._variant_numbers import VariantNumbers, leaning
 
 NEGLIGIBLE_CHANGE = 0.05  # what the lobe of an element adds at most where it is left out [grey level]
 MOST_SHARED = 12  # nodes a side of an element that all variants share

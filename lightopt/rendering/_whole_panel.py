@@ -20,7 +20,7 @@ from lightopt.rendering._panel_quadrature import (
     rectangle_specular,
     smooth_nodes,
 )
-from lightopt.rendering._penumbra_cells import ConvergedLight
+from lightopt.rendering._penumbra import ConvergedLight
 from lightopt.rendering._point_lights import diffuse_only, lobe_towards, point_terms
 from lightopt.rendering._surface import PointRows, point_at, surface_point
 
