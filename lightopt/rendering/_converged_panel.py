@@ -77,11 +77,6 @@ class PanelVisibility:
     coarse: UInt8  # by the coarse rays: _DARK, _CLEAR, _HIDDEN or _MIXED, shape (k,)
     penumbra: Bool  # whether the point was shaded as one in a penumbra, shape (k,)
 
-    @classmethod
-    def empty(cls, count: int) -> "PanelVisibility":
-        """That of so many points, to be filled in."""
-        return cls(np.empty(count, np.uint8), np.empty(count, np.bool_))
-
 
 Shaded = tuple[Float64, Float64, PanelVisibility | None]
 
@@ -275,42 +270,44 @@ def _ray_targets(light: PanelLight | ConvergedPanel) -> Float64:
     return shadow_targets(light)
 
 
-def shade_changed_points(
+def shade_changed(
     surface: SurfacePoints,
-    converged: ConvergedPanel,
-    *,
-    index: Index,
-    visibility: PanelVisibility,
-    sample: Index,
-    shape: tuple[int, int],
+    light: PanelLight | ConvergedPanel,
     reflectance: Reflectance,
     caster: RayCaster | None,
+    *,
+    index: Index,
+    seen: PanelVisibility | None,
+    sample: Index,
+    shape: tuple[int, int],
 ) -> tuple[Float64, Float64]:
-    """Shade some points of a surface with other normals or another reflectance; two arrays of shape (j,).
+    """Diffuse and specular levels of some points of a surface with other normals or another reflectance, shape (j,).
 
-    Where the points as they were are in a penumbra, these are, too; so are those whose own horizon, the turned one,
-    makes them differ from their neighbours.
+    Where the points as they were are in a penumbra of a converged panel, these are, too; so are those whose own
+    horizon, the turned one, makes them differ from their neighbours.
 
     surface: The j points with their own normals, part frame
-    index: Of each among the k points of the surface, shape (j,)
-    visibility: What the surface sees, from :func:`shade_converged`
-    sample, shape: Of the k points, as :func:`shade_converged` takes them
     reflectance: Of the j points
+    index: Of each among the k points of the surface, shape (j,)
+    seen: What the surface sees of the light, from :func:`shade_together`
+    sample, shape: Of the k points, as :func:`shade_converged` takes them
     """
-    coarse = visibility.coarse.copy()
+    if not isinstance(light, ConvergedPanel):
+        diffuse, specular = shade_light(surface, light, reflectance=reflectance, caster=caster)
+        return reflectance.R_d * diffuse, reflectance.R_s * specular
+    assert seen is not None
+    coarse = seen.coarse.copy()
     if caster is None:
         coarse[index] = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
     else:
-        coarse[index] = _classify(*visible_counts(surface, probe_targets(converged.light), caster))
-    own = coarse[index]
-    light = _converged_light(converged, reflectance)
-    terms = np.zeros((len(surface), 2))
-    _add_whole_panel(surface, own == _CLEAR, light, terms)
+        coarse[index] = _classify(*visible_counts(surface, probe_targets(light.light), caster))
+    own, numbers, terms = coarse[index], _converged_light(light, reflectance), np.zeros((len(surface), 2))
+    _add_whole_panel(surface, own == _CLEAR, numbers, terms)
     if caster is not None:
-        uncertain = (_disagreeing(coarse, sample, shape) | visibility.penumbra)[index] & (own != _DARK)
-        _work_out(surface, uncertain, light, caster, terms)
-    terms *= converged.light.total_weight
-    return terms[:, 0], terms[:, 1]
+        uncertain = (_disagreeing(coarse, sample, shape) | seen.penumbra)[index] & (own != _DARK)
+        _work_out(surface, uncertain, numbers, caster, terms)
+    terms *= light.light.total_weight
+    return reflectance.R_d * terms[:, 0], reflectance.R_s * terms[:, 1]
 
 
 def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> ConvergedLight:
@@ -452,15 +449,11 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
     normals, origin = np.repeat(normal, len(turns), axis=0), np.zeros((len(turns), 3))
     views, front = np.broadcast_to(view, origin.shape).copy(), np.ones(len(turns), np.bool_)
     surface = SurfacePoints(origin, normals, normals, views, front, across=across)
-    if isinstance(light, SurfaceLight):
-        lobes = (shade_light(surface, light, reflectance=own, caster=None)[1] for own in scene.shown)
-        return max(float(own.R_s * lobe.max()) for own, lobe in zip(scene.shown, lobes, strict=True))
-    whole = replace(light, points="auto")
-    panel = converged_panel(whole, centre=origin[0], radius=1.0)
-    at: dict[str, Any] = {"sample": np.arange(len(turns)), "shape": (len(turns), 1), "caster": None}
-    lobes = (shade_converged(surface, panel, reflectance=own, **at)[1] for own in scene.shown)
-    level = max(float(own.R_s * lobe.max()) for own, lobe in zip(scene.shown, lobes, strict=True))
-    return level * light.total_weight / whole.total_weight
+    whole = light if isinstance(light, SurfaceLight) else replace(light, points="auto")
+    shaded = light if whole is light else converged_panel(whole, centre=origin[0], radius=1.0)
+    at: dict[str, Any] = {"sample": np.arange(len(turns)), "shape": (len(turns), 1)}
+    levels = [shade_together(surface, [shaded], own, None, **at)[0][1] for own in scene.shown]
+    return float(np.max(levels)) * light.total_weight / whole.total_weight
 
 
 def channel_groups(panels: Sequence[PanelLight | ConvergedPanel]) -> list[list[int]]:

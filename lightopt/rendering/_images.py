@@ -26,6 +26,7 @@ from lightopt.rendering._converged_panel import (
     Shaded,
     channel_groups,
     panel_to_shade,
+    shade_changed,
     shade_together,
     shadow_targets,
 )
@@ -179,22 +180,17 @@ def render_posture(
     averaged: Pixels, shape (height, width), that get the mean over their area, to a small share of the camera's noise,
         from a ray at each centre and more rays only where levels are not smooth; with `supersample` 1
     """
-    before, through_pinhole = caster.rays_cast, scene.camera.lens is None
-    # through a lens, what its middle looks at
-    job = _PostureJob(
-        scene if through_pinhole else replace(scene, lights=()),
-        posture,
-        caster,
-        shadows=shadows,
-        supersample=supersample if through_pinhole else 1,
-        layers=layers,
-        patches=patches,
-        averaged=averaged if through_pinhole else None,
-    )
-    job.run(threads, progress if through_pinhole else None)
-    images = tuple(job.images)
-    if not through_pinhole:
-        images = _through_lens(scene, posture, caster, shadows, layers, supersample**2, threads, progress)
+    before = caster.rays_cast
+    if scene.camera.lens is None:
+        how: dict[str, Any] = {"supersample": supersample, "patches": patches, "averaged": averaged}
+        job = _PostureJob(scene, posture, caster, shadows=shadows, layers=layers, **how)
+        images = job.run(threads, progress)
+    else:
+        lens: dict[str, Any] = {"least": supersample**2, "threads": threads, "progress": progress}
+        images = _through_lens(scene, posture, caster, shadows=shadows, layers=layers, **lens)
+        # what its middle looks at
+        job = _PostureJob(replace(scene, lights=()), posture, caster, patches=patches)
+        job.run(threads)
     assert job.geometry is not None
     return PostureImages(
         posture=posture,
@@ -210,10 +206,8 @@ def render_lights(
 ) -> tuple[LightImage, ...]:
     """The images of :func:`render_posture` alone, without what each pixel looks at."""
     if scene.camera.lens is not None:
-        return _through_lens(scene, posture, caster, True, False, 1, threads, None)
-    job = _PostureJob(scene, posture, caster, averaged=averaged, geometry=False)
-    job.run(threads)
-    return tuple(job.images)
+        return _through_lens(scene, posture, caster, threads=threads)
+    return _PostureJob(scene, posture, caster, averaged=averaged, geometry=False).run(threads)
 
 
 def render_pixels(scene: Scene, posture: Posture, pixels: Index, *, caster: RayCaster) -> PixelLevels:
@@ -233,11 +227,12 @@ def _through_lens(
     scene: Scene,
     posture: Posture,
     caster: RayCaster,
-    shadows: bool,
-    layers: bool,
-    least: int,
-    threads: int | None,
-    progress: Share | None,
+    *,
+    shadows: bool = True,
+    layers: bool = False,
+    least: int = 1,
+    threads: int | None = None,
+    progress: Share | None = None,
 ) -> tuple[LightImage, ...]:
     # `least`: number of views at least
     names = ("level", "diffuse", "specular") if layers else ("level",)
@@ -246,10 +241,10 @@ def _through_lens(
     def render_view(place: Float64, offset: Float64) -> list[dict[str, Float32]]:
         seen = replace(scene, camera=through_lens(scene.camera, place))
         job = _PostureJob(seen, posture, caster, shadows=shadows, layers=layers, geometry=False, offset=offset)
-        job.run(threads)
+        images = job.run(threads)
         counter.add(1)
         counter.report()
-        return [{name: getattr(image, name) for name in names} for image in job.images]
+        return [{name: getattr(image, name) for name in names} for image in images]
 
     means = lens_means(render_view, scene, least=least)
     return tuple(LightImage(light=light.name, **mean) for light, mean in zip(scene.lights, means, strict=True))
@@ -309,7 +304,7 @@ class _PostureJob:
         # neighbouring samples show where penumbrae are, so that blocks then overlap by a row
         self.halo = int(shadows and any(isinstance(panel, ConvergedPanel) for panel in self.panels))
 
-    def run(self, threads: int | None, progress: Share | None = None) -> None:
+    def run(self, threads: int | None, progress: Share | None = None) -> tuple[LightImage, ...]:
         """Render all images."""
         caster, view = self.caster, self.view
         before, free, begun = caster.rays_cast, caster.rays_free, monotonic()
@@ -340,6 +335,7 @@ class _PostureJob:
         rays, free, seconds = caster.rays_cast - before, caster.rays_free - free, monotonic() - begun
         text = "posture %s: %.2f million rays in %.2f s; %.2f million shadow rays proven free"
         _log.info(text, self.posture, rays / 1e6, seconds, free / 1e6)
+        return tuple(self.images)
 
     def blocks(self) -> list[tuple[int, int]]:
         """Rows [top, bottom) of each block."""
@@ -395,11 +391,11 @@ class _PostureJob:
     ) -> Iterator[tuple[Float32, Float64]]:
         # the arrays of an image, and what its light, from `_shade`, makes of the samples for each [grey level]
         image, panel = self.images[number], self.panels[number]
-        diffuse, specular, visibility = light
+        diffuse, specular, seen = light
         for some in marked:
-            diffuse[some.index], specular[some.index] = some.light(
-                panel, visibility, sample=sample, shape=grid, caster=self.shadow_caster
-            )
+            own: dict[str, Any] = {"index": some.index, "seen": seen, "sample": sample, "shape": grid}
+            changed = shade_changed(some.surface, panel, some.reflectance, self.shadow_caster, **own)
+            diffuse[some.index], specular[some.index] = changed
         if passed is not None:
             diffuse, specular = passed * diffuse, passed * specular
         yield image.level, diffuse + specular
@@ -534,7 +530,9 @@ class _PostureJob:
         count, merged = len(surface), list[Shaded]()
         for i, light in enumerate(lights):
             diffuse, specular = np.empty(count), np.empty(count)
-            seen = PanelVisibility.empty(count) if isinstance(light, ConvergedPanel) else None
+            seen = None
+            if isinstance(light, ConvergedPanel):
+                seen = PanelVisibility(np.empty(count, np.uint8), np.empty(count, np.bool_))
             for index, found in parts:
                 diffuse[index], specular[index], own_seen = found[i]
                 if seen is not None and own_seen is not None:

@@ -18,7 +18,7 @@ from lightopt.core.threads import in_threads
 from lightopt.core.vectors import divided, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, panel_grid, panel_numbers, panel_point
-from lightopt.optics import LAMBERT, DiffuseForm, Lobe, Reflectance, lobe_at
+from lightopt.optics import LAMBERT, DiffuseForm, Reflectance, lobe_at
 from lightopt.rendering._converged_panel import channel_groups, converged_panel
 from lightopt.rendering._panel_quadrature import (
     NO_LOBE,
@@ -28,6 +28,7 @@ from lightopt.rendering._panel_quadrature import (
     rectangle_diffuse,
     rectangle_specular,
 )
+from lightopt.rendering._penumbra import ConvergedLight
 from lightopt.rendering._point_lights import diffuse_only, point_terms
 from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at
 from lightopt.rendering._surface_light import least_deflection, light_of_channels
@@ -60,12 +61,12 @@ class LightLayer:
         """Specular light per unit of R_s, whatever R_s is, shape (n,) (paper, equations 3 and 4)."""
         if isinstance(self.light, SurfaceLight):
             return light_of_channels(self.surface, [self.light], reflectance, diffuse=False, threads=threads)[1][0]
-        panel, lobe = panel_numbers(self.light), reflectance.lobe
+        light = ConvergedLight(panel_numbers(self.light), 0.0, 0.0, reflectance.lobe, LAMBERT, self.nodes)
         rows, count = self.surface.rows, len(self.surface)
         result = np.zeros(count)
 
         def chunk(start: int) -> None:
-            _specular(rows, self.grid, panel, lobe, self.nodes, (start, min(start + _CHUNK, count)), result)
+            _specular(rows, self.grid, light, (start, min(start + _CHUNK, count)), result)
 
         in_threads(chunk, range(0, count, _CHUNK), threads)
         result *= self.light.total_weight
@@ -113,11 +114,11 @@ def light_layer(
         nodes = converged_panel(light, centre=caster.centre, radius=caster.radius).nodes
     else:
         grid = panel_grid(light, light.points)
-    rows, panel = surface.rows, panel_numbers(light)
+    rows, own = surface.rows, ConvergedLight(panel_numbers(light), 0.0, 0.0, NO_LOBE, form, nodes)
 
     def chunk(start: int) -> None:
         part = start, min(start + _CHUNK, len(surface))
-        _diffuse_and_deflection(rows, grid, panel, form, nodes, part, diffuse, deflection)
+        _diffuse_and_deflection(rows, grid, own, part, diffuse, deflection)
 
     in_threads(chunk, range(0, len(surface), _CHUNK), threads)
     diffuse *= light.total_weight
@@ -125,23 +126,17 @@ def light_layer(
 
 
 @kernel
-def _specular(
-    rows: PointRows,
-    grid: Float64,
-    panel: PanelNumbers,
-    lobe: Lobe,
-    panel_nodes: int,
-    part: tuple[int, int],
-    result: Float64,
-) -> None:
+def _specular(rows: PointRows, grid: Float64, light: ConvergedLight, part: tuple[int, int], result: Float64) -> None:
+    # of points [start, end)
     points, frames, views, _, _ = rows
+    panel, lobe = light.panel, light.lobe
     for i in range(*part):
         at = point_at(points, frames, views, i)
         if out_of_reach(at, panel, lobe):
             continue
         turned = lobe_at(lobe, frames, i)
         if len(grid) == 0:
-            result[i] = rectangle_specular(at, panel, WHOLE_PANEL, turned, panel_nodes)
+            result[i] = rectangle_specular(at, panel, WHOLE_PANEL, turned, light.nodes)
             continue
         total = 0.0
         for k in range(len(grid)):
@@ -151,25 +146,19 @@ def _specular(
 
 @kernel
 def _diffuse_and_deflection(
-    rows: PointRows,
-    grid: Float64,
-    panel: PanelNumbers,
-    form: DiffuseForm,
-    panel_nodes: int,
-    part: tuple[int, int],
-    diffuse: Float64,
-    deflection: Float64,
+    rows: PointRows, grid: Float64, light: ConvergedLight, part: tuple[int, int], diffuse: Float64, deflection: Float64
 ) -> None:
     points, frames, views, _, _ = rows
+    panel, form = light.panel, light.form
     for i in range(*part):
         at = point_at(points, frames, views, i)
         deflection[i] = _deflection(at, panel)
         if len(grid) == 0:
-            diffuse[i] = rectangle_diffuse(at, panel, WHOLE_PANEL, form, panel_nodes)
+            diffuse[i] = rectangle_diffuse(at, panel, WHOLE_PANEL, form, light.nodes)
             continue
         total = 0.0
         for k in range(len(grid)):
-            total += point_terms(diffuse_only(at), vector_at(grid, k), panel, NO_LOBE, form)[0]
+            total += point_terms(diffuse_only(at), vector_at(grid, k), panel, light.lobe, form)[0]
         diffuse[i] = total / len(grid)
 
 

@@ -225,9 +225,14 @@ def rectangle_specular(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, l
     return total
 
 
-class _Nearest(NamedTuple):
-    # where on a rectangle the lobe is greatest; half the Hessian [[a, b], [b, c]] and half the gradient (gs, gt) of the
-    # exponent δ²/(2σ²) there, and its value
+class Exponent(NamedTuple):
+    """The exponent δ²/(2σ²) of a lobe about a place (s, t) of a light.
+
+    a, b, c: Half its Hessian [[a, b], [b, c]]
+    gs, gt: Half its gradient
+    least: Its value
+    """
+
     s: float
     t: float
     a: float
@@ -239,41 +244,44 @@ class _Nearest(NamedTuple):
 
 
 @kernel
-def _nearest(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, far: float) -> _Nearest:
-    # far: exponent beyond which nothing is sought
+def exponent_at(
+    at: SurfacePoint, s: float, t: float, place: Vector, along_s: Vector, along_t: Vector, lobe: Lobe
+) -> Exponent:
+    """That of the place (s, t) [mm], which moves along `along_s` and `along_t`: the exponent is k·|h + J·Δx|²."""
+    hx, hy, jxs, jxt, jys, jyt = _half_vector_map(at, place, along_s, along_t, lobe)
+    k = lobe.inverse
+    a, b, c = k * (jxs * jxs + jys * jys), k * (jxs * jxt + jys * jyt), k * (jxt * jxt + jyt * jyt)
+    return Exponent(s, t, a, b, c, k * (jxs * hx + jys * hy), k * (jxt * hx + jyt * hy), k * (hx * hx + hy * hy))
+
+
+@kernel
+def _nearest(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, far: float) -> Exponent:
+    # where on a rectangle the lobe is greatest. far: exponent beyond which nothing is sought
     s, t = mirror_point(at, panel)
     s, t = min(max(s, area.s0), area.s1), min(max(t, area.t0), area.t1)
-    inverse = lobe.inverse
-    a = b = c = gs = gt = least = 0.0
-    for round_ in range(_LINEARISATIONS):
-        hx, hy, jxs, jxt, jys, jyt = half_vector_map(at, panel_point(panel, s, t), panel.across, panel.along, lobe)
-        # exponent ≈ k·|h + J·Δx|²: its matrix and gradient, per axis of the panel
-        a = inverse * (jxs * jxs + jys * jys)
-        b = inverse * (jxs * jxt + jys * jyt)
-        c = inverse * (jxt * jxt + jyt * jyt)
-        gs, gt = inverse * (jxs * hx + jys * hy), inverse * (jxt * hx + jyt * hy)
-        least = inverse * (hx * hx + hy * hy)
-        if round_ == _LINEARISATIONS - 1 or least > far:
+    near = exponent_at(at, s, t, panel_point(panel, s, t), panel.across, panel.along, lobe)
+    for _ in range(_LINEARISATIONS - 1):
+        if near.least > far:
             break
-        ns, nt = least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, area)
-        if abs(ns - s) < 1e-6 and abs(nt - t) < 1e-6:
+        s, t = least_in_box(near, area)
+        if abs(s - near.s) < 1e-6 and abs(t - near.t) < 1e-6:
             break
-        s, t = ns, nt
-    return _Nearest(s, t, a, b, c, gs, gt, least)
+        near = exponent_at(at, s, t, panel_point(panel, s, t), panel.across, panel.along, lobe)
+    return near
 
 
 @kernel
 def _gaussian_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int) -> float:
-    s, t, a, b, c, gs, gt, least = _nearest(at, panel, area, lobe, 50.0 * NEGLIGIBLE_EXPONENT)
-    if least > NEGLIGIBLE_EXPONENT:
+    near = _nearest(at, panel, area, lobe, 50.0 * NEGLIGIBLE_EXPONENT)
+    if near.least > NEGLIGIBLE_EXPONENT:
         return 0.0
-    window = lobe_window(a, b, c, gs, gt, s, t, least, area)
+    window = lobe_window(near, area)
     if window.s0 >= window.s1 or window.t0 >= window.t1:
         return 0.0
     least_s = math.ceil(panel_nodes * (window.s1 - window.s0)) + 1
     least_t = math.ceil(panel_nodes * (window.t1 - window.t0)) + 1
-    count_s = max(node_count(a, gs, window.s0 - s, window.s1 - s), least_s)
-    count_t = max(node_count(c, gt, window.t0 - t, window.t1 - t), least_t)
+    count_s = max(node_count(near.a, near.gs, window.s0 - near.s, window.s1 - near.s), least_s)
+    count_t = max(node_count(near.c, near.gt, window.t0 - near.t, window.t1 - near.t), least_t)
     if _horizon(at, panel, window).lowest > 0.0:
         return _lobe_above_horizon(at, panel, window, lobe, (count_s, count_t))
     return _integrals(at, panel, window, lobe, LAMBERT, (count_s, count_t))[1]
@@ -321,17 +329,17 @@ def _brushed_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe:
     # of a lobe that is wider across the brushing, a ridge that may lie aslant: nodes that resolve its narrow side all
     # over the window, in pieces
     far = EVERYWHERE if lobe.ggx else 50.0 * NEGLIGIBLE_EXPONENT
-    s, t, a, b, c, gs, gt, least = _nearest(at, panel, area, lobe, far)
+    near = _nearest(at, panel, area, lobe, far)
     window = area
     if not lobe.ggx:
-        if least > NEGLIGIBLE_EXPONENT:
+        if near.least > NEGLIGIBLE_EXPONENT:
             return 0.0
-        window = lobe_window(a, b, c, gs, gt, s, t, least, area)
+        window = lobe_window(near, area)
     width, height = window.s1 - window.s0, window.t1 - window.t0
     if width <= 0.0 or height <= 0.0:
         return 0.0
-    parts_s, count_s = ridge_nodes(width, a, lobe.ggx)
-    parts_t, count_t = ridge_nodes(height, c, lobe.ggx)
+    parts_s, count_s = ridge_nodes(width, near.a, lobe.ggx)
+    parts_t, count_t = ridge_nodes(height, near.c, lobe.ggx)
     count_s = max(count_s, math.ceil(panel_nodes * width / parts_s) + 1)
     count_t = max(count_t, math.ceil(panel_nodes * height / parts_t) + 1)
     total = 0.0
@@ -392,14 +400,9 @@ def tail_nodes(low: float, high: float, singular: float, error: float) -> int:
 
 
 @kernel
-def lobe_window(
-    a: float, b: float, c: float, gs: float, gt: float, s: float, t: float, least: float, area: Rectangle
-) -> Rectangle:
-    """Where on an area the lobe is not negligible, from its exponent's quadratic form; empty where nowhere.
-
-    a, b, c: The form's matrix [[a, b], [b, c]], half of it counting, in the coordinates (s, t)
-    gs, gt, least: Half its gradient and its value at (s, t)
-    """
+def lobe_window(near: Exponent, area: Rectangle) -> Rectangle:
+    """Where on an area the lobe is not negligible, from its exponent's quadratic form; empty where nowhere."""
+    s, t, a, b, c, gs, gt, least = near
     window = area
     determinant = a * c - b * b
     if not (determinant <= 1e-12 * a * c or a <= 0.0 or c <= 0.0):
@@ -531,14 +534,11 @@ def mirror_point(at: SurfacePoint, panel: PanelNumbers) -> tuple[float, float]:
 
 
 @kernel
-def half_vector_map(
+def _half_vector_map(
     at: SurfacePoint, place: Vector, along_s: Vector, along_t: Vector, lobe: Lobe
 ) -> tuple[float, float, float, float, float, float]:
-    """Components of H in the tangent plane of N, and their derivatives along s and t; so that |h| is δ, not its sine.
-
-    place, along_s, along_t: Of the light [mm], and how it moves with s and t
-    lobe: Of a brushed surface, the component across the brushing counts as much less as the lobe is wider there
-    """
+    # components of H in the tangent plane of N, and their derivatives along s and t; so that |h| is δ, not its sine. Of
+    # a brushed surface, the component across the brushing counts as much less as the lobe is wider there
     n = at.n
     light = minus(place, at.p)
     r = length(light)
@@ -585,12 +585,12 @@ def _half_vector_step(side: Vector, r: float, light: Vector, size: float, half: 
 
 
 @kernel
-def least_in_box(
-    a: float, b: float, c: float, gs: float, gt: float, s: float, t: float, area: Rectangle
-) -> tuple[float, float]:
-    """Where ½(a·s² + 2b·s·t + c·t²) + gs·s + gt·t is least in a box, one coordinate after the other: it is convex."""
+def least_in_box(near: Exponent, area: Rectangle) -> tuple[float, float]:
+    """Where an exponent's quadratic form is least in a box, one coordinate after the other: it is convex."""
+    s, t, a, b, c, gs, gt, _ = near
     if a <= 0.0 or c <= 0.0:
         return s, t
+    gs, gt = gs - a * s - b * t, gt - b * s - c * t
     for _ in range(_BOX_STEPS):
         s = min(max(-(gs + b * t) / a, area.s0), area.s1)
         t = min(max(-(gt + b * s) / c, area.t0), area.t1)

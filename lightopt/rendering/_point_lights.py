@@ -106,12 +106,12 @@ def shade_points(
     step = max(1, PAIRS_AT_ONCE // points)
     chunks = [
         _shade_chunk(surface.take(slice(start, start + step)), light, points, reflectance, caster)
-        for start in range(0, len(surface), step)
+        for start in range(0, max(1, len(surface)), step)
     ]
     if len(chunks) == 1:
         return chunks[0]
-    empty = [np.zeros(0)]
-    return np.concatenate([d for d, _ in chunks] or empty), np.concatenate([s for _, s in chunks] or empty)
+    diffuse, specular = zip(*chunks, strict=True)
+    return np.concatenate(diffuse), np.concatenate(specular)
 
 
 def _shade_chunk(

@@ -9,6 +9,7 @@ are divided, each piece with a ray of its own.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,9 +53,10 @@ from lightopt.rendering._panel_quadrature import (
     NODES,
     TAIL_ERROR,
     WEIGHTS,
+    Exponent,
     Rectangle,
+    exponent_at,
     half_vector_cone,
-    half_vector_map,
     least_in_box,
     lobe_window,
     node_count,
@@ -94,6 +96,14 @@ _SIDE_BY_SIDE = 512  # points whose numbers are in the processor's nearest cache
 _LEAST_AT_ONCE = 256
 _Nodes = tuple[Float64, Float64, Float64]  # of an element: places, light and weights
 AT_ONCE = 1 << 21  # surface points times elements times terms of patterns that are shaded at once
+
+
+class _Sum(NamedTuple):
+    # what an element, whose radiance has a pattern, gives to a surface point: for each term a sum that is added to
+    at: SurfacePoint
+    e: Element
+    pattern: Pattern
+    found: Float64
 
 
 @kernel
@@ -247,18 +257,11 @@ def _crossing(at: SurfacePoint, e: Element, start: tuple[float, float], end: tup
 
 
 @kernel
-def _add_above_horizon(
-    at: SurfacePoint,
-    e: Element,
-    area: Rectangle,
-    counts: tuple[int, int],
-    terms: Float64,
-    lobe: Lobe,
-    share: float,
-    found: Float64,
-) -> None:
+def _add_above_horizon(to: _Sum, area: Rectangle, counts: tuple[int, int], lobe: Lobe, share: float) -> None:
     # a share of the specular light of a part of an element that the horizon crosses, added for each term: rows of nodes
     # along v end at the horizon, and are taken apart along u where it meets the sides
+    at, e, pattern, found = to
+    terms = pattern.terms
     count_s, count_t = counts
     whole = share / _divisor(at, lobe)
     ends = np.array([area.s0, area.s0, area.s0, area.s1])
@@ -319,64 +322,51 @@ def specular_of_element(
     """
     if at.n_dot_v <= 0.0:
         return
+    to = _Sum(at, e, pattern, found)
     if lobe.plain:
-        _add_gaussian(at, e, area, pattern, lobe, most, 1.0, found)
+        _add_gaussian(to, area, lobe, most, 1.0)
     elif lobe.ggx:
-        _add_tailed(at, e, area, pattern, lobe, most, found)
+        _add_tailed(to, area, lobe, most)
     else:
         for number in range(lobe.wider + 1):
             share, one = gaussian_lobe(lobe, number)
-            _add_gaussian(at, e, area, pattern, one, most + math.log(share), share, found)
+            _add_gaussian(to, area, one, most + math.log(share), share)
 
 
 @kernel
-def _nearest(
-    at: SurfacePoint, e: Element, area: Rectangle, lobe: Lobe, far: float
-) -> tuple[float, float, float, float, float, float, float, float]:
-    # where on a piece of an element the lobe is greatest, (s, t); half the Hessian [[a, b], [b, c]] and half the
-    # gradient (gs, gt) of the exponent δ²/(2σ²) there, and its value, which is infinite where it is surely beyond `far`
-    s, t, inverse = 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1), lobe.inverse
+def _nearest(at: SurfacePoint, e: Element, area: Rectangle, lobe: Lobe, far: float) -> Exponent:
+    # where on a piece of an element the lobe is greatest; with an infinite exponent where it is surely beyond `far`
+    s, t = 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)
     wide, high = area.s1 - area.s0, area.t1 - area.t0
-    a = b = c = gs = gt = least = 0.0
+    near = Exponent(s, t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for round_ in range(STEPS):
         q, along_s, along_t = element_place(e, s, t)
-        hx, hy, jxs, jxt, jys, jyt = half_vector_map(at, q, along_s, along_t, lobe)
-        a, c = inverse * (jxs * jxs + jys * jys), inverse * (jxt * jxt + jyt * jyt)
-        b = inverse * (jxs * jxt + jys * jyt)
-        gs, gt = inverse * (jxs * hx + jys * hy), inverse * (jxt * hx + jyt * hy)
-        least = inverse * (hx * hx + hy * hy)
-        ns, nt = least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, area)
+        near = exponent_at(at, s, t, q, along_s, along_t, lobe)
+        _, _, a, b, c, gs, gt, least = near
+        ns, nt = least_in_box(near, area)
         ds, dt = ns - s, nt - t
         there = least + 2.0 * (gs * ds + gt * dt) + a * ds * ds + 2.0 * b * ds * dt + c * dt * dt
         if there > (far if round_ else FIRST_FAR_OFF * far):
-            return s, t, a, b, c, gs, gt, np.inf
+            return Exponent(s, t, a, b, c, gs, gt, np.inf)
         if max(abs(ds) / wide, abs(dt) / high) < NEAR:
-            break
+            return near
         s, t = ns, nt
-    return s, t, a, b, c, gs, gt, least
+    return Exponent(s, t, near.a, near.b, near.c, near.gs, near.gt, near.least)
 
 
 @kernel
-def _add_gaussian(
-    at: SurfacePoint,
-    e: Element,
-    area: Rectangle,
-    pattern: Pattern,
-    lobe: Lobe,
-    most: float,
-    share: float,
-    found: Float64,
-) -> None:
+def _add_gaussian(to: _Sum, area: Rectangle, lobe: Lobe, most: float, share: float) -> None:
     # adds a share of the light of one Gaussian lobe
-    s, t, a, b, c, gs, gt, least = _nearest(at, e, area, lobe, FAR_OFF * most + 1.0)
+    near = _nearest(to.at, to.e, area, lobe, FAR_OFF * most + 1.0)
+    s, t, a, _, c, gs, gt, least = near
     if least > most:
         return
-    window = lobe_window(a, b, c, gs, gt, s, t, least, area)
+    window = lobe_window(near, area)
     width, height = window.s1 - window.s0, window.t1 - window.t0
     if width <= 0.0 or height <= 0.0:
         return
     if lobe.widening > 1.0:
-        _add_ridge(at, e, window, pattern, lobe, share, found)
+        _add_ridge(to, window, lobe, share)
         return
     count_s = node_count(a, gs, window.s0 - s, window.s1 - s)
     count_t = node_count(c, gt, window.t0 - t, window.t1 - t)
@@ -385,15 +375,14 @@ def _add_gaussian(
     if least > FLANK:
         count_s, count_t = count_s - 2, count_t - 2
     count_s, count_t = max(min(count_s, few), LEAST_NODES), max(min(count_t, few), LEAST_NODES)
-    _add_window(at, e, window, (count_s, count_t), pattern, lobe, share, found)
+    _add_window(to, window, (count_s, count_t), lobe, share)
 
 
 @kernel
-def _add_tailed(
-    at: SurfacePoint, e: Element, area: Rectangle, pattern: Pattern, lobe: Lobe, most: float, found: Float64
-) -> None:
+def _add_tailed(to: _Sum, area: Rectangle, lobe: Lobe, most: float) -> None:
     # adds the light of a lobe with tails. As on a panel, nodes are those of a rule in u, where a side is width · sinh u
     # from where it is greatest. Those of patterns take pieces that grow with the distance from there
+    at, e, pattern, found = to
     s, t, a, b, c, gs, gt, least = _nearest(at, e, area, lobe, EVERYWHERE)
     if least > farthest_exponent(most, lobe):
         return
@@ -401,7 +390,7 @@ def _add_tailed(
     value = 1.0 / (1.0 + 0.5 * least) ** 2
     error = min(max(ELEMENT_ERROR / LEAST_LEVEL * math.exp(-most) / (value * FULL_ANGLE), TAIL_ERROR), MOST_TAIL_ERROR)
     if lobe.widening > 1.0:
-        _add_ridge(at, e, area, pattern, lobe, 1.0, found)
+        _add_ridge(to, area, lobe, 1.0)
         return
     centre_s, width_s = peak(a, gs, least, s, area.s0, area.s1)
     centre_t, width_t = peak(c, gt, least, t, area.t0, area.t1)
@@ -429,28 +418,24 @@ def _add_tailed(
         for j in range(count_t):
             nodes_t = tail_nodes(ends_t[j] - centre_t, ends_t[j + 1] - centre_t, width_t, error)
             window = Rectangle(ends_s[i], ends_s[i + 1], ends_t[j], ends_t[j + 1])
-            _add_window(at, e, window, (nodes_s, nodes_t), pattern, lobe, 1.0, found)
+            _add_window(to, window, (nodes_s, nodes_t), lobe, 1.0)
 
 
 @kernel
-def _add_ridge(
-    at: SurfacePoint, e: Element, window: Rectangle, pattern: Pattern, lobe: Lobe, share: float, found: Float64
-) -> None:
+def _add_ridge(to: _Sum, window: Rectangle, lobe: Lobe, share: float) -> None:
     # adds a share of the light of a lobe that is wider across the brushing, a ridge that may lie aslant. Along the
     # angle of a disc it is as narrow as where it is farthest out
     along_s = along_t = 0.0
     for corner in range(4):
-        q, of_s, of_t = element_place(
-            e, window.s1 if corner % 2 else window.s0, window.t1 if corner // 2 else window.t0
-        )
-        _, _, jxs, jxt, jys, jyt = half_vector_map(at, q, of_s, of_t, lobe)
-        along_s = max(along_s, lobe.inverse * (jxs * jxs + jys * jys))
-        along_t = max(along_t, lobe.inverse * (jxt * jxt + jyt * jyt))
+        s, t = window.s1 if corner % 2 else window.s0, window.t1 if corner // 2 else window.t0
+        q, of_s, of_t = element_place(to.e, s, t)
+        there = exponent_at(to.at, s, t, q, of_s, of_t, lobe)
+        along_s, along_t = max(along_s, there.a), max(along_t, there.c)
     parts_s, count_s = ridge_nodes(window.s1 - window.s0, along_s, lobe.ggx)
     parts_t, count_t = ridge_nodes(window.t1 - window.t0, along_t, lobe.ggx)
     for k in range(parts_s * parts_t):
         piece = piece_of(window, k, parts_s, parts_t)
-        _add_window(at, e, piece, (count_s, count_t), pattern, lobe, share, found)
+        _add_window(to, piece, (count_s, count_t), lobe, share)
 
 
 @kernel
@@ -484,17 +469,9 @@ def _set_ends(centre: float, width: float, low: float, high: float, ends: Float6
 
 
 @kernel
-def _add_window(
-    at: SurfacePoint,
-    e: Element,
-    window: Rectangle,
-    counts: tuple[int, int],
-    pattern: Pattern,
-    lobe: Lobe,
-    share: float,
-    found: Float64,
-) -> None:
+def _add_window(to: _Sum, window: Rectangle, counts: tuple[int, int], lobe: Lobe, share: float) -> None:
     # adds a share of the light of a part of an element by so many nodes, and more where the pattern needs them
+    at, e, pattern, found = to
     count_s, count_t = counts
     terms, width, height, pictures = pattern.terms, window.s1 - window.s0, window.t1 - window.t0, 0
     for b in range(len(terms)):
@@ -515,7 +492,7 @@ def _add_window(
     if pictures > 0:
         count_s, count_t = min(MOST_PATTERN_NODES, 2 * count_s), min(MOST_PATTERN_NODES, 2 * count_t)
     elif _horizon_crosses(at, e, window):
-        _add_above_horizon(at, e, window, (count_s, count_t), terms, lobe, share, found)
+        _add_above_horizon(to, window, (count_s, count_t), lobe, share)
         return
     factor = share * (width * height / _divisor(at, lobe))
     at_s, at_t = _even_nodes(window.s0, window.s1, count_s), _even_nodes(window.t0, window.t1, count_t)

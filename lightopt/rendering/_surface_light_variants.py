@@ -31,7 +31,7 @@ from lightopt.optics import (
     square_across,
 )
 from lightopt.rendering._converged_variants import VariantNumbers, leaning
-from lightopt.rendering._panel_quadrature import NODES, half_vector_cone, half_vector_map
+from lightopt.rendering._panel_quadrature import NODES, exponent_at, half_vector_cone
 from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at, surface_point
 from lightopt.rendering._surface_light import (
     AT_ONCE,
@@ -59,10 +59,10 @@ def _shared_count(width: float) -> int:
 
 @kernel
 def _shared_counts(at: SurfacePoint, e: Element, lobe: Lobe) -> tuple[int, int]:
-    q, along_u, along_v = element_place(e, 0.5 * (e.u0 + e.u1), 0.5 * (e.v0 + e.v1))
-    _, _, jxu, jxv, jyu, jyv = half_vector_map(at, q, along_u, along_v, lobe)
-    wide = math.sqrt(2.0 * lobe.inverse * (jxu * jxu + jyu * jyu)) * (e.u1 - e.u0)
-    high = math.sqrt(2.0 * lobe.inverse * (jxv * jxv + jyv * jyv)) * (e.v1 - e.v0)
+    u, v = 0.5 * (e.u0 + e.u1), 0.5 * (e.v0 + e.v1)
+    q, along_u, along_v = element_place(e, u, v)
+    middle = exponent_at(at, u, v, q, along_u, along_v, lobe)
+    wide, high = math.sqrt(2.0 * middle.a) * (e.u1 - e.u0), math.sqrt(2.0 * middle.c) * (e.v1 - e.v0)
     return _shared_count(min(wide, 1e3)), _shared_count(min(high, 1e3))
 
 
