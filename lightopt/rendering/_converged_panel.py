@@ -453,7 +453,8 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
     shaded = light if whole is light else converged_panel(whole, centre=origin[0], radius=1.0)
     at: dict[str, Any] = {"sample": np.arange(len(turns)), "shape": (len(turns), 1)}
     levels = [shade_together(surface, [shaded], own, None, **at)[0][1] for own in scene.shown]
-    return float(np.max(levels)) * light.total_weight / whole.total_weight
+    level = float(np.max(levels))
+    return level if whole is light else level * light.total_weight / whole.total_weight
 
 
 def channel_groups(panels: Sequence[PanelLight | ConvergedPanel]) -> list[list[int]]:
