@@ -364,11 +364,9 @@ def surface_light(
     own = elements.copy()
     own[:, RADIANCE] /= total
     _bound(own)
-    fields = {key: value for key, value in vars(panel).items() if key not in ("points", "normalisation")}
-    fields |= {"points": "auto", "inverse_square": True, "emission_exponent": 1.0}
-    elements = _moved(own, rotation, panel.centre)
-    fields |= {"kind": kind, "entry": entry, "elements": elements, "pattern": pattern, "direct_level": direct_level}
-    return SurfaceLight(**fields)
+    fields = vars(panel) | {"points": "auto", "normalisation": "mean", "inverse_square": True, "emission_exponent": 1.0}
+    fields |= {"kind": kind, "entry": entry, "pattern": pattern, "direct_level": direct_level}
+    return SurfaceLight(**fields, elements=_moved(own, rotation, panel.centre))
 
 
 def mixed_light(name: str, parts: Sequence[tuple[SurfaceLight, float]]) -> SurfaceLight:

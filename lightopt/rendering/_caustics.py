@@ -54,10 +54,10 @@ def landed_light(part: PartLight, eye: Float64, rays: int, threads: int | None =
 
     eye: That looks at it, part frame [mm], shape (3,)
     """
-    R_d, R_s = (max(getattr(own, name) for own in part.reflectances) for name in ("R_d", "R_s"))
-    if part.bounces == 0 or R_d * R_s == 0.0:
+    R_d, R_s = (max(getattr(own, name) for own in part.scene.reflectances) for name in ("R_d", "R_s"))
+    if part.scene.bounces == 0 or R_d * R_s == 0.0:
         return []
-    ends = np.concatenate([[0.0], np.cumsum(face_areas(part.mesh))])
+    ends = np.concatenate([[0.0], np.cumsum(face_areas(part.scene.mesh))])
     rays = min(max(rays, LEAST_RAYS), MOST_RAYS)
     return [_landed(part, light, eye, ends, rays, threads) for light in part.lights]
 
@@ -108,7 +108,7 @@ def _thrown(
     part: PartLight, light: PanelLight | ConvergedPanel, eye: Float64, face: Int32, weight: Float64, places: Float64
 ) -> tuple[Float64, Float64, Float64, Index]:
     # points, facets and light of what lands, and by which of the rays. places: in the unit cube, shape (6, rays)
-    mesh = part.mesh
+    mesh = part.scene.mesh
     u, v = np.sqrt(places[0]) * (1.0 - places[1]), np.sqrt(places[0]) * places[1]
     corners = mesh.vertices[mesh.faces[face]]
     points = np.einsum("ki,kij->kj", np.stack([1.0 - u - v, u, v], axis=1), corners)
@@ -118,7 +118,7 @@ def _thrown(
     lit = np.flatnonzero(surface.front & (shining != 0.0))
     surface = surface.take(lit)
     ways, gathered = np.zeros((len(lit), 3)), np.zeros(len(lit))
-    for index, some, own in surface.by_material(part.reflectances):
+    for index, some, own in surface.by_material(part.scene.reflectances):
         u, turn = places[4, lit][index], places[5, lit][index]
         ways[index], light_along = lobe_rays(some.rows, own.lobe, np.arange(len(some)), u, turn)
         gathered[index] = own.R_s * light_along
@@ -141,7 +141,7 @@ def _thrown(
     shown = np.zeros(len(other))
     towards = eye - other.points
     towards /= np.linalg.norm(towards, axis=1)[:, None]
-    for index, some, own in other.by_material(part.reflectances):
+    for index, some, own in other.by_material(part.scene.reflectances):
         shown[index] = own.R_d * _diffuse_terms(some.normals, some.views, towards[index], own.diffuse)
     shown *= other.front / (np.maximum(steep, _LEAST_COSINE) * math.pi * part.white)
     return hits.points, other.facets, thrown[hits.ray] * shown, ray[hits.ray]

@@ -23,7 +23,7 @@ from lightopt.core.arrays import Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, dot, minus, plus, scaled, vector_at
-from lightopt.geometry import RayCaster, TriangleMesh, resolve_hits
+from lightopt.geometry import RayCaster, resolve_hits
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import (
     DiffuseForm,
@@ -68,13 +68,10 @@ _Levels = Callable[[SurfacePoints], Float64]
 class PartLight:
     """What the light of the part on itself depends on, in one posture."""
 
-    mesh: TriangleMesh
+    scene: Scene
     caster: RayCaster
     blocker: RayCaster | None  # for shadows; None for none
     lights: Sequence[PanelLight | ConvergedPanel]  # part frame, from :meth:`of_scene`
-    reflectances: tuple[Reflectance, ...]  # by the materials of the mesh's faces
-    environment: float  # level of the surroundings under a light of gain 1 [grey level]
-    bounces: int  # from the part to the part
 
     @classmethod
     def of_scene(
@@ -84,26 +81,19 @@ class PartLight:
 
         lights: Part frame; panels get places that the lobe cannot tell apart or, where these are too many, are whole
         """
-        return cls(
-            mesh=scene.mesh,
-            caster=caster,
-            blocker=caster if shadows else None,
-            lights=[_mirrored_light(light, scene.sharpest.sigma, caster) for light in lights],
-            reflectances=scene.reflectances,
-            environment=scene.environment,
-            bounces=scene.bounces,
-        )
+        mirrored = [_mirrored_light(light, scene.sharpest.sigma, caster) for light in lights]
+        return cls(scene=scene, caster=caster, blocker=caster if shadows else None, lights=mirrored)
 
     @cached_property
     def white(self) -> float:
         """White level of the part [grey level]."""
-        return white_level(self.reflectances[0])
+        return white_level(self.scene.reflectances[0])
 
     @property
     def surroundings(self) -> Float64:
         """Level of the surroundings under each light, shape (lights,)."""
         lights = (one.light if isinstance(one, ConvergedPanel) else one for one in self.lights)
-        return np.array([self.environment * light.total_weight for light in lights])
+        return np.array([self.scene.environment * light.total_weight for light in lights])
 
     def diffuse(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
         """What diffuse reflection adds to the levels of points, about its error, and glints, shape (3, lights, k).
@@ -120,7 +110,7 @@ class PartLight:
 
     def _added(self, surface: SurfacePoints, threads: int | None, *, by_lobe: bool) -> Float64:
         added = np.zeros((3, len(self.lights), len(surface)))
-        for index, some, own in surface.by_material(self.reflectances):
+        for index, some, own in surface.by_material(self.scene.reflectances):
             added[..., index] = self._converged(some, own, threads, by_lobe=by_lobe)
         return added
 
@@ -136,11 +126,11 @@ class PartLight:
         factor, rays = self._ways(own, by_lobe=by_lobe)
         cells, most = LOBE_CELLS if by_lobe else DIFFUSE_CELLS, math.inf
         step, area = max(1, _RAYS_AT_ONCE // (cells[0] * cells[1])), 1.0 / (cells[0] * cells[1])
-        if not by_lobe and self.bounces > 1:
+        if not by_lobe and self.scene.bounces > 1:
             # light of the surroundings is no glint, however bright these are
             most = MOST_OF_A_RAY + 2.0 * factor * area * float(self.surroundings.max(initial=0.0))
         # what the lobe throws on diffuse surface are caustics
-        shown = self.reflectances
+        shown = self.scene.reflectances
         if not by_lobe:
             shown = tuple(replace(one, R_s=0.0, sigma=1e-3, model=SpecularModel()) for one in shown)
         # half vectors turn by half of what directions do between rays
@@ -157,7 +147,7 @@ class PartLight:
             sides = np.clip(np.ceil(off ** (2.0 / 3.0)), np.where(off > LEAST_SHARE, 2, 1), MOST_SIDES).astype(np.intp)
             cell, u, turn = _divided(some.points, point, u, turn, sides, cells)
             (values,) = factor * self._seen(
-                some, rays, point[cell], u, turn, lambda met: self._levels(met, self.bounces, shown)
+                some, rays, point[cell], u, turn, lambda met: self._levels(met, self.scene.bounces, shown)
             )
             number = sides[cell] ** 2
             added = area * values / number
@@ -194,9 +184,9 @@ class PartLight:
         own = np.flatnonzero(weights > 0.0)
         origins, ways = surface.points[point[own]], directions[own]
         faces = self.caster.next_hit(origins, surface.facets[point[own]], ways)
-        hits = resolve_hits(faces, origins, ways, self.mesh.vertices, self.mesh.faces)
+        hits = resolve_hits(faces, origins, ways, self.scene.mesh.vertices, self.scene.mesh.faces)
         met = own[hits.ray]
-        other = surface_at(hits, self.mesh, hits.points - directions[met], outside=surface.outside)
+        other = surface_at(hits, self.scene.mesh, hits.points - directions[met], outside=surface.outside)
         found = levels(other)
         seen = np.zeros((*found.shape[:2], len(point)))
         seen[0][:, own] = self.surroundings[:, None]
@@ -207,7 +197,7 @@ class PartLight:
         # levels of points that rays met, without shadows, and those of highlights that may be beside them, where
         # normals are uncertain by an angle [rad]; shape (2, lights, k)
         levels = np.zeros((2, len(self.lights), len(surface)))
-        if not self.bounces:
+        if not self.scene.bounces:
             return levels
         levels[0] = isolated_levels(surface, self.lights, shown, None, penumbrae=False)
         if any(own.R_s for own in shown):
@@ -221,13 +211,15 @@ class PartLight:
         if not bounces:
             return np.zeros((1, len(self.lights), len(surface)))
         levels = isolated_levels(surface, self.lights, shown, self.blocker, penumbrae=False)[None]
-        if surface.front.any() and (bounces > 1 or self.environment):
+        if surface.front.any() and (bounces > 1 or self.scene.environment):
             seen_from_front = np.flatnonzero(surface.front)
-            for index, some, own in surface.take(seen_from_front).by_material(self.reflectances):
+            for index, some, own in surface.take(seen_from_front).by_material(self.scene.reflectances):
                 nodes = _cells(len(some), NESTED_CELLS)
                 for by_lobe in (False, True):
                     factor, rays = self._ways(own, by_lobe=by_lobe)
-                    seen = self._seen(some, rays, *nodes, lambda met: self._levels(met, bounces - 1, self.reflectances))
+                    seen = self._seen(
+                        some, rays, *nodes, lambda met: self._levels(met, bounces - 1, self.scene.reflectances)
+                    )
                     mean = seen.reshape(len(self.lights), len(some), -1).mean(axis=2)
                     levels[0][:, seen_from_front[index]] += factor * mean
         return levels

@@ -28,14 +28,6 @@ class PanelInPart:
     text: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class TooFewPixels:
-    """A part that too few pixels see, in every posture."""
-
-    pixels: int  # that see it in the posture that shows it best
-    text: str
-
-
 def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
     """Panels that are inside the part, posture by posture."""
     found: list[PanelInPart] = []
@@ -56,8 +48,8 @@ def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
     return tuple(found)
 
 
-def too_few_pixels(scene: Scene, caster: RayCaster) -> TooFewPixels | None:
-    """Whether too few pixels see the part in every posture; None where enough do in one."""
+def too_few_pixels(scene: Scene, caster: RayCaster) -> tuple[int, str] | None:
+    """How many pixels see the part in the posture that shows it best, and a text; None where they are enough."""
     most = 0
     for posture in scene.postures:
         most = max(most, _pixels(scene, view_from_part(scene, posture), caster))
@@ -72,7 +64,7 @@ def too_few_pixels(scene: Scene, caster: RayCaster) -> TooFewPixels | None:
         f"{pixel_footprint(scene.camera, distance):.3g} mm; check the mesh's units, the part's placement and the "
         "camera's lens"
     )
-    return TooFewPixels(pixels=most, text=text)
+    return most, text
 
 
 def refuse_unusable_scene(scene: Scene, rig: RigConfig, part: PartConfig, caster: RayCaster) -> None:
@@ -84,7 +76,7 @@ def refuse_unusable_scene(scene: Scene, rig: RigConfig, part: PartConfig, caster
     problems = [f"{rig.source.at('lights', index[panel.light])}: {panel.text}" for panel in panels_in_part(scene)]
     unseen = too_few_pixels(scene, caster)
     if unseen is not None:
-        problems += [f"{part.source.at('mesh', 'file')}: {unseen.text}", *unit_hint(part, scene)]
+        problems += [f"{part.source.at('mesh', 'file')}: {unseen[1]}", *unit_hint(part, scene)]
     if problems:
         raise InputError(*problems)
 
