@@ -24,8 +24,7 @@ from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross, face_cros
 
 _log = logging.getLogger("lightopt.geometry")
 
-UNITLESS_SUFFIXES: tuple[str, ...] = (".stl", ".ply", ".obj")
-"""Formats that carry no unit, so that one has to be given."""
+UNITLESS_SUFFIXES: tuple[str, ...] = (".stl", ".ply", ".obj")  # formats that carry no unit, so that one has to be given
 
 MESH_SUFFIXES: tuple[str, ...] = (*UNITLESS_SUFFIXES, ".glb", ".step", ".stp")  # file name endings that can be loaded
 _READERS = {".stl": read_stl, ".ply": read_ply, ".obj": read_obj, ".glb": read_glb}

@@ -19,9 +19,7 @@ from lightopt.geometry._triangle_mesh import SurfaceFinder, TriangleMesh, face_n
 
 Result = TypeVar("Result")
 
-FARTHEST_MM = 0.5
-"""A point that names a face is no farther from it than this [mm]."""
-
+FARTHEST_MM = 0.5  # A point that names a face is no farther from it than this [mm]
 _SAME_COLOUR = 4  # of 255: colours differ by less when programs round them
 _SAME_NORMAL = 1e-5  # components of the normals of flat facets that are one plane
 _ON_PLANE = 1e-9  # of the part's size: a vertex nearer to a plane lies on it

@@ -14,8 +14,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import dot, minus, scaled, vector_at
 
-LEAST_SINE = 0.02
-"""Sine of the angle between brushing and normal below which a point has no direction of brushing."""
+LEAST_SINE = 0.02  # sine of the angle between brushing and normal below which a point has no direction of brushing
 
 
 class Brushing(Protocol):

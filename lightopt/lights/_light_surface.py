@@ -25,7 +25,6 @@ from lightopt.lights._panel import PanelLight, panel_corners
 from lightopt.lights._pattern import UNIFORM, Pattern
 
 PLANE, CONE, SPHERE, FRAME = 0, 1, 2, 3
-
 _NODES = 8  # a side of an element, for its brightness and its outline
 
 

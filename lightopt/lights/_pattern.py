@@ -34,8 +34,7 @@ def _stripes(terms: list[list[float]]) -> Pattern:
     return Pattern(np.array(terms), np.zeros(0, np.float32), np.zeros((0, 0, 3), np.int64))
 
 
-UNIFORM = _stripes([[1.0, 0.0, 0.0, 0.0, 0.0]])
-"""The pattern that is 1 everywhere."""
+UNIFORM = _stripes([[1.0, 0.0, 0.0, 0.0, 0.0]])  # the pattern that is 1 everywhere
 
 
 def sine_pattern(axis: int, *, period: float, phase: float) -> Pattern:

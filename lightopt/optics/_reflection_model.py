@@ -36,11 +36,8 @@ MIN_COS_VIEW = 0.01
 MAX_LOBE_EXPONENT = 60.0
 """Lobes are zero where δ²/(2σ²) exceeds this: e⁻⁶⁰ = 9e-27 of R_s is nothing beside a grey level."""
 
-EVERYWHERE = 1e30
-"""Exponent that no place exceeds: a lobe that is nowhere negligible."""
-
-NARROW_CHORD_SQUARED = 0.25
-"""Lobes where |N − H|² is less than this, δ < 0.505 rad, are computed without branches."""
+EVERYWHERE = 1e30  # exponent that no place exceeds: a lobe that is nowhere negligible
+NARROW_CHORD_SQUARED = 0.25  # Lobes where |N − H|² is less than this, δ < 0.505 rad, are computed without branches
 
 
 FUJII_SCALE = 0.5 - 2.0 / (3.0 * math.pi)
@@ -79,9 +76,7 @@ class Lobe(NamedTuple):
 
 
 _ALL_ROUND = Vector(0.0, 0.0, 0.0)
-
-MOST_WIDER = 5
-"""Wider Gaussian lobes that a lobe may have."""
+MOST_WIDER = 5  # wider Gaussian lobes that a lobe may have
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -96,8 +96,7 @@ Quantised = UInt8 | NDArray[np.uint16]
 # Pixels worked on at a time: bounds the float64 copies. Noise is drawn block by block, so changing it changes noise.
 _BLOCK_PIXELS = 1 << 18
 
-# A camera has one fixed pattern, whatever image it takes.
-_PATTERN_SEED = 1288
+_PATTERN_SEED = 1288  # A camera has one fixed pattern, whatever image it takes.
 
 # Of levels s·(1 + κ·(1 − s/top)) the mean deviation from the line that fits best, both as shares of the level, from
 # 5 to 95 % of the top (EMVA 1288, section on linearity), is so many times κ.

@@ -34,7 +34,6 @@ LEAST_DENSITY = 0.25  # of rays in the others, in the mean density
 WINDOWS = (1, 3, 5, 9, 17, 33, 65)  # rows and columns of samples whose light is taken together
 ENOUGH = 24  # rays in a window, by their light
 FOOTPRINTS = 2.0  # of a sample, within which light that lands belongs to it
-
 _RAYS_AT_ONCE = 1 << 15
 _STEPS = 1.1127756842787055 ** -np.arange(1.0, 7.0)  # g⁷ = g + 1 (Roberts 2018)
 _LEAST_COSINE = 0.02  # of light to the face, by which that to the normal is divided

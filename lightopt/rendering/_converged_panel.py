@@ -33,15 +33,12 @@ from lightopt.scene import Scene
 DIFFUSE_TOLERANCE = 1e-4  # error of the diffuse quadrature per unit of R_d: 0.025 level of 255
 PROBE_INSET = 0.98  # the rays to the corners go this far from the panel's centre towards them
 PENUMBRA_BATCH = 2048  # penumbra pixels that are shaded at once: some 10 MiB of rays
-
-# points a side that stand for the panel on variants of a surface
-LEAST_POINTS, MOST_POINTS = 4, 6
+LEAST_POINTS, MOST_POINTS = 4, 6  # points a side that stand for the panel on variants of a surface
 
 # what the coarse rays of a pixel to a light show
 MOST_TOGETHER = 16  # channels of a light that are shaded at once
 
 _TURNS = 18  # ways that a surface may be brushed, of which the brightest is sought
-
 _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
 
 

@@ -53,7 +53,6 @@ LEAST_SHARE = 0.05  # of that error, above which a cell gets more than one furth
 SPREAD = 1.4  # width of the directions of the lobe's rays, in those of the lobe
 MOST_OF_A_RAY = 0.3  # of what a ray of diffuse light adds at once [grey level]
 LEAST_POINTS, MOST_POINTS = 2, 6  # a side, that stand for panels; those of more points are whole
-
 _RAYS_AT_ONCE = 1 << 16
 _SHIFT = 0.6180339887498949  # of one row of cells against the next, in cells
 _STEP_U, _STEP_V = 0.7548776662466927, 0.5698402909980532  # 1/g and 1/g² of g³ = g + 1

@@ -42,7 +42,6 @@ from lightopt.rendering._surface import SurfacePoint
 MAX_NODES = 48
 
 NEGLIGIBLE_EXPONENT = 45.0  # a rectangle where the lobe is nowhere above e⁻⁴⁵ = 3e-20 of R_s gets no specular light
-
 _NEGLIGIBLE_SHARE = NEGLIGIBLE_EXPONENT / MAX_LOBE_EXPONENT
 
 # the window ends where the lobe has fallen to e⁻¹⁴ = 8e-7 of its greatest value on the rectangle
@@ -53,9 +52,7 @@ WINDOW_MARGIN = 1.15  # the window is widened by this, since the exponent is onl
 # nodes a side of a whole panel where Oren and Nayar's component has a bend on it, and further ones where it has none
 _BENT_NODES, _FURTHER_NODES = 12, 2
 
-# of a lobe that is aslant: σ along a side of a piece, and the most pieces along one
-_PIECE, _MOST_PIECES = 10.0, 64
-
+_PIECE, _MOST_PIECES = 10.0, 64  # of a lobe that is aslant: σ along a side of a piece, and the most pieces along one
 _GRAZING = 1e-3
 _LINEARISATIONS = 3
 _BOX_STEPS = 12
@@ -74,7 +71,6 @@ def _gauss_legendre() -> tuple[Float64, Float64]:
 
 
 NO_LOBE = Reflectance(R_d=1.0, R_s=0.0, sigma=1.0).lobe
-
 TAIL_ERROR = 3e-5  # share of the lobe's light by which a rule may be off
 _EVEN = 1e3  # width, in sides, from which a lobe is the same all along one
 

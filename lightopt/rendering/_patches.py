@@ -35,11 +35,8 @@ from lightopt.scene import (
     view_from_part,
 )
 
-DEFAULT_PATCH_BUDGET = 200_000
-"""Patches visible in at least one posture, by default."""
-
-# the geometry image holds patch numbers as float32, which counts no further
-_MOST_PATCHES = 1 << 24
+DEFAULT_PATCH_BUDGET = 200_000  # patches visible in at least one posture, by default
+_MOST_PATCHES = 1 << 24  # the geometry image holds patch numbers as float32, which counts no further
 
 # image rows whose rays are cast at once, and points that are tested at once: they bound the memory
 _BLOCK_ROWS, _BLOCK_POINTS = 32, 1 << 16

@@ -32,10 +32,8 @@ CREASE_COSINE = 0.985
 MARGIN_PX = 2
 
 _LEAST_COSINE = 0.02  # no pixel is taken to see more than fifty times the surface that faces it
-
 _BLOCK_ROWS = 64
 _CHUNK = 32_768
-
 T = TypeVar("T")
 
 

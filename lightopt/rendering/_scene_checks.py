@@ -14,7 +14,6 @@ from lightopt.scene import PartView, Scene, pixel_footprint, screen_window, unit
 
 PANEL_POINTS = 25  # points of a panel that are tried
 LEAST_PIXELS = 16  # least number of pixels that see the part, in the posture that shows it best
-
 BLOCK_RAYS = 65_536
 
 

@@ -91,7 +91,6 @@ FIRST_FAR_OFF = 4.0  # times that of the form at the middle of an element, which
 NEAR = 0.02  # of an element's sides: steps that are less end the search
 MOST_ENDS, _RINGS, TAIL_GROWTH = 24, 11, 3.2  # of the pieces that a side is taken in for a lobe with tails
 _CROSSING_STEPS, _CROSSING_NEAR = 20, 1e-9  # of the search for the horizon, and how near it is, as a share of a side
-
 _SIDE_BY_SIDE = 512  # points whose numbers are in the processor's nearest cache together
 _LEAST_AT_ONCE = 256
 _Nodes = tuple[Float64, Float64, Float64]  # of an element: places, light and weights
