@@ -35,11 +35,9 @@ PROBE_INSET = 0.98  # the rays to the corners go this far from the panel's centr
 PENUMBRA_BATCH = 2048  # penumbra pixels that are shaded at once: some 10 MiB of rays
 LEAST_POINTS, MOST_POINTS = 4, 6  # points a side that stand for the panel on variants of a surface
 
-# what the coarse rays of a pixel to a light show
 MOST_TOGETHER = 16  # channels of a light that are shaded at once
-
 _TURNS = 18  # ways that a surface may be brushed, of which the brightest is sought
-_DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
+_DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3  # what the coarse rays of a pixel to a light show
 
 
 @dataclass(frozen=True)

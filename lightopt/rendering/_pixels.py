@@ -145,14 +145,9 @@ def _store_masks(
         area[y, x] = angle * distance[i] ** 2 / max(cosine, _LEAST_COSINE)
 
 
-def panel_visibility(
-    pixels: PosturePixels, light: PanelLight, caster: RayCaster, *, moving: bool = False, threads: int | None = None
+def _panel_visibility(
+    pixels: PosturePixels, light: PanelLight, caster: RayCaster, moving: bool, threads: int | None
 ) -> UInt8:
-    """What each pixel sees of a panel: :data:`UNLIT`, :data:`WHOLE` or :data:`LEFT_OUT`, shape (k,).
-
-    light: Part frame
-    moving: Whether it will be asked again with the panel nearby, as of a part that is moved
-    """
     surface = pixels.surface
     targets = shadow_targets(light)
     front = np.flatnonzero(surface.front)
@@ -163,8 +158,7 @@ def panel_visibility(
         where = slice(start, end) if len(front) == len(surface) else front[start:end]  # a slice is not copied
         return *visible_counts(surface.take(where), targets, caster), where
 
-    clear = np.zeros(len(surface), np.intp)
-    above = np.zeros(len(surface), np.intp)
+    clear, above = np.zeros((2, len(surface)), np.intp)
     for seen, facing, where in in_threads(chunk, range(0, len(front), _CHUNK), threads):
         clear[where], above[where] = seen, facing
     # below the horizon of the interpolated normal there is no light, whatever is in the way
@@ -174,8 +168,7 @@ def panel_visibility(
         mixed |= (above > 0) & (above < len(targets))
     hidden = (clear == 0) & (above > 0) & ~mixed
     lit = (clear > 0) & ~mixed
-    visibility = np.where(lit, WHOLE, UNLIT).astype(np.uint8)
-    visibility[mixed] = LEFT_OUT
+    visibility = np.select([mixed, lit], [LEFT_OUT, WHOLE], UNLIT).astype(np.uint8)
     for own, other in ((lit, hidden), (hidden, lit)):
         beside = other | mixed
         if own.any() and beside.any():
@@ -191,12 +184,16 @@ def visibility_of_lights(
     moving: bool = False,
     threads: int | None = None,
 ) -> UInt8:
-    """As :func:`panel_visibility` of each light, shape (lights, k); the same places are asked once."""
+    """What each pixel sees of each light: :data:`UNLIT`, :data:`WHOLE` or :data:`LEFT_OUT`, shape (lights, k).
+
+    lights: Part frame
+    moving: Whether it will be asked again with the lights nearby, as of a part that is moved
+    """
     found: dict[bytes, UInt8] = {}
     places = [shadow_targets(light).tobytes() for light in lights]
     for place, light in zip(places, lights, strict=True):
         if place not in found:
-            found[place] = panel_visibility(pixels, light, caster, moving=moving, threads=threads)
+            found[place] = _panel_visibility(pixels, light, caster, moving, threads)
     return np.stack([found[place] for place in places])
 
 
