@@ -191,7 +191,7 @@ def build_patches(
     while (cut := estimate_patch_count(mesh, edge, select=seen, limit=limit) - hidden - shown) > most:
         # what cutting adds goes with 1 / edge²
         edge *= max(1.02, min(4.0, math.sqrt(cut / max(1, most))))
-    edge = min(edge, max(footprint, _longest_edge(mesh, seen)))
+    edge = min(edge, max(footprint, math.sqrt(longest_edges(mesh.vertices, mesh.faces, seen).max(initial=0.0))))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
     # of a face that no pixel's centre shows, the centroid was tried above; it is that of the patch where there is one
     tried = no_pixel & (patches.roots < 0)
@@ -296,10 +296,6 @@ def patch_positions(table: PatchTable, scene: Scene, posture: Posture) -> tuple[
     """
     columns, rows, _ = project(view_from_part(scene, posture).camera, table.patches.centroids)
     return columns, rows
-
-
-def _longest_edge(mesh: TriangleMesh, faces: Bool) -> float:
-    return math.sqrt(longest_edges(mesh.vertices, mesh.faces, faces).max(initial=0.0))
 
 
 def grain_of(areas: Float64) -> float:

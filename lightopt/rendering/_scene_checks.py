@@ -1,6 +1,6 @@
 """Checks before rendering: no panel is inside the part, and enough pixels see the part."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ LEAST_PIXELS = 16  # least number of pixels that see the part, in the posture th
 BLOCK_RAYS = 65_536
 
 
-@dataclass(frozen=True, kw_only=True)
-class PanelInPart:
+class PanelInPart(NamedTuple):
     """A panel that is inside the part, wholly or in places."""
 
     light: str
@@ -42,8 +41,7 @@ def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
                     "inside the part; check the mesh's units, its placement, and the light's distance of "
                     f"{light.distance:g} mm"
                 )
-                share = inside / len(points)
-                found.append(PanelInPart(light=light.name, posture=posture, share=share, text=text))
+                found.append(PanelInPart(light.name, posture, inside / len(points), text))
     return tuple(found)
 
 
