@@ -92,15 +92,7 @@ def render_image_set(
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
     _check_options(options)
-    scene = build_scene(
-        rig,
-        part,
-        postures=options.postures,
-        lights=options.lights,
-        points=options.points,
-        defects=options.defects,
-        bounces=options.bounces,
-    )
+    scene = build_scene(rig, part, **_chosen(options, "postures", "lights", "points", "defects", "bounces"))
     caster: RayCaster | None = cast_rays_at(scene, rays=rays_of_images(scene, supersample=options.supersample))
     refuse_unusable_scene(scene, rig, part, caster)
     plan = [
@@ -117,11 +109,7 @@ def render_image_set(
         run.warn(*texts)
         writer.add_warnings(texts)
 
-    warn(
-        *scene.warnings,
-        *coarse_warnings(scene.lights, scene.sharpest),
-        *_narrow_defects(scene, rig, options.supersample),
-    )
+    warn(*scene.warnings, *coarse_warnings(scene.lights, scene.sharpest), *_narrow_defects(scene, rig, options))
     resumed = sum(writer.done(*key) for key in plan)
     if resumed == len(plan) and writer.file_done() and all(map(writer.geometry_done, scene.postures)):
         return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=tuple(warnings))
@@ -141,12 +129,10 @@ def render_image_set(
                 scene,
                 posture,
                 caster=caster,
-                shadows=options.shadows,
-                supersample=options.supersample,
-                layers=options.layers,
                 patches=table.patches,
                 threads=run.threads,
                 progress=part_of(stage, number / len(scene.postures), (number + 1) / len(scene.postures)),
+                **_chosen(options, "shadows", "supersample", "layers"),
             )
             rays += images.rays
             packing.check()
@@ -198,16 +184,13 @@ def _check_options(options: RenderOptions) -> None:
         raise InputError(*problems)
 
 
+def _chosen(options: RenderOptions, *names: str) -> dict[str, Any]:
+    return {name: getattr(options, name) for name in names}
+
+
 def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptions) -> Manifest:
-    chosen: dict[str, Any] = {
-        "postures": [posture.as_dict() for posture in scene.postures],
-        "points": options.points,
-        "noise": options.noise,
-        "layers": options.layers,
-        "shadows": options.shadows,
-        "supersample": options.supersample,
-        "patch_budget": options.patch_budget,
-    }
+    chosen: dict[str, Any] = {"postures": [posture.as_dict() for posture in scene.postures]}
+    chosen |= _chosen(options, "points", "noise", "layers", "shadows", "supersample", "patch_budget")
     if options.bounces:
         chosen["bounces"] = options.bounces
     # sets of parts without defects do not mention them
@@ -246,14 +229,14 @@ def set_manifest(
     )
 
 
-def _narrow_defects(scene: Scene, rig: RigConfig, supersample: int) -> tuple[str, ...]:
+def _narrow_defects(scene: Scene, rig: RigConfig, options: RenderOptions) -> tuple[str, ...]:
     # defects between whose neighbouring rays there is room to be missed
-    spacing = pixel_footprint(scene.camera, rig.camera.distance_mm) / supersample
+    spacing = pixel_footprint(scene.camera, rig.camera.distance_mm) / options.supersample
     names = [defect.name for defect in scene.defects if defect.shape.width < spacing]
     if not names:
         return ()
     least = min(defect.shape.width for defect in scene.defects)
-    enough = math.ceil(LEAST_RAYS_ACROSS * spacing * supersample / least)
+    enough = math.ceil(LEAST_RAYS_ACROSS * spacing * options.supersample / least)
     text = (
         f"{counted(len(names), 'defect')} narrower than the {spacing:.3g} mm between rays "
         f"({', '.join(names[:3])}{', …' if len(names) > 3 else ''}): some pixels miss what they would show; "
