@@ -63,17 +63,8 @@ def place_light(*, distance: float, elevation: float, azimuth: float, **panel: A
 
     panel: The fields of the light that do not depend on where it stands: name, size, points, …
     """
-    d = direction(elevation=elevation, azimuth=azimuth)
-    return PanelLight(
-        elevation=elevation,
-        azimuth=azimuth,
-        distance=distance,
-        centre=distance * d,
-        across=azimuth_tangent(azimuth=azimuth),
-        along=elevation_tangent(elevation=elevation, azimuth=azimuth),
-        outward=d,
-        **panel,
-    )
+    axes = _facing(elevation, azimuth)
+    return _panel(axes, distance * axes[2], distance=distance, elevation=elevation, azimuth=azimuth, **panel)
 
 
 def pose_light(
@@ -88,30 +79,22 @@ def pose_light(
     panel: As of :func:`place_light`
     """
     if (elevation, azimuth) != start:
-        before = _facing(*start)
-        carried = _facing(elevation, azimuth) @ before.T
+        before, after = (np.stack(_facing(*angles), axis=1) for angles in (start, (elevation, azimuth)))
+        carried = after @ before.T
         centre, rotation = carried @ centre, carried @ rotation
-    across, along, outward = rotation.T
-    return PanelLight(
-        elevation=elevation,
-        azimuth=azimuth,
-        distance=float(np.linalg.norm(centre)),
-        centre=centre,
-        across=across,
-        along=along,
-        outward=outward,
-        **panel,
-    )
+    distance = float(np.linalg.norm(centre))
+    return _panel(tuple(rotation.T), centre, distance=distance, elevation=elevation, azimuth=azimuth, **panel)
 
 
-def _facing(elevation: float, azimuth: float) -> Float64:
-    # axes of a panel that stands there and faces the origin, in columns
-    axes = (
-        azimuth_tangent(azimuth=azimuth),
-        elevation_tangent(elevation=elevation, azimuth=azimuth),
-        direction(elevation=elevation, azimuth=azimuth),
-    )
-    return np.stack(axes, axis=1)
+def _panel(axes: tuple[Float64, ...], centre: Float64, **panel: Any) -> PanelLight:
+    across, along, outward = axes
+    return PanelLight(centre=centre, across=across, along=along, outward=outward, **panel)
+
+
+def _facing(elevation: float, azimuth: float) -> tuple[Float64, Float64, Float64]:
+    # axes of a panel that stands there and faces the origin
+    outward = direction(elevation=elevation, azimuth=azimuth)
+    return azimuth_tangent(azimuth=azimuth), elevation_tangent(elevation=elevation, azimuth=azimuth), outward
 
 
 def panel_grid(light: PanelLight, points: int) -> Float64:
