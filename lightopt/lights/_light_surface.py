@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -363,8 +363,9 @@ def surface_light(
     own = elements.copy()
     own[:, RADIANCE] /= total
     _bound(own)
-    fields = vars(panel) | {"points": "auto", "normalisation": "mean", "inverse_square": True, "emission_exponent": 1.0}
-    fields |= {"kind": kind, "entry": entry, "pattern": pattern, "direct_level": direct_level}
+    fields: dict[str, Any] = dict(vars(panel), points="auto", normalisation="mean")
+    fields |= {"inverse_square": True, "emission_exponent": 1.0, "kind": kind, "entry": entry, "pattern": pattern}
+    fields["direct_level"] = direct_level
     return SurfaceLight(**fields, elements=_moved(own, rotation, panel.centre))
 
 
