@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from embreex import rtcore_scene
@@ -27,6 +28,7 @@ from lightopt.design import (
     search,
 )
 from lightopt.geometry import RayCaster
+from lightopt.geometry._caster import _begins, _rays_of_pairs  # pyright: ignore[reportPrivateUsage]
 from lightopt.lights import PanelLight
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.scene import Scene
@@ -210,12 +212,15 @@ def matrix_row(
     )
     posture = scene.postures[0]
     recorded: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
-    recorder = RayCaster(
-        scene.mesh.vertices,
-        scene.mesh.faces,
-        recorder=lambda _, origins, directions: recorded.append((origins, directions)),
-    )
-    recorded.clear()  # the ray that commits the scene
+
+    class Recorder(RayCaster):
+        def visible(self, points: Any, normals: Any, targets: Any, *, candidates: Any, **how: Any) -> Any:
+            point, target = (index.astype(np.int32) for index in np.nonzero(candidates.T))
+            begins, local = _begins(points, normals, self.centre, self.radius), (targets - self.centre) / self.radius
+            recorded.append(_rays_of_pairs(begins, local, point, target))
+            return super().visible(points, normals, targets, candidates=candidates, **how)
+
+    recorder = Recorder(scene.mesh.vertices, scene.mesh.faces)
     luminance_matrix(scene, table, posture, some, caster=recorder, threads=1)
     local = ((scene.mesh.vertices - recorder.centre) / recorder.radius).astype(np.float32)
     faces = np.ascontiguousarray(scene.mesh.faces, np.int32)

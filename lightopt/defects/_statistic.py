@@ -18,13 +18,11 @@ import numpy as np
 from lightopt.core.arrays import Float32, Float64
 
 MOST_CHANGE: Final = 8.0  # expected changes are clipped to so many standard deviations: no pixel decides alone
-
 DARK: Final = 3.0
 """What is predicted to be less than so many standard deviations above black is dark: rounding and clipping at black
 make as much of a deviation there as noise does, so that only more than this many show a defect."""
 
 CONFIRMED: Final = 3.0  # where no image alone may decide, the others together must stand out by so much
-
 REGISTRATION_PX: Final = 0.1
 """The part is known to lie within about this much of where the model has it: steep edges are off by so much."""
 

@@ -61,7 +61,6 @@ def plane_to_image(foreshortening: int, footprint: float) -> Float64:
 ELLIPSE_TURNS = 4
 SEGMENT_LENGTH = 6.0  # of a scratch a segment of so many widths is tested
 ROUND = 1.5  # an outline that is less than so many times as long as wide is tested as a round one of the same area
-
 WALL_LEVELS = (1.0,)
 
 # points that a pixel is sampled at along each side: so many across the defect's width, within these limits

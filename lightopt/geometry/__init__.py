@@ -4,12 +4,6 @@ The one home of trimesh and cascadio. Knows triangles and lengths, no camera and
 the frame of the part's file, in mm, Z up.
 """
 
-from lightopt.geometry._brushing import (
-    Brushing as Brushing,
-    CurvedBrushing as CurvedBrushing,
-    RoundBrushing as RoundBrushing,
-    StraightBrushing as StraightBrushing,
-)
 from lightopt.geometry._caster import Hits as Hits, RayCaster as RayCaster, resolve_hits as resolve_hits
 from lightopt.geometry._load_mesh import (
     UNITLESS_SUFFIXES as UNITLESS_SUFFIXES,
@@ -38,6 +32,10 @@ from lightopt.geometry._topology import (
     points_inside as points_inside,
 )
 from lightopt.geometry._triangle_mesh import (
+    Brushing as Brushing,
+    CurvedBrushing as CurvedBrushing,
+    RoundBrushing as RoundBrushing,
+    StraightBrushing as StraightBrushing,
     SurfaceFinder as SurfaceFinder,
     SurfacePlace as SurfacePlace,
     TriangleMesh as TriangleMesh,

@@ -3,9 +3,7 @@
 import logging
 import math
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from embreex import rtcore_scene
@@ -28,9 +26,6 @@ SURFACE_OFFSET = 1e-5
 # rays per triangle below which a hierarchy that is built quicker and queried slower takes less time in all
 FEW_RAYS = 4.0
 
-# called with a query, and origins and directions of its rays exactly as Embree sees them; for benchmarks
-RayRecorder = Callable[[str, Float32, Float32], None]
-
 
 class RayCaster:
     """A bounding volume hierarchy over a triangle mesh, and the two queries of it.
@@ -41,13 +36,10 @@ class RayCaster:
     rays: About how many will be cast, where that is known; for few the hierarchy is built quicker and queried slower
     """
 
-    def __init__(
-        self, vertices: Float64, faces: Int32, *, rays: float = math.inf, recorder: RayRecorder | None = None
-    ) -> None:
+    def __init__(self, vertices: Float64, faces: Int32, *, rays: float = math.inf) -> None:
         low, high = bounding_box(vertices)
         self.centre: Float64 = 0.5 * (low + high)
         self.radius = float(0.5 * np.linalg.norm(high - low))
-        self._recorder = recorder
         self._lock = threading.Lock()
         self._rays_cast = self._rays_free = 0
         # float32 keeps 7 digits, so the mesh is centred and scaled to unit size before it is given to Embree
@@ -86,7 +78,7 @@ class RayCaster:
         neighbours: Whether rays that follow each other go nearly the same way: they are then cast together
         """
         rays = _primary_rays(self._local(origin), directions)
-        if self._packets is None or self._recorder is not None:
+        if self._packets is None:
             return self._run("INTERSECT", *rays)
         with self._lock:
             self._rays_cast += len(directions)
@@ -135,7 +127,7 @@ class RayCaster:
         cast = self._maps.unproven(local, begins, candidates) if outside else candidates
         with self._lock:
             self._rays_free += int(np.count_nonzero(candidates) - np.count_nonzero(cast))
-        if self._packets is not None and self._recorder is None:
+        if self._packets is not None:
             blocked = self._packets.blocked(begins, local, cast)
             with self._lock:
                 self._rays_cast += int(np.count_nonzero(cast))
@@ -152,8 +144,7 @@ class RayCaster:
         rays: To each of them from points seen from outside, over all calls of :meth:`visible`
         moving: Whether targets follow that are near these, as of a part that is moved: maps then serve these as well
         """
-        if self._recorder is None:  # which gets all rays
-            self._maps.make(self._local(targets), rays=rays, moving=moving, threads=threads)
+        self._maps.make(self._local(targets), rays=rays, moving=moving, threads=threads)
 
     def _local(self, points: Float64) -> Float64:
         return (points - self.centre) / self.radius
@@ -161,8 +152,6 @@ class RayCaster:
     def _run(self, query: str, origins: Float32, directions: Float32) -> Int32:
         with self._lock:
             self._rays_cast += len(origins)
-            if self._recorder is not None:
-                self._recorder(query, origins, directions)
         if self._packets is not None:
             query_function = self._packets.occluded if query == "OCCLUDED" else self._packets.first_hit
             return query_function(origins, directions)
@@ -205,8 +194,7 @@ def _rays_of_pairs(begins: Float64, targets: Float64, point: Int32, target: Int3
     return np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(targets[target] - origins, np.float32)
 
 
-@dataclass(frozen=True)
-class Hits:
+class Hits(NamedTuple):
     """Rays that met the mesh, solved in float64 on the plane of the triangle that Embree named; shapes (k,)."""
 
     ray: Int32  # index of the ray among those cast
@@ -227,13 +215,11 @@ def resolve_hits(face: Int32, origin: Float64, directions: Float64, vertices: Fl
     origin: Of the rays [mm], a common one of shape (3,), or shape (n, 3)
     directions: Shape (n, 3), any length
     """
-    return Hits(*_resolve(face, np.atleast_2d(origin), directions, vertices, faces))
+    return _resolve(face, np.atleast_2d(origin), directions, vertices, faces)
 
 
 @kernel
-def _resolve(
-    face: Int32, origins: Float64, directions: Float64, vertices: Float64, faces: Int32
-) -> tuple[Int32, Int32, Float64, Float64, Float64, Float64]:
+def _resolve(face: Int32, origins: Float64, directions: Float64, vertices: Float64, faces: Int32) -> Hits:
     count = np.count_nonzero(face >= 0)
     ray, hit = np.empty(count, np.int32), np.empty(count, np.int32)
     u, v, distance, points = np.empty(count), np.empty(count), np.empty(count), np.empty((count, 3))
@@ -267,4 +253,4 @@ def _resolve(
         points[k, 0], points[k, 1], points[k, 2] = x, y, z
         distance[k] = np.sqrt((x - origin.x) ** 2 + (y - origin.y) ** 2 + (z - origin.z) ** 2)
         k += 1
-    return ray, hit, u, v, points, distance
+    return Hits(ray, hit, u, v, points, distance)

@@ -17,14 +17,10 @@ _COMPONENTS = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 
 @dataclass(frozen=True)
 class MeshPiece:
-    """Triangles of a file that belong together: a group, a solid, a CAD face, those of one colour.
+    """Triangles of a file that belong together: a group, a solid, a CAD face, those of one colour."""
 
-    names: Of the group, object, solid or material, as the file has them
-    colour: #RRGGBB as CAD programs show it; None where the file says none
-    """
-
-    names: tuple[str, ...] = ()
-    colour: str | None = None
+    names: tuple[str, ...] = ()  # of the group, object, solid or material, as the file has them
+    colour: str | None = None  # #RRGGBB as CAD programs show it; None where the file says none
 
 
 def split_glb(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:

@@ -80,7 +80,7 @@ def refine(mesh: TriangleMesh, *, max_edge_mm: float, max_patches: int, select: 
         raise InputError(f"patches: at an edge of {max_edge_mm:g} mm {many}; take a longer edge")
     smooth = np.zeros((0, 3)) if mesh.normals is None else mesh.normals
     of_faces = smooth, face_normals(mesh), face_areas(mesh)
-    return Patches(*_build(mesh.vertices, mesh.faces, *of_faces, selected, max_edge_mm, count))
+    return Patches(*_build(mesh.vertices, mesh.faces, of_faces, selected, max_edge_mm, count))
 
 
 def estimate_patch_count(
@@ -195,18 +195,17 @@ def _count(vertices: Float64, faces: Int32, selected: Bool, limit: float, enough
 def _build(
     vertices: Float64,
     faces: Int32,
-    smooth: Float64,
-    flat: Float64,
-    face_area: Float64,
+    of_faces: tuple[Float64, Float64, Float64],
     selected: Bool,
     limit: float,
     count: int,
 ) -> tuple[NDArray[Any], ...]:
     """Cut all faces, exactly as `_count` does: the fields of `Patches`, in their order.
 
-    A child's tree entry is written into its parent when the child is taken up. `smooth` are normals at the vertices,
-    none of them for facets, `flat` and `face_area` normals and areas of the faces.
+    A child's tree entry is written into its parent when the child is taken up. `of_faces` are normals at the vertices,
+    none of them for facets, and normals and areas of the faces.
     """
+    smooth, flat, face_area = of_faces
     n, m = len(vertices), len(faces)
     cuts = count - m
     points = np.empty((n + cuts, 3))

@@ -68,6 +68,14 @@ def _aligned(count: int) -> Float32:
 
 
 @kernel
+def _packet(width: int) -> tuple[Float32, Int32]:
+    # rows of a packet, and which of its rays are valid
+    ray = _aligned(_ROWS * width)
+    ray.view(np.int32)[_MASK * width : (_MASK + 1) * width] = -1
+    return ray, _aligned(width).view(np.int32)
+
+
+@kernel
 def _load(ray: Float32, valid: Int32, first: int, origins: Float32, directions: Float32, furthest: float) -> None:
     # the rays from number `first` on into a packet; places beyond the last ray are not valid
     width, n = len(valid), len(origins)
@@ -85,9 +93,7 @@ def _blocked(function: int, scene: int, arguments: int, width: int, origins: Flo
     # 0 where anything lies within the length of a direction, −1 where nothing does
     n = len(origins)
     found = np.empty(n, np.int32)
-    ray = _aligned(_ROWS * width)
-    valid = _aligned(width).view(np.int32)
-    ray.view(np.int32)[_MASK * width : (_MASK + 1) * width] = -1
+    ray, valid = _packet(width)
     for first in range(0, n, width):
         _load(ray, valid, first, origins, directions, 1.0)
         call_address(function, valid.ctypes.data, scene, ray.ctypes.data, arguments)
@@ -102,9 +108,7 @@ def _blocked_ways(
     function: int, scene: int, arguments: int, width: int, begins: Float64, target: Float64, cast: Bool, found: Bool
 ) -> None:
     # the same for the rays from some points to one target, of which those to cast fill packets in their order
-    ray = _aligned(_ROWS * width)
-    valid = _aligned(width).view(np.int32)
-    ray.view(np.int32)[_MASK * width : (_MASK + 1) * width] = -1
+    ray, valid = _packet(width)
     index = np.empty(width, np.int64)
     x, y, z = target
     n, lanes = len(cast), 0
@@ -129,7 +133,6 @@ def _blocked_ways(
 def _nearest(function: int, scene: int, arguments: int, ray: Float32, origin: Float32, direction: Float32) -> int:
     # the triangle that a ray meets first, −1 where none
     number = ray.view(np.int32)
-    number[_MASK] = -1
     for axis in range(3):
         ray[axis] = origin[axis]
         ray[4 + axis] = direction[axis]
@@ -143,7 +146,7 @@ def _nearest(function: int, scene: int, arguments: int, ray: Float32, origin: Fl
 @kernel
 def _nearest_of_each(function: int, scene: int, arguments: int, origins: Float32, directions: Float32) -> Int32:
     found = np.empty(len(origins), np.int32)
-    ray = _aligned(_ROWS)
+    ray, _ = _packet(1)
     for i in range(len(origins)):
         found[i] = _nearest(function, scene, arguments, ray, origins[i], directions[i])
     return found
@@ -155,10 +158,8 @@ def _nearest_in_packets(
 ) -> Int32:
     (packet, single, scene, arguments), n = functions, len(origins)
     found = np.empty(n, np.int32)
-    ray, alone = _aligned(_ROWS * width), _aligned(_ROWS)
+    (ray, valid), (alone, _) = _packet(width), _packet(1)
     number = ray.view(np.int32)
-    number[_MASK * width : (_MASK + 1) * width] = -1
-    valid = _aligned(width).view(np.int32)
     for first in range(0, n, width):
         _load(ray, valid, first, origins, directions, np.inf)
         number[_GEOMETRY * width : (_GEOMETRY + 1) * width] = -1

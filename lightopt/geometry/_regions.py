@@ -19,9 +19,7 @@ from lightopt.geometry._triangle_mesh import SurfaceFinder, TriangleMesh, face_n
 
 Result = TypeVar("Result")
 
-FARTHEST_MM = 0.5
-"""A point that names a face is no farther from it than this [mm]."""
-
+FARTHEST_MM = 0.5  # A point that names a face is no farther from it than this [mm]
 _SAME_COLOUR = 4  # of 255: colours differ by less when programs round them
 _SAME_NORMAL = 1e-5  # components of the normals of flat facets that are one plane
 _ON_PLANE = 1e-9  # of the part's size: a vertex nearer to a plane lies on it
@@ -68,14 +66,10 @@ class ColouredRegion:
 
 @dataclass(frozen=True)
 class RegionAtPoints:
-    """CAD faces at some points; of meshes, the surface around each up to its creases.
+    """CAD faces at some points; of meshes, the surface around each up to its creases."""
 
-    points: [mm], each on its face
-    cad: Whether the pieces of the file are CAD faces
-    """
-
-    points: tuple[tuple[float, float, float], ...]
-    cad: bool
+    points: tuple[tuple[float, float, float], ...]  # [mm], each on its face
+    cad: bool  # whether the pieces of the file are CAD faces
 
     def faces(self, loaded: LoadedMesh) -> Bool:
         mesh = loaded.mesh
@@ -97,13 +91,10 @@ class RegionAtPoints:
 
 @dataclass(frozen=True)
 class BoxRegion:
-    """The surface inside a box.
+    """The surface inside a box."""
 
-    low, high: Its corners [mm]
-    """
-
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
+    low: tuple[float, float, float]  # its corners [mm]
+    high: tuple[float, float, float]  # its corners [mm]
 
     def cut(self, loaded: LoadedMesh, *, most: int) -> LoadedMesh:
         """With edges along the sides of the box, where these cut faces; `most` faces are not exceeded."""
@@ -124,21 +115,15 @@ class MaskRegion:
     """The surface that a mask marks, which is projected onto the part along an axis.
 
     Columns go along the first of the other two axes, rows from the last one along the second.
-
-    mask: Shape (height, width)
-    axis: Of projection: 0, 1 or 2 for X, Y or Z
-    positive: Whether it falls on what faces the axis's positive end, or on what faces the negative one
-    corner: Coordinates of the first column's and the last row's outer sides along the other two axes [mm]
-    pixel: Side of the mask's pixels [mm]
-    depth: Least and greatest coordinate along the axis [mm]
     """
 
-    mask: Bool
-    axis: int
-    positive: bool
+    mask: Bool  # shape (height, width)
+    axis: int  # of projection: 0, 1 or 2 for X, Y or Z
+    positive: bool  # whether it falls on what faces the axis's positive end, or on what faces the negative one
+    # coordinates of the first column's and the last row's outer sides along the other two axes [mm]
     corner: tuple[float, float]
-    pixel: float
-    depth: tuple[float, float] = (-math.inf, math.inf)
+    pixel: float  # side of the mask's pixels [mm]
+    depth: tuple[float, float] = (-math.inf, math.inf)  # least and greatest coordinate along the axis [mm]
 
     def cut(self, loaded: LoadedMesh, *, most: int) -> LoadedMesh:
         """With faces no larger than the mask's pixels along its border; `most` faces are not exceeded."""

@@ -25,26 +25,24 @@ from lightopt.lights._light_surface import (
 )
 from lightopt.lights._panel import (
     PanelLight as PanelLight,
+    PanelNumbers as PanelNumbers,
+    attenuated as attenuated,
+    half_diagonal as half_diagonal,
     panel_corners as panel_corners,
     panel_grid as panel_grid,
+    panel_numbers as panel_numbers,
+    panel_point as panel_point,
     place_light as place_light,
     plane_places as plane_places,
     pose_light as pose_light,
     rectangles_meet as rectangles_meet,
-)
-from lightopt.lights._panel_emission import (
-    PanelNumbers as PanelNumbers,
-    attenuated as attenuated,
-    half_diagonal as half_diagonal,
-    panel_numbers as panel_numbers,
-    panel_point as panel_point,
 )
 from lightopt.lights._pattern import (
     PICTURE as PICTURE,
     Pattern as Pattern,
     bar_pattern as bar_pattern,
     pattern_at as pattern_at,
+    pattern_picture as pattern_picture,
     picture_patterns as picture_patterns,
     sine_pattern as sine_pattern,
 )
-from lightopt.lights._pattern_picture import pattern_picture as pattern_picture

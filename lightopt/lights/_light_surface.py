@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from lightopt.lights._panel import PanelLight, panel_corners
 from lightopt.lights._pattern import UNIFORM, Pattern
 
 PLANE, CONE, SPHERE, FRAME = 0, 1, 2, 3
-
 _NODES = 8  # a side of an element, for its brightness and its outline
 
 
@@ -170,18 +169,13 @@ class SurfaceLight(PanelLight):
     """A light of another shape than the panel, or one channel of it, in whichever frame its vectors are given.
 
     What it has of a panel is the frame that it stands in, with the size of the rectangle around it.
-
-    kind: Of the light, as in the rig file
-    entry: Number of its entry in the rig file; channels of one entry have the surface in common
-    elements: Of its surface, shape (e, ELEMENT_NUMBERS)
-    pattern: What multiplies the radiance
-    direct_level: Of a pixel that looks straight at its full radiance at exposure 1, per unit of gain [grey level]
     """
 
-    kind: str
-    entry: int
-    elements: Float64
-    pattern: Pattern
+    kind: str  # of the light, as in the rig file
+    entry: int  # number of its entry in the rig file; channels of one entry have the surface in common
+    elements: Float64  # of its surface, shape (e, ELEMENT_NUMBERS)
+    pattern: Pattern  # what multiplies the radiance
+    # of a pixel that looks straight at its full radiance at exposure 1, per unit of gain [grey level]
     direct_level: float = 0.0
 
     def moved(self, rotation: Float64, translation: Float64) -> SurfaceLight:
@@ -277,7 +271,7 @@ def cone_elements(
     widening, rise = (end[0] - start[0]) / long, (end[1] - start[1]) / long
     u, v = np.linspace(*turn, cells[0] + 1), np.linspace(0.0, long, cells[1] + 1)
     # ∂u × ∂v goes with rise·radial − widening·outward
-    return _grid(u, v, shape=CONE, side=1.0, height=start[1], radius=start[0], widening=widening, rise=rise)
+    return _grid(u, v, shape=CONE, side=1.0, profile=(start[1], start[0], widening, rise))
 
 
 def frame_elements(size: tuple[float, float], hole: float) -> Float64:
@@ -291,7 +285,7 @@ def frame_elements(size: tuple[float, float], hole: float) -> Float64:
         near, far = (0.5 * size[(quarter + k) % 2] for k in range(2))
         corner = math.atan2(far, near)
         u, v = np.linspace(-corner, corner, 7), np.linspace(0.0, 1.0, 3)
-        rows = _grid(u, v, shape=FRAME, side=1.0, radius=0.5 * hole, widening=near)
+        rows = _grid(u, v, shape=FRAME, side=1.0, profile=(0.0, 0.5 * hole, near, 0.0))
         cosine, sine = (round(f(0.5 * math.pi * quarter)) for f in (math.cos, math.sin))
         rows[:, 4:10] = cosine, sine, 0.0, -sine, cosine, 0.0
         sides.append(rows)
@@ -326,28 +320,18 @@ def sphere_elements(
     cells: Elements around and up
     """
     u, v = np.linspace(*turn, cells[0] + 1), np.linspace(*height, cells[1] + 1)
-    return _grid(u, v, shape=SPHERE, side=-1.0, radius=radius)
+    return _grid(u, v, shape=SPHERE, side=-1.0, profile=(0.0, radius, 0.0, 0.0))
 
 
 def _grid(
-    u: Float64,
-    v: Float64,
-    *,
-    shape: int,
-    side: float,
-    height: float = 0.0,
-    radius: float = 0.0,
-    widening: float = 0.0,
-    rise: float = 0.0,
+    u: Float64, v: Float64, *, shape: int, side: float, profile: Sequence[float] = (0.0, 0.0, 0.0, 0.0)
 ) -> Float64:
-    rows = np.zeros(((len(u) - 1) * (len(v) - 1), ELEMENT_NUMBERS))
-    k = 0
-    for i in range(len(u) - 1):
-        for j in range(len(v) - 1):
-            rows[k, 0], rows[k, 3] = shape, height
-            rows[k, 4:13] = np.eye(3).ravel()
-            rows[k, 13:22] = u[i], u[i + 1], v[j], v[j + 1], radius, widening, rise, side, 1.0
-            k += 1
+    # elements between lines of u and v; profile: height, radius, widening, rise
+    i, j = (a.ravel() for a in np.mgrid[: len(u) - 1, : len(v) - 1])
+    rows = np.zeros((len(i), ELEMENT_NUMBERS))
+    rows[:, 0], rows[:, 3], rows[:, 4:13] = shape, profile[0], np.eye(3).ravel()
+    rows[:, 13:17] = np.stack([u[i], u[i + 1], v[j], v[j + 1]], axis=1)
+    rows[:, 17:22] = *profile[1:], side, 1.0
     return rows
 
 
@@ -379,11 +363,10 @@ def surface_light(
     own = elements.copy()
     own[:, RADIANCE] /= total
     _bound(own)
-    fields = {key: value for key, value in vars(panel).items() if key not in ("points", "normalisation")}
-    fields |= {"points": "auto", "inverse_square": True, "emission_exponent": 1.0}
-    elements = _moved(own, rotation, panel.centre)
-    fields |= {"kind": kind, "entry": entry, "elements": elements, "pattern": pattern, "direct_level": direct_level}
-    return SurfaceLight(**fields)
+    fields: dict[str, Any] = dict(vars(panel), points="auto", normalisation="mean")
+    fields |= {"inverse_square": True, "emission_exponent": 1.0, "kind": kind, "entry": entry, "pattern": pattern}
+    fields["direct_level"] = direct_level
+    return SurfaceLight(**fields, elements=_moved(own, rotation, panel.centre))
 
 
 def mixed_light(name: str, parts: Sequence[tuple[SurfaceLight, float]]) -> SurfaceLight:

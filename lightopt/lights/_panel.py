@@ -1,49 +1,44 @@
-"""The panel light: where it stands, its point lights, and whether two panels collide."""
+"""The panel light: where it stands, its point lights, and whether two panels collide.
+
+In kernels: the places of its points, their fall-off and their emission. A light kind is described by such functions
+alone; kernels that add up its light know no more of it.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.core.kernels import kernel
 from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
+from lightopt.core.vectors import Vector
 
 
 @dataclass(frozen=True, kw_only=True)
 class PanelLight:
-    """A rectangular panel, in whichever frame its vectors are given (world or part).
-
-    elevation, azimuth: Where its centre stands, world frame [rad]
-    distance: Panel centre to origin [mm]
-    centre: [mm], shape (3,)
-    across, along: Unit vectors of its sides, shape (3,); e_φ and e_θ of a panel that faces the origin
-    outward: Unit vector across × along, shape (3,), from the origin to a panel that faces it; it shines along −outward
-    size: Sides along `across` and `along` [mm]
-    points: Number of point lights k², or ``"auto"`` for the converged panel
-    inverse_square: Whether light falls off with (reference distance / r)²
-    reference_distance: [mm]; None for the panel's own distance
-    emission_exponent: n of the emission cosⁿ(angle to the panel's axis); 0 is the paper's point light
-    """
+    """A rectangular panel, in whichever frame its vectors are given (world or part)."""
 
     name: str
-    elevation: float
-    azimuth: float
-    distance: float
-    centre: Float64
-    across: Float64
-    along: Float64
+    elevation: float  # where its centre stands, world frame [rad]
+    azimuth: float  # where its centre stands, world frame [rad]
+    distance: float  # panel centre to origin [mm]
+    centre: Float64  # [mm], shape (3,)
+    across: Float64  # unit vectors of its sides, shape (3,); e_φ and e_θ of a panel that faces the origin
+    along: Float64  # unit vectors of its sides, shape (3,); e_φ and e_θ of a panel that faces the origin
+    # unit vector across × along, shape (3,), from the origin to a panel that faces it; it shines along −outward
     outward: Float64
-    size: tuple[float, float]
-    points: int | Literal["auto"]
+    size: tuple[float, float]  # sides along `across` and `along` [mm]
+    points: int | Literal["auto"]  # number of point lights k², or ``"auto"`` for the converged panel
     normalisation: Literal["mean", "sum"] = "mean"
     gain: float = 1.0
-    inverse_square: bool = False
-    emission_exponent: float = 0.0
-    reference_distance: float | None = None
+    inverse_square: bool = False  # whether light falls off with (reference distance / r)²
+    emission_exponent: float = 0.0  # n of the emission cosⁿ(angle to the panel's axis); 0 is the paper's point light
+    reference_distance: float | None = None  # [mm]; None for the panel's own distance
 
     @property
     def total_weight(self) -> float:
@@ -68,17 +63,8 @@ def place_light(*, distance: float, elevation: float, azimuth: float, **panel: A
 
     panel: The fields of the light that do not depend on where it stands: name, size, points, …
     """
-    d = direction(elevation=elevation, azimuth=azimuth)
-    return PanelLight(
-        elevation=elevation,
-        azimuth=azimuth,
-        distance=distance,
-        centre=distance * d,
-        across=azimuth_tangent(azimuth=azimuth),
-        along=elevation_tangent(elevation=elevation, azimuth=azimuth),
-        outward=d,
-        **panel,
-    )
+    axes = _facing(elevation, azimuth)
+    return _panel(axes, distance * axes[2], distance=distance, elevation=elevation, azimuth=azimuth, **panel)
 
 
 def pose_light(
@@ -93,30 +79,22 @@ def pose_light(
     panel: As of :func:`place_light`
     """
     if (elevation, azimuth) != start:
-        before = _facing(*start)
-        carried = _facing(elevation, azimuth) @ before.T
+        before, after = (np.stack(_facing(*angles), axis=1) for angles in (start, (elevation, azimuth)))
+        carried = after @ before.T
         centre, rotation = carried @ centre, carried @ rotation
-    across, along, outward = rotation.T
-    return PanelLight(
-        elevation=elevation,
-        azimuth=azimuth,
-        distance=float(np.linalg.norm(centre)),
-        centre=centre,
-        across=across,
-        along=along,
-        outward=outward,
-        **panel,
-    )
+    distance = float(np.linalg.norm(centre))
+    return _panel(tuple(rotation.T), centre, distance=distance, elevation=elevation, azimuth=azimuth, **panel)
 
 
-def _facing(elevation: float, azimuth: float) -> Float64:
-    # axes of a panel that stands there and faces the origin, in columns
-    axes = (
-        azimuth_tangent(azimuth=azimuth),
-        elevation_tangent(elevation=elevation, azimuth=azimuth),
-        direction(elevation=elevation, azimuth=azimuth),
-    )
-    return np.stack(axes, axis=1)
+def _panel(axes: tuple[Float64, ...], centre: Float64, **panel: Any) -> PanelLight:
+    across, along, outward = axes
+    return PanelLight(centre=centre, across=across, along=along, outward=outward, **panel)
+
+
+def _facing(elevation: float, azimuth: float) -> tuple[Float64, Float64, Float64]:
+    # axes of a panel that stands there and faces the origin
+    outward = direction(elevation=elevation, azimuth=azimuth)
+    return azimuth_tangent(azimuth=azimuth), elevation_tangent(elevation=elevation, azimuth=azimuth), outward
 
 
 def panel_grid(light: PanelLight, points: int) -> Float64:
@@ -171,3 +149,56 @@ def rectangles_meet(a: PanelLight, b: PanelLight) -> bool:
         if abs(float(between @ axis)) > reach + 1e-9 * length:
             return False
     return True
+
+
+class PanelNumbers(NamedTuple):
+    """A panel in the part's frame; a point of it is ``centre + s·across + t·along`` with s, t in [−½, ½]."""
+
+    centre: Vector
+    across: Vector  # as long as the panel's sides [mm]
+    along: Vector  # as long as the panel's sides [mm]
+    outward: Vector
+    distance: float  # at which the fall-off is 1 [mm]
+    inverse_square: bool
+    emission_exponent: float
+
+
+def panel_numbers(light: PanelLight) -> PanelNumbers:
+    """The numbers of a panel, in the frame that its vectors are given in."""
+    return PanelNumbers(
+        centre=Vector(*light.centre.tolist()),
+        across=Vector(*(light.size[0] * light.across).tolist()),
+        along=Vector(*(light.size[1] * light.along).tolist()),
+        outward=Vector(*light.outward.tolist()),
+        distance=float(light.distance if light.reference_distance is None else light.reference_distance),
+        inverse_square=light.inverse_square,
+        emission_exponent=float(light.emission_exponent),
+    )
+
+
+@kernel
+def panel_point(panel: PanelNumbers, s: float, t: float) -> Vector:
+    """The point centre + s·across + t·along."""
+    c, a, b = panel.centre, panel.across, panel.along
+    return Vector(c.x + s * a.x + t * b.x, c.y + s * a.y + t * b.y, c.z + s * a.z + t * b.z)
+
+
+@kernel
+def half_diagonal(panel: PanelNumbers) -> float:
+    """Of the panel [mm]."""
+    a, b = panel.across, panel.along
+    return 0.5 * math.sqrt(a.x**2 + a.y**2 + a.z**2 + b.x**2 + b.y**2 + b.z**2)
+
+
+@kernel
+def attenuated(weight: float, panel: PanelNumbers, r2: float, cosine: float) -> float:
+    """Weight of a point of the panel after its fall-off and emission.
+
+    r2: Squared distance from the point to the surface [mm²]
+    cosine: Between the direction to the surface and the panel's axis
+    """
+    if panel.inverse_square:
+        weight *= panel.distance * panel.distance / r2
+    if panel.emission_exponent > 0.0:
+        weight *= max(0.0, cosine) ** panel.emission_exponent
+    return weight

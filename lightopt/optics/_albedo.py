@@ -18,9 +18,7 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.optics._reflection_model import FUJII_SCALE, DiffuseForm, Lobe, Reflectance, light_factor
 
-DEFAULT_ALBEDO = 0.65
-"""Share of light that a surface of unknown white level reflects: that of chrome plating."""
-
+DEFAULT_ALBEDO = 0.65  # share of light that a surface of unknown white level reflects: that of chrome plating
 _NODES = 64
 _REACH = 12.0  # standard deviations of the lobe that are integrated
 _TURNS = 64  # directions of a quarter turn about the normal in which the lobe of a brushed surface is summed

@@ -12,7 +12,6 @@ _KERNEL_RADIUS = 128
 
 _RINGS_RADIUS = 16  # beyond, the kernel has the mean of the rings [px]
 _ACROSS = 9  # places along a pixel's side that the kernel is integrated from
-
 _SCRAMBLING = 3  # seed
 
 # Airy's disc is as wide as a uniform disc of 1.69 λ·b/D: both have the spread of a Gaussian of 0.42 λ·b/D

@@ -36,11 +36,8 @@ MIN_COS_VIEW = 0.01
 MAX_LOBE_EXPONENT = 60.0
 """Lobes are zero where δ²/(2σ²) exceeds this: e⁻⁶⁰ = 9e-27 of R_s is nothing beside a grey level."""
 
-EVERYWHERE = 1e30
-"""Exponent that no place exceeds: a lobe that is nowhere negligible."""
-
-NARROW_CHORD_SQUARED = 0.25
-"""Lobes where |N − H|² is less than this, δ < 0.505 rad, are computed without branches."""
+EVERYWHERE = 1e30  # exponent that no place exceeds: a lobe that is nowhere negligible
+NARROW_CHORD_SQUARED = 0.25  # Lobes where |N − H|² is less than this, δ < 0.505 rad, are computed without branches
 
 
 FUJII_SCALE = 0.5 - 2.0 / (3.0 * math.pi)
@@ -48,76 +45,53 @@ FUJII_SCALE = 0.5 - 2.0 / (3.0 * math.pi)
 
 
 class DiffuseForm(NamedTuple):
-    """Form of the diffuse component, apart from R_d; one of the two is Lambert's.
+    """Form of the diffuse component, apart from R_d; one of the two is Lambert's."""
 
-    exponent: Power of N·L; 1 is Lambert's law
-    roughness: r of Oren and Nayar's component in Fujii's form, from 0, Lambert's law, to 1
-    """
-
-    exponent: float = 1.0
-    roughness: float = 0.0
+    exponent: float = 1.0  # power of N·L; 1 is Lambert's law
+    roughness: float = 0.0  # r of Oren and Nayar's component in Fujii's form, from 0, Lambert's law, to 1
 
 
 LAMBERT = DiffuseForm()
 
 
 class Lobe(NamedTuple):
-    """A specular lobe in the form that kernels take; its greatest value is R_s, where N = H = V.
+    """A specular lobe in the form that kernels take; its greatest value is R_s, where N = H = V."""
 
-    inverse: 1/(2σ²) [rad⁻²]; for GGX, 2/α²
-    farthest: δ²/(2σ²) from which the lobe is zero
-    plain: Whether it is one Gaussian lobe without Fresnel's factor, which equation (3) has
-    ggx: Whether it is the lobe of GGX
-    share: Height of the narrowest Gaussian lobe: 1 of a single one and of the narrow one of two
-    wider: Number of further, wider Gaussian lobes
-    shares: Their heights, in the unit of `share`
-    inverses: 1/(2σ²) of these lobes [rad⁻²], of which each is wider than the one before
-    n, k: Complex refractive index n + ik of a metal; 0 where reflection does not depend on the angle
-    normal_reflectance: Fresnel reflectance of the metal at normal incidence
-    widening: (σ_across/σ)² of a brushed surface, whose lobe is as much wider across the brushing; 1 of others
-    across: Unit vector across the brushing, in the tangent plane, times √(1 − 1/widening); 0 where the lobe is alike
-        all round
-    """
-
-    inverse: float
-    farthest: float
-    plain: bool
-    ggx: bool
-    share: float
-    wider: int
-    shares: tuple[float, float, float, float, float]
+    inverse: float  # 1/(2σ²) [rad⁻²]; for GGX, 2/α²
+    farthest: float  # δ²/(2σ²) from which the lobe is zero
+    plain: bool  # whether it is one Gaussian lobe without Fresnel's factor, which equation (3) has
+    ggx: bool  # whether it is the lobe of GGX
+    share: float  # height of the narrowest Gaussian lobe: 1 of a single one and of the narrow one of two
+    wider: int  # number of further, wider Gaussian lobes
+    shares: tuple[float, float, float, float, float]  # their heights, in the unit of `share`
+    # 1/(2σ²) of these lobes [rad⁻²], of which each is wider than the one before
     inverses: tuple[float, float, float, float, float]
-    n: float
-    k: float
-    normal_reflectance: float
-    widening: float
+    n: float  # complex refractive index n + ik of a metal; 0 where reflection does not depend on the angle
+    k: float  # complex refractive index n + ik of a metal; 0 where reflection does not depend on the angle
+    normal_reflectance: float  # Fresnel reflectance of the metal at normal incidence
+    widening: float  # (σ_across/σ)² of a brushed surface, whose lobe is as much wider across the brushing; 1 of others
+    # unit vector across the brushing, in the tangent plane, times √(1 − 1/widening); 0 where the lobe is alike all
+    # round
     across: Vector
 
 
 _ALL_ROUND = Vector(0.0, 0.0, 0.0)
-
-MOST_WIDER = 5
-"""Wider Gaussian lobes that a lobe may have."""
+MOST_WIDER = 5  # wider Gaussian lobes that a lobe may have
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpecularModel:
-    """What a specular lobe is like, apart from how wide and how high it is.
+    """What a specular lobe is like, apart from how wide and how high it is."""
 
-    name: torrance-sparrow, one Gaussian lobe in δ; ggx, with masking by Smith; two-lobe, two Gaussian ones; measured, a
-        sum of Gaussian ones that follows a table
-    wide_share: R_s of the wide lobe, as a share of R_s; two-lobe only
-    wide_ratio: σ of the wide lobe over σ; two-lobe only
-    refractive_index: n and k of the metal, for Fresnel's factor; None for no such factor
-    across_ratio: σ across the brushing over σ, of brushed surfaces; 1 of others
-    measured: Height and σ [rad] of each Gaussian lobe of a table, from the narrowest on; their sum is 1 at δ = 0
-    """
-
+    # torrance-sparrow, one Gaussian lobe in δ; ggx, with masking by Smith; two-lobe, two Gaussian ones; measured, a sum
+    # of Gaussian ones that follows a table
     name: ModelName = "torrance-sparrow"
-    wide_share: float = 0.0
-    wide_ratio: float = 1.0
+    wide_share: float = 0.0  # R_s of the wide lobe, as a share of R_s; two-lobe only
+    wide_ratio: float = 1.0  # σ of the wide lobe over σ; two-lobe only
+    # n and k of the metal, for Fresnel's factor; None for no such factor
     refractive_index: tuple[float, float] | None = None
-    across_ratio: float = 1.0
+    across_ratio: float = 1.0  # σ across the brushing over σ, of brushed surfaces; 1 of others
+    # height and σ [rad] of each Gaussian lobe of a table, from the narrowest on; their sum is 1 at δ = 0
     measured: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -147,24 +121,17 @@ class SpecularModel:
 
 @dataclass(frozen=True, kw_only=True)
 class Reflectance:
-    """Coefficients of the reflection model (paper, equations 2 and 3).
+    """Coefficients of the reflection model (paper, equations 2 and 3)."""
 
-    R_d: Diffuse reflection coefficient [grey level]
-    R_s: Specular reflection coefficient [grey level]
-    sigma: Concentration of the specular lobe, the standard deviation of δ [rad]. Of two lobes, of the narrow one; of
-        GGX, α/2, with which both models have the same curvature where they are brightest
-    full_scale: Level that the coefficients call full scale [grey level]
-    model: The lobe's form
-    diffuse: The form of the diffuse component
-    white_level: Level of a white diffuse surface that faces a light of weight 1 [grey level]; None where not known
-    """
-
-    R_d: float
-    R_s: float
+    R_d: float  # diffuse reflection coefficient [grey level]
+    R_s: float  # specular reflection coefficient [grey level]
+    # concentration of the specular lobe, the standard deviation of δ [rad]. Of two lobes, of the narrow one; of GGX,
+    # α/2, with which both models have the same curvature where they are brightest
     sigma: float
-    full_scale: float = 255.0
-    model: SpecularModel = SpecularModel()
-    diffuse: DiffuseForm = LAMBERT
+    full_scale: float = 255.0  # level that the coefficients call full scale [grey level]
+    model: SpecularModel = SpecularModel()  # the lobe's form
+    diffuse: DiffuseForm = LAMBERT  # the form of the diffuse component
+    # level of a white diffuse surface that faces a light of weight 1 [grey level]; None where not known
     white_level: float | None = None
 
     @property
@@ -299,22 +266,7 @@ def lobe_beside(lobe: Lobe, normal: Vector) -> Lobe:
 @kernel
 def lobe_across(lobe: Lobe, across: Vector) -> Lobe:
     """The lobe of a brushed surface, by the unit vector across its brushing, or 0 where it has no direction."""
-    length = math.sqrt(1.0 - 1.0 / lobe.widening)
-    return Lobe(
-        lobe.inverse,
-        lobe.farthest,
-        lobe.plain,
-        lobe.ggx,
-        lobe.share,
-        lobe.wider,
-        lobe.shares,
-        lobe.inverses,
-        lobe.n,
-        lobe.k,
-        lobe.normal_reflectance,
-        lobe.widening,
-        scaled(across, length),
-    )
+    return Lobe(*lobe[:-1], scaled(across, math.sqrt(1.0 - 1.0 / lobe.widening)))
 
 
 @kernel
@@ -441,21 +393,8 @@ def gaussian_lobe(lobe: Lobe, number: int) -> tuple[float, Lobe]:
     share, inverse = lobe.share, lobe.inverse
     if number > 0:
         share, inverse = lobe.shares[number - 1], lobe.inverses[number - 1]
-    return share, Lobe(
-        inverse,
-        MAX_LOBE_EXPONENT * lobe.widening,
-        (lobe.n == 0.0) & (lobe.widening == 1.0),
-        False,
-        1.0,
-        0,
-        lobe.shares,
-        lobe.inverses,
-        lobe.n,
-        lobe.k,
-        lobe.normal_reflectance,
-        lobe.widening,
-        lobe.across,
-    )
+    plain = (lobe.n == 0.0) & (lobe.widening == 1.0)
+    return share, Lobe(inverse, MAX_LOBE_EXPONENT * lobe.widening, plain, False, 1.0, 0, *lobe[6:])
 
 
 @kernel
@@ -466,18 +405,5 @@ def lobe_of_width(lobe: Lobe, inverse: float) -> Lobe:
     """
     factor = inverse / lobe.inverse
     a, b, c, d, e = lobe.inverses
-    return Lobe(
-        inverse,
-        lobe.farthest,
-        lobe.plain,
-        lobe.ggx,
-        lobe.share,
-        lobe.wider,
-        lobe.shares,
-        (a * factor, b * factor, c * factor, d * factor, e * factor),
-        lobe.n,
-        lobe.k,
-        lobe.normal_reflectance,
-        lobe.widening,
-        lobe.across,
-    )
+    wider = (a * factor, b * factor, c * factor, d * factor, e * factor)
+    return Lobe(inverse, *lobe[1:7], wider, *lobe[8:])

@@ -11,14 +11,10 @@ from lightopt.core.arrays import Bool, Float64
 
 @dataclass(frozen=True, kw_only=True)
 class SaturatedRegion:
-    """Area and perimeter of the saturated pixels, by which the paper compares simulation and measurement (section 4.4).
+    """Area and perimeter of the saturated pixels, by which the paper compares images (section 4.4)."""
 
-    area: Number of pixels at or above the saturation level [px]
-    perimeter: Length of the line at the saturation level, interpolated between pixel centres [px]
-    """
-
-    area: int
-    perimeter: float
+    area: int  # number of pixels at or above the saturation level [px]
+    perimeter: float  # length of the line at the saturation level, interpolated between pixel centres [px]
 
 
 def saturated_region(levels: NDArray[Any], saturation_level: float) -> SaturatedRegion:

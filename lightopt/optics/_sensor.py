@@ -17,27 +17,20 @@ Level = TypeVar("Level", bound=np.floating[Any])
 class Sensor:
     """A sensor, by EMVA Standard 1288, release 4.0.
 
-    bit_depth: Bits of a delivered level, 1 to 16
-    saturation_level: Delivered level from which a pixel counts as saturated; full scale, 2^bit_depth − 1, when not
-        given. Real cameras top out lower: 4080 of 4095, for instance.
-    black_level: Delivered level without light
-    read_noise_levels: Standard deviation of the read noise [sensor level]
-    electrons_per_level: Photo-electrons that make one sensor level; None for a sensor without shot noise
-    dsnu_levels: Standard deviation over the pixels of the level without light [sensor level]
-    prnu: Standard deviation over the pixels of what they make of the same light, as a share of it
-    linearity_error: Mean deviation from the best line, as a share of the level: it is compressive
-
     Raises InputError: When a value is out of its range
     """
 
-    bit_depth: int
+    bit_depth: int  # bits of a delivered level, 1 to 16
+    # delivered level from which a pixel counts as saturated; full scale, 2^bit_depth − 1, when not given. Real cameras
+    # top out lower: 4080 of 4095, for instance.
     saturation_level: float | None = None
-    black_level: float = 0.0
-    read_noise_levels: float = 0.0
+    black_level: float = 0.0  # delivered level without light
+    read_noise_levels: float = 0.0  # standard deviation of the read noise [sensor level]
+    # photo-electrons that make one sensor level; None for a sensor without shot noise
     electrons_per_level: float | None = None
-    dsnu_levels: float = 0.0
-    prnu: float = 0.0
-    linearity_error: float = 0.0
+    dsnu_levels: float = 0.0  # standard deviation over the pixels of the level without light [sensor level]
+    prnu: float = 0.0  # standard deviation over the pixels of what they make of the same light, as a share of it
+    linearity_error: float = 0.0  # mean deviation from the best line, as a share of the level: it is compressive
 
     def __post_init__(self) -> None:
         problems: list[str] = []
@@ -103,8 +96,7 @@ Quantised = UInt8 | NDArray[np.uint16]
 # Pixels worked on at a time: bounds the float64 copies. Noise is drawn block by block, so changing it changes noise.
 _BLOCK_PIXELS = 1 << 18
 
-# A camera has one fixed pattern, whatever image it takes.
-_PATTERN_SEED = 1288
+_PATTERN_SEED = 1288  # A camera has one fixed pattern, whatever image it takes.
 
 # Of levels s·(1 + κ·(1 − s/top)) the mean deviation from the line that fits best, both as shares of the level, from
 # 5 to 95 % of the top (EMVA 1288, section on linearity), is so many times κ.

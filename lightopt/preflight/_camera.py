@@ -196,7 +196,8 @@ def check_pixels(checked: CheckedScene) -> Iterator[Finding]:
     found = too_few_pixels(checked.scene, checked.caster)
     if found is not None:
         where = checked.part.source.at("mesh", "file")
-        yield Finding("error", "view", found.text, where, {"pixels": found.pixels})
+        pixels, text = found
+        yield Finding("error", "view", text, where, {"pixels": pixels})
 
 
 def check_below_table(checked: CheckedScene) -> Iterator[Finding]:

@@ -60,7 +60,4 @@ from lightopt.rendering._surface import (
     trace_samples as trace_samples,
 )
 from lightopt.rendering._surface_light import light_of_channels as light_of_channels, mirrored_places as mirrored_places
-from lightopt.rendering._surface_variants import (
-    shade_variants_together as shade_variants_together,
-    surface_variants as surface_variants,
-)
+from lightopt.rendering._surface_variants import shade_variants as shade_variants, surface_variants as surface_variants

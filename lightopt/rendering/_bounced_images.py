@@ -9,14 +9,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import dot, length, minus, vector_at
 from lightopt.geometry import Hits
-from lightopt.rendering._caustics import caustic_levels, landed_light
+from lightopt.rendering._caustics import blurred, caustic_levels, landed_light
 from lightopt.rendering._interreflection import PartLight
+from lightopt.rendering._penumbra_squares import quadratic_weights
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PinholeCamera, lens_share
 
@@ -138,16 +138,12 @@ def _shared(glints: Float64, front: Bool, at: Int32) -> Float64:
     # means of glints over the samples around each, shape (lights, k)
     chosen = at >= 0
     chosen[chosen] = front[at[chosen]]
-    shared, weight = np.zeros_like(glints), _blurred(chosen.astype(np.float64))[chosen]
+    shared, weight = np.zeros_like(glints), blurred(chosen.astype(np.float64), SHARED)[chosen]
     for found, own in zip(shared, glints, strict=True):
         image = np.zeros(at.shape)
         image[chosen] = own[at[chosen]] / weight
-        found[at[chosen]] = _blurred(image)[chosen]
+        found[at[chosen]] = blurred(image, SHARED)[chosen]
     return shared
-
-
-def _blurred(image: Float64) -> Float64:
-    return ndimage.uniform_filter(ndimage.uniform_filter(image, SHARED, mode="constant"), SHARED, mode="constant")
 
 
 @kernel
@@ -201,11 +197,7 @@ def _nodes(corners: Int32, side: int, at: Int32, count: int) -> Bool:
 def _interpolated(corners: Int32, side: int, at: Int32, values: Float64, done: Bool) -> Bool:
     # fills the squares whose other nodes agree with their corners under every light, and says which
     fitting = np.zeros(len(corners), np.bool_)
-    half, nodes = side // 2, np.empty(9, np.int64)
-    along = np.empty((side + 1, 3))
-    for x in range(side + 1):
-        s = x / side
-        along[x, 0], along[x, 1], along[x, 2] = (1.0 - 2.0 * s) * (1.0 - s), 4.0 * s * (1.0 - s), s * (2.0 * s - 1.0)
+    half, nodes, along = side // 2, np.empty(9, np.int64), quadratic_weights(side)
     for k in range(len(corners)):
         top, left = corners[k, 0], corners[k, 1]
         for down in range(3):

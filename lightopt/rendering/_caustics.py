@@ -34,7 +34,6 @@ LEAST_DENSITY = 0.25  # of rays in the others, in the mean density
 WINDOWS = (1, 3, 5, 9, 17, 33, 65)  # rows and columns of samples whose light is taken together
 ENOUGH = 24  # rays in a window, by their light
 FOOTPRINTS = 2.0  # of a sample, within which light that lands belongs to it
-
 _RAYS_AT_ONCE = 1 << 15
 _STEPS = 1.1127756842787055 ** -np.arange(1.0, 7.0)  # g⁷ = g + 1 (Roberts 2018)
 _LEAST_COSINE = 0.02  # of light to the face, by which that to the normal is divided
@@ -42,16 +41,11 @@ _LEAST_COSINE = 0.02  # of light to the face, by which that to the normal is div
 
 @dataclass(frozen=True)
 class LandedLight:
-    """What landed on the part under one light, k rays, part frame.
+    """What landed on the part under one light, k rays, part frame."""
 
-    points: [mm], shape (k, 3)
-    facets: Unit normals of the faces there, shape (k, 3)
-    light: Diffuse level times the area that shows it [grey level · mm²], shape (k,)
-    """
-
-    points: Float64
-    facets: Float64
-    light: Float64
+    points: Float64  # [mm], shape (k, 3)
+    facets: Float64  # unit normals of the faces there, shape (k, 3)
+    light: Float64  # diffuse level times the area that shows it [grey level · mm²], shape (k,)
 
 
 def landed_light(part: PartLight, eye: Float64, rays: int, threads: int | None = None) -> list[LandedLight]:
@@ -59,10 +53,10 @@ def landed_light(part: PartLight, eye: Float64, rays: int, threads: int | None =
 
     eye: That looks at it, part frame [mm], shape (3,)
     """
-    R_d, R_s = (max(getattr(own, name) for own in part.reflectances) for name in ("R_d", "R_s"))
-    if part.bounces == 0 or R_d * R_s == 0.0:
+    R_d, R_s = (max(getattr(own, name) for own in part.scene.reflectances) for name in ("R_d", "R_s"))
+    if part.scene.bounces == 0 or R_d * R_s == 0.0:
         return []
-    ends = np.concatenate([[0.0], np.cumsum(face_areas(part.mesh))])
+    ends = np.concatenate([[0.0], np.cumsum(face_areas(part.scene.mesh))])
     rays = min(max(rays, LEAST_RAYS), MOST_RAYS)
     return [_landed(part, light, eye, ends, rays, threads) for light in part.lights]
 
@@ -113,7 +107,7 @@ def _thrown(
     part: PartLight, light: PanelLight | ConvergedPanel, eye: Float64, face: Int32, weight: Float64, places: Float64
 ) -> tuple[Float64, Float64, Float64, Index]:
     # points, facets and light of what lands, and by which of the rays. places: in the unit cube, shape (6, rays)
-    mesh = part.mesh
+    mesh = part.scene.mesh
     u, v = np.sqrt(places[0]) * (1.0 - places[1]), np.sqrt(places[0]) * places[1]
     corners = mesh.vertices[mesh.faces[face]]
     points = np.einsum("ki,kij->kj", np.stack([1.0 - u - v, u, v], axis=1), corners)
@@ -123,15 +117,15 @@ def _thrown(
     lit = np.flatnonzero(surface.front & (shining != 0.0))
     surface = surface.take(lit)
     ways, gathered = np.zeros((len(lit), 3)), np.zeros(len(lit))
-    for index, own_points, own in surface.by_material(part.reflectances):
-        s, at = own_points, np.arange(len(own_points))
-        found = lobe_rays(s.frames, s.facets, s.views, own.lobe, at, places[4, lit][index], places[5, lit][index])
-        ways[index], gathered[index] = found[0], own.R_s * found[1]
+    for index, some, own in surface.by_material(part.scene.reflectances):
+        u, turn = places[4, lit][index], places[5, lit][index]
+        ways[index], light_along = lobe_rays(some.rows, own.lobe, np.arange(len(some)), u, turn)
+        gathered[index] = own.R_s * light_along
     # the lobe gathers light along a ray as it throws light the other way, but for Lambert's cosine
     cosine = np.einsum("ij,ij->i", surface.normals, surface.views)
     thrown = weight[lit] * shining[lit] * cosine * gathered
-    some = np.flatnonzero(thrown != 0.0)
-    surface, ways, thrown, ray = surface.take(some), ways[some], thrown[some], lit[some]
+    kept = np.flatnonzero(thrown != 0.0)
+    surface, ways, thrown, ray = surface.take(kept), ways[kept], thrown[kept], lit[kept]
     met = part.caster.next_hit(surface.points, surface.facets, ways)
     if part.blocker is not None:
         index = np.flatnonzero(met >= 0).astype(np.int32)
@@ -146,7 +140,7 @@ def _thrown(
     shown = np.zeros(len(other))
     towards = eye - other.points
     towards /= np.linalg.norm(towards, axis=1)[:, None]
-    for index, some, own in other.by_material(part.reflectances):
+    for index, some, own in other.by_material(part.scene.reflectances):
         shown[index] = own.R_d * _diffuse_terms(some.normals, some.views, towards[index], own.diffuse)
     shown *= other.front / (np.maximum(steep, _LEAST_COSINE) * math.pi * part.white)
     return hits.points, other.facets, thrown[hits.ray] * shown, ray[hits.ray]
@@ -266,17 +260,18 @@ def _spread(areas: Float64, light: Float64, squares: Float64) -> Float64:
     # levels of samples, over which light is spread as far around each as enough rays are, so that its sum is kept
     levels, left = np.zeros(light.shape), light != 0.0
     for window in WINDOWS:
-        total, off = (_blurred(image, window) * window**2 for image in (light, squares))
+        total, off = (blurred(image, window) * window**2 for image in (light, squares))
         own = left if window == WINDOWS[-1] else left & (total**2 >= ENOUGH * off)
         if own.any():
             share = np.zeros(light.shape)
-            share[own] = light[own] / _blurred(areas, window)[own]
-            levels += _blurred(share, window)
+            share[own] = light[own] / blurred(areas, window)[own]
+            levels += blurred(share, window)
             left &= ~own
     return levels
 
 
-def _blurred(image: Float64, window: int) -> Float64:
+def blurred(image: Float64, window: int) -> Float64:
+    """Means over so many rows and columns around each sample, taken twice, where there is nothing outside the image."""
     if window == 1:
         return image
     return ndimage.uniform_filter(ndimage.uniform_filter(image, window, mode="constant"), window, mode="constant")

@@ -22,11 +22,10 @@ from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight, panel_grid, panel_numbers
 from lightopt.optics import LAMBERT, Reflectance
 from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
-from lightopt.rendering._penumbra import shade_penumbra
-from lightopt.rendering._penumbra_cells import ConvergedLight
+from lightopt.rendering._penumbra import ConvergedLight, shade_penumbra
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
 from lightopt.rendering._point_lights import clear_targets, facing_targets, shade_points, visible_counts
-from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._surface import SurfacePoint, SurfacePoints
 from lightopt.rendering._surface_light import shade_surface_lights
 from lightopt.rendering._whole_panel import add_spread_points, whole_panel
 from lightopt.scene import Scene
@@ -34,31 +33,22 @@ from lightopt.scene import Scene
 DIFFUSE_TOLERANCE = 1e-4  # error of the diffuse quadrature per unit of R_d: 0.025 level of 255
 PROBE_INSET = 0.98  # the rays to the corners go this far from the panel's centre towards them
 PENUMBRA_BATCH = 2048  # penumbra pixels that are shaded at once: some 10 MiB of rays
+LEAST_POINTS, MOST_POINTS = 4, 6  # points a side that stand for the panel on variants of a surface
 
-# points a side that stand for the panel on variants of a surface
-LEAST_POINTS, MOST_POINTS = 4, 6
-
-# what the coarse rays of a pixel to a light show
 MOST_TOGETHER = 16  # channels of a light that are shaded at once
-
 _TURNS = 18  # ways that a surface may be brushed, of which the brightest is sought
-
-_DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
+_DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3  # what the coarse rays of a pixel to a light show
 
 
 @dataclass(frozen=True)
 class ConvergedPanel:
-    """A panel with the quadrature that it needs for a part.
-
-    nodes: Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do
-    least_distance: From the panel's centre to the sphere around the part [mm]; 0 inside it
-    cells: A side, of which each has a place that stands for it under light that rays gather, another one for each
-        point; 0 where these take the whole panel, too
-    """
+    """A panel with the quadrature that it needs for a part."""
 
     light: PanelLight
-    nodes: int
-    least_distance: float
+    nodes: int  # Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do
+    least_distance: float  # from the panel's centre to the sphere around the part [mm]; 0 inside it
+    # a side, of which each has a place that stands for it under light that rays gather, another one for each point; 0
+    # where these take the whole panel, too
     cells: int = 0
 
     def points_for(self, sigma: float) -> int | None:
@@ -77,19 +67,13 @@ class ConvergedPanel:
 
 @dataclass(frozen=True, eq=False)
 class PanelVisibility:
-    """What k surface points see of a panel.
+    """What k surface points see of a panel."""
 
-    coarse: By the coarse rays: _DARK, _CLEAR, _HIDDEN or _MIXED, shape (k,)
-    penumbra: Whether the point was shaded as one in a penumbra, shape (k,)
-    """
+    coarse: UInt8  # by the coarse rays: _DARK, _CLEAR, _HIDDEN or _MIXED, shape (k,)
+    penumbra: Bool  # whether the point was shaded as one in a penumbra, shape (k,)
 
-    coarse: UInt8
-    penumbra: Bool
 
-    @classmethod
-    def empty(cls, count: int) -> "PanelVisibility":
-        """That of so many points, to be filled in."""
-        return cls(np.empty(count, np.uint8), np.empty(count, np.bool_))
+Shaded = tuple[Float64, Float64, PanelVisibility | None]
 
 
 def panel_to_shade(panel: PanelLight, caster: RayCaster) -> PanelLight | ConvergedPanel:
@@ -131,11 +115,11 @@ def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> Con
     leanings = [a * side for side in (light.across, light.along) for a in (1.5, 5.0, -5.0)]
     tilts = [towards, *(towards + leaning for leaning in leanings)]
     normals = [Vector(*(tilt / np.linalg.norm(tilt))) for tilt in tilts]
-    places = list(itertools.product(positions, normals))
-    exact = [rectangle_diffuse(p, n, n, panel, WHOLE_PANEL, LAMBERT, 24) for p, n in places]
+    places = [SurfacePoint(p, n, n, 1.0) for p, n in itertools.product(positions, normals)]
+    exact = [rectangle_diffuse(at, panel, WHOLE_PANEL, LAMBERT, 24) for at in places]
     count = 0
     for count in (2, 3, 4, 6, 8, 12, 16, 20):
-        found = [rectangle_diffuse(p, n, n, panel, WHOLE_PANEL, LAMBERT, count) for p, n in places]
+        found = [rectangle_diffuse(at, panel, WHOLE_PANEL, LAMBERT, count) for at in places]
         if max(abs(a - b) for a, b in zip(found, exact, strict=True)) <= DIFFUSE_TOLERANCE:
             break
     distance = float(np.linalg.norm(light.centre - centre))
@@ -174,6 +158,34 @@ def shade_converged(
     return terms[:, 0], terms[:, 1], PanelVisibility(coarse, shaded)
 
 
+def shade_together(
+    surface: SurfacePoints,
+    lights: Sequence[PanelLight | ConvergedPanel],
+    reflectance: Reflectance,
+    caster: RayCaster | None,
+    *,
+    sample: Index,
+    shape: tuple[int, int],
+    threads: int = 1,
+) -> list[Shaded]:
+    """Diffuse and specular levels of lights that are one of :func:`channel_groups`, and what the points see of a panel.
+
+    sample, shape: As :func:`shade_converged` takes them
+    threads: That work on the points of lights that are no panels
+    """
+    channels = [light for light in lights if isinstance(light, SurfaceLight)]
+    if channels:
+        both = shade_surface_lights(surface, channels, reflectance=reflectance, caster=caster, threads=threads)
+        return [(reflectance.R_d * d, reflectance.R_s * s, None) for d, s in zip(*both, strict=True)]
+    (light,) = lights
+    if isinstance(light, ConvergedPanel):
+        how: dict[str, Any] = {"sample": sample, "shape": shape, "reflectance": reflectance, "caster": caster}
+        diffuse, specular, seen = shade_converged(surface, light, **how)
+    else:
+        (diffuse, specular), seen = shade_light(surface, light, reflectance=reflectance, caster=caster), None
+    return [(reflectance.R_d * diffuse, reflectance.R_s * specular, seen)]
+
+
 def shade_isolated(
     surface: SurfacePoints,
     panels: Sequence[PanelLight],
@@ -182,66 +194,44 @@ def shade_isolated(
     caster: RayCaster,
     shadows: bool,
     threads: int = 1,
-) -> list[Float64]:
-    """Level under each light of points that are not neighbours, as images have it [grey level], shape (k,) each.
+) -> Float64:
+    """Level under each light of points that are not neighbours, as images have it [grey level], shape (lights, k).
 
     panels: Part frame; channels of one light are worked out together
     reflectances: By the points' materials
     threads: That work on the points of such a light
     """
     shaded = [panel_to_shade(panel, caster) for panel in panels]
-    levels = [np.empty(len(surface)) for _ in panels]
-    for index, some, own in surface.by_material(reflectances):
-        found = isolated_levels(some, shaded, own, caster if shadows else None, threads=threads)
-        for all_levels, own_levels in zip(levels, found, strict=True):
-            all_levels[index] = own_levels
-    return levels
+    return isolated_levels(surface, shaded, reflectances, caster if shadows else None, threads=threads)
 
 
 def isolated_levels(
     surface: SurfacePoints,
     shaded: Sequence[PanelLight | ConvergedPanel],
-    reflectance: Reflectance,
+    reflectances: Sequence[Reflectance],
     blocker: RayCaster | None,
     *,
     penumbrae: bool = True,
     threads: int = 1,
-) -> list[Float64]:
+) -> Float64:
     """As :func:`shade_isolated`, of lights from :func:`panel_to_shade`; without a caster, without shadows.
 
     penumbrae: Whether panels may be seen in part; otherwise a ray to one of their places, in turn, decides for all
     """
-    levels: dict[int, Float64] = {}
-    for group in channel_groups(shaded):
-        lights = [light for i in group if isinstance(light := shaded[i], SurfaceLight)]
-        if lights:
-            diffuse, specular = shade_surface_lights(
-                surface, lights, reflectance=reflectance, caster=blocker, threads=threads
-            )
-            levels |= {
-                i: reflectance.R_d * d + reflectance.R_s * s for i, d, s in zip(group, diffuse, specular, strict=True)
-            }
-            continue
-        for i in group:
-            d, s = _shade_alone(surface, shaded[i], reflectance, blocker, penumbrae)
-            levels[i] = reflectance.R_d * d + reflectance.R_s * s
-    return [levels[i] for i in range(len(shaded))]
-
-
-def _shade_alone(
-    surface: SurfacePoints,
-    light: PanelLight | ConvergedPanel,
-    reflectance: Reflectance,
-    caster: RayCaster | None,
-    penumbrae: bool,
-) -> tuple[Float64, Float64]:
-    if not penumbrae:
-        return _shade_by_one_ray(surface, light, reflectance, caster)
-    if not isinstance(light, ConvergedPanel):
-        return shade_light(surface, light, reflectance=reflectance, caster=caster)
-    # every second place of a row
-    sample, shape = 2 * np.arange(len(surface)), (1, 2 * len(surface))
-    return shade_converged(surface, light, sample=sample, shape=shape, reflectance=reflectance, caster=caster)[:2]
+    levels = np.empty((len(shaded), len(surface)))
+    for index, some, own in surface.by_material(reflectances):
+        # every second place of a row
+        sample, shape = 2 * np.arange(len(some)), (1, 2 * len(some))
+        for group in channel_groups(shaded):
+            lights = [shaded[i] for i in group]
+            if penumbrae or isinstance(lights[0], SurfaceLight):
+                found = shade_together(some, lights, own, blocker, sample=sample, shape=shape, threads=threads)
+                for i, (diffuse, specular, _) in zip(group, found, strict=True):
+                    levels[i, index] = diffuse + specular
+            else:
+                diffuse, specular = _shade_by_one_ray(some, lights[0], own, blocker)
+                levels[group[0], index] = own.R_d * diffuse + own.R_s * specular
+    return levels
 
 
 def _shade_by_one_ray(
@@ -262,9 +252,7 @@ def _shade_by_one_ray(
         terms[index] = np.stack(found, axis=1)
         return terms[:, 0], terms[:, 1]
     if light.cells:
-        geometry = surface.points, surface.frames, surface.views
-        own = reflectance.lobe, reflectance.diffuse
-        add_spread_points(*geometry, seen, panel_numbers(light.light), light.cells, *own, terms)
+        add_spread_points(surface.rows, seen, light.cells, _converged_light(light, reflectance), terms)
     else:
         _add_whole_panel(surface, seen, _converged_light(light, reflectance), terms)
     terms *= light.light.total_weight
@@ -277,42 +265,44 @@ def _ray_targets(light: PanelLight | ConvergedPanel) -> Float64:
     return shadow_targets(light)
 
 
-def shade_changed_points(
+def shade_changed(
     surface: SurfacePoints,
-    converged: ConvergedPanel,
-    *,
-    index: Index,
-    visibility: PanelVisibility,
-    sample: Index,
-    shape: tuple[int, int],
+    light: PanelLight | ConvergedPanel,
     reflectance: Reflectance,
     caster: RayCaster | None,
+    *,
+    index: Index,
+    seen: PanelVisibility | None,
+    sample: Index,
+    shape: tuple[int, int],
 ) -> tuple[Float64, Float64]:
-    """Shade some points of a surface with other normals or another reflectance; two arrays of shape (j,).
+    """Diffuse and specular levels of some points of a surface with other normals or another reflectance, shape (j,).
 
-    Where the points as they were are in a penumbra, these are, too; so are those whose own horizon, the turned one,
-    makes them differ from their neighbours.
+    Where the points as they were are in a penumbra of a converged panel, these are, too; so are those whose own
+    horizon, the turned one, makes them differ from their neighbours.
 
     surface: The j points with their own normals, part frame
-    index: Of each among the k points of the surface, shape (j,)
-    visibility: What the surface sees, from :func:`shade_converged`
-    sample, shape: Of the k points, as :func:`shade_converged` takes them
     reflectance: Of the j points
+    index: Of each among the k points of the surface, shape (j,)
+    seen: What the surface sees of the light, from :func:`shade_together`
+    sample, shape: Of the k points, as :func:`shade_converged` takes them
     """
-    coarse = visibility.coarse.copy()
+    if not isinstance(light, ConvergedPanel):
+        diffuse, specular = shade_light(surface, light, reflectance=reflectance, caster=caster)
+        return reflectance.R_d * diffuse, reflectance.R_s * specular
+    assert seen is not None
+    coarse = seen.coarse.copy()
     if caster is None:
         coarse[index] = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
     else:
-        coarse[index] = _classify(*visible_counts(surface, probe_targets(converged.light), caster))
-    own = coarse[index]
-    light = _converged_light(converged, reflectance)
-    terms = np.zeros((len(surface), 2))
-    _add_whole_panel(surface, own == _CLEAR, light, terms)
+        coarse[index] = _classify(*visible_counts(surface, probe_targets(light.light), caster))
+    own, numbers, terms = coarse[index], _converged_light(light, reflectance), np.zeros((len(surface), 2))
+    _add_whole_panel(surface, own == _CLEAR, numbers, terms)
     if caster is not None:
-        uncertain = (_disagreeing(coarse, sample, shape) | visibility.penumbra)[index] & (own != _DARK)
-        _work_out(surface, uncertain, light, caster, terms)
-    terms *= converged.light.total_weight
-    return terms[:, 0], terms[:, 1]
+        uncertain = (_disagreeing(coarse, sample, shape) | seen.penumbra)[index] & (own != _DARK)
+        _work_out(surface, uncertain, numbers, caster, terms)
+    terms *= light.light.total_weight
+    return reflectance.R_d * terms[:, 0], reflectance.R_s * terms[:, 1]
 
 
 def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> ConvergedLight:
@@ -329,7 +319,7 @@ def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> Con
 
 def _add_whole_panel(surface: SurfacePoints, chosen: Bool, light: ConvergedLight, terms: Float64) -> None:
     index = np.flatnonzero(chosen).astype(np.int32)
-    whole_panel(surface.points, surface.frames, surface.views, index, light, terms)
+    whole_panel(surface.rows, index, light, terms)
 
 
 def _work_out(surface: SurfacePoints, chosen: Bool, light: ConvergedLight, caster: RayCaster, terms: Float64) -> Bool:
@@ -367,19 +357,7 @@ def _shade_penumbrae(
             missing = points_in(at, corners, side, k) & ~has_whole
             _add_whole_panel(surface, missing, light, whole)
             has_whole |= missing
-            smooth = smooth_squares(
-                surface.points,
-                surface.normals,
-                surface.facets,
-                surface.views,
-                surface.front,
-                at,
-                corners,
-                side,
-                coarse,
-                whole,
-                light,
-            )
+            smooth = smooth_squares(surface.rows, at, corners, side, coarse, whole, light)
             corners = corners[smooth]
             nodes = nodes_of(at, corners, side, k) & ~known
             crossed = np.where(nodes, _work_out(surface, nodes, light, caster, terms), crossed)
@@ -466,15 +444,12 @@ def highlight_level(scene: Scene, light: PanelLight) -> float:
     normals, origin = np.repeat(normal, len(turns), axis=0), np.zeros((len(turns), 3))
     views, front = np.broadcast_to(view, origin.shape).copy(), np.ones(len(turns), np.bool_)
     surface = SurfacePoints(origin, normals, normals, views, front, across=across)
-    if isinstance(light, SurfaceLight):
-        lobes = (shade_light(surface, light, reflectance=own, caster=None)[1] for own in scene.shown)
-        return max(float(own.R_s * lobe.max()) for own, lobe in zip(scene.shown, lobes, strict=True))
-    whole = replace(light, points="auto")
-    panel = converged_panel(whole, centre=origin[0], radius=1.0)
-    at: dict[str, Any] = {"sample": np.arange(len(turns)), "shape": (len(turns), 1), "caster": None}
-    lobes = (shade_converged(surface, panel, reflectance=own, **at)[1] for own in scene.shown)
-    level = max(float(own.R_s * lobe.max()) for own, lobe in zip(scene.shown, lobes, strict=True))
-    return level * light.total_weight / whole.total_weight
+    whole = light if isinstance(light, SurfaceLight) else replace(light, points="auto")
+    shaded = light if whole is light else converged_panel(whole, centre=origin[0], radius=1.0)
+    at: dict[str, Any] = {"sample": np.arange(len(turns)), "shape": (len(turns), 1)}
+    levels = [shade_together(surface, [shaded], own, None, **at)[0][1] for own in scene.shown]
+    level = float(np.max(levels))
+    return level if whole is light else level * light.total_weight / whole.total_weight
 
 
 def channel_groups(panels: Sequence[PanelLight | ConvergedPanel]) -> list[list[int]]:

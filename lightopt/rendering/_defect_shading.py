@@ -10,61 +10,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lightopt.core.arrays import Float64, Index, Int32
+from lightopt.core.arrays import Index, Int32
 from lightopt.defects import PlacedDefect, mark_surface
-from lightopt.geometry import RayCaster
-from lightopt.lights import PanelLight
 from lightopt.optics import Reflectance
-from lightopt.rendering._converged_panel import ConvergedPanel, PanelVisibility, shade_changed_points, shade_light
 from lightopt.rendering._surface import SurfacePoints
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DefectSamples:
-    """Samples of one reflectance that lie in defects, j of them.
+    """Samples of one reflectance that lie in defects, j of them."""
 
-    index: Of each among the samples of the surface, shape (j,)
-    label: Index of the defect, shape (j,)
-    surface: The points with the normals of the disturbed surface
-    reflectance: Of all of them
-    """
-
-    index: Index
-    label: Int32
-    surface: SurfacePoints
-    reflectance: Reflectance
-
-    def light(
-        self,
-        panel: PanelLight | ConvergedPanel,
-        visibility: PanelVisibility | None,
-        *,
-        sample: Index,
-        shape: tuple[int, int],
-        caster: RayCaster | None,
-    ) -> tuple[Float64, Float64]:
-        """Diffuse and specular levels under a panel [grey level], two arrays of shape (j,).
-
-        panel: Part frame
-        visibility: What the undisturbed surface sees of a converged panel, from :func:`shade_converged`
-        sample, shape: As :func:`shade_converged` takes them, of all samples of the surface
-        """
-        r = self.reflectance
-        if isinstance(panel, ConvergedPanel):
-            assert visibility is not None
-            diffuse, specular = shade_changed_points(
-                self.surface,
-                panel,
-                index=self.index,
-                visibility=visibility,
-                sample=sample,
-                shape=shape,
-                reflectance=r,
-                caster=caster,
-            )
-        else:
-            diffuse, specular = shade_light(self.surface, panel, reflectance=r, caster=caster)
-        return r.R_d * diffuse, r.R_s * specular
+    index: Index  # of each among the samples of the surface, shape (j,)
+    label: Int32  # index of the defect, shape (j,)
+    surface: SurfacePoints  # the points with the normals of the disturbed surface
+    reflectance: Reflectance  # of all of them
 
 
 def defect_samples(

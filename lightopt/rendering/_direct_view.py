@@ -12,7 +12,6 @@ from lightopt.rendering._surface import hidden_by, trace_hits
 from lightopt.scene import PartView, area_in_view, pixel_directions
 
 RAYS = 4  # along each side of a pixel, which shows their mean
-
 _BLOCK_ROWS = 16
 _NEARER = 1.0 - 1e-6  # so that a light does not hide itself
 

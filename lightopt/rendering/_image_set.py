@@ -20,7 +20,7 @@ from lightopt.geometry import RayCaster
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
 from lightopt.lights import PanelLight
 from lightopt.optics import expose, image_rng
-from lightopt.rendering._images import Geometry, LightImage, PostureImages, cast_rays_at, rays_of_images, render_posture
+from lightopt.rendering._images import LightImage, PostureImages, cast_rays_at, rays_of_images, render_posture
 from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
 from lightopt.rendering._scene_checks import refuse_unusable_scene
 from lightopt.scene import Scene, build_scene, coarse_warnings, defect_facts, pixel_footprint
@@ -40,50 +40,32 @@ LEAST_RAYS_ACROSS = 3  # rays across a defect from which on its share of a pixel
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions:
-    """What to render and how.
+    """What to render and how."""
 
-    lights: Names of the lights to render; all by default
-    points: Point lights per panel, instead of the rig's
-    exposures: Exposures of the camera's PNGs; the linear images are at exposure 1
-    noise: Seed of the sensor's noise in the PNGs; None for none
-    layers: Whether the EXRs get the diffuse and the specular component as channels of their own
-    shadows: Whether the part casts shadows on itself
-    supersample: n² rays per pixel
-    patch_budget: About how many patches may be visible
-    defects: Whether the part's defects are shown; the good part otherwise
-    bounces: How often light goes from the part to the part before it reaches the camera
-    """
-
-    lights: tuple[str, ...] | None = None
+    lights: tuple[str, ...] | None = None  # names of the lights to render; all by default
     postures: tuple[Posture, ...] | None = None
-    points: int | Literal["auto"] | None = None
-    exposures: tuple[float, ...] = (1.0,)
-    noise: int | None = None
-    layers: bool = False
-    shadows: bool = True
-    supersample: int = 1
-    patch_budget: int = DEFAULT_PATCH_BUDGET
-    defects: bool = True
-    bounces: int = 0
+    points: int | Literal["auto"] | None = None  # point lights per panel, instead of the rig's
+    exposures: tuple[float, ...] = (1.0,)  # exposures of the camera's PNGs; the linear images are at exposure 1
+    noise: int | None = None  # seed of the sensor's noise in the PNGs; None for none
+    layers: bool = False  # whether the EXRs get the diffuse and the specular component as channels of their own
+    shadows: bool = True  # whether the part casts shadows on itself
+    supersample: int = 1  # n² rays per pixel
+    patch_budget: int = DEFAULT_PATCH_BUDGET  # about how many patches may be visible
+    defects: bool = True  # whether the part's defects are shown; the good part otherwise
+    bounces: int = 0  # how often light goes from the part to the part before it reaches the camera
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderedSet:
-    """What :func:`render_image_set` left on disk.
-
-    resumed: Number of those that a previous run with the same inputs had finished
-    rays: Number of rays cast for images
-    patches: What the patch refinement reached; None where nothing was left to do
-    replaced: Number of files of another set that were removed (with `force`)
-    """
+    """What :func:`render_image_set` left on disk."""
 
     folder: Path
     images: int
-    resumed: int
+    resumed: int  # number of those that a previous run with the same inputs had finished
     warnings: tuple[str, ...]
-    rays: int = 0
-    patches: str | None = None
-    replaced: int = 0
+    rays: int = 0  # number of rays cast for images
+    patches: str | None = None  # what the patch refinement reached; None where nothing was left to do
+    replaced: int = 0  # number of files of another set that were removed (with `force`)
 
 
 def render_image_set(
@@ -110,15 +92,7 @@ def render_image_set(
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
     _check_options(options)
-    scene = build_scene(
-        rig,
-        part,
-        postures=options.postures,
-        lights=options.lights,
-        points=options.points,
-        defects=options.defects,
-        bounces=options.bounces,
-    )
+    scene = build_scene(rig, part, **_chosen(options, "postures", "lights", "points", "defects", "bounces"))
     caster: RayCaster | None = cast_rays_at(scene, rays=rays_of_images(scene, supersample=options.supersample))
     refuse_unusable_scene(scene, rig, part, caster)
     plan = [
@@ -135,11 +109,7 @@ def render_image_set(
         run.warn(*texts)
         writer.add_warnings(texts)
 
-    warn(
-        *scene.warnings,
-        *coarse_warnings(scene.lights, scene.sharpest),
-        *_narrow_defects(scene, rig, options.supersample),
-    )
+    warn(*scene.warnings, *coarse_warnings(scene.lights, scene.sharpest), *_narrow_defects(scene, rig, options))
     resumed = sum(writer.done(*key) for key in plan)
     if resumed == len(plan) and writer.file_done() and all(map(writer.geometry_done, scene.postures)):
         return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=tuple(warnings))
@@ -159,12 +129,10 @@ def render_image_set(
                 scene,
                 posture,
                 caster=caster,
-                shadows=options.shadows,
-                supersample=options.supersample,
-                layers=options.layers,
                 patches=table.patches,
                 threads=run.threads,
                 progress=part_of(stage, number / len(scene.postures), (number + 1) / len(scene.postures)),
+                **_chosen(options, "shadows", "supersample", "layers"),
             )
             rays += images.rays
             packing.check()
@@ -216,16 +184,13 @@ def _check_options(options: RenderOptions) -> None:
         raise InputError(*problems)
 
 
+def _chosen(options: RenderOptions, *names: str) -> dict[str, Any]:
+    return {name: getattr(options, name) for name in names}
+
+
 def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptions) -> Manifest:
-    chosen: dict[str, Any] = {
-        "postures": [posture.as_dict() for posture in scene.postures],
-        "points": options.points,
-        "noise": options.noise,
-        "layers": options.layers,
-        "shadows": options.shadows,
-        "supersample": options.supersample,
-        "patch_budget": options.patch_budget,
-    }
+    chosen: dict[str, Any] = {"postures": [posture.as_dict() for posture in scene.postures]}
+    chosen |= _chosen(options, "points", "noise", "layers", "shadows", "supersample", "patch_budget")
     if options.bounces:
         chosen["bounces"] = options.bounces
     # sets of parts without defects do not mention them
@@ -264,14 +229,14 @@ def set_manifest(
     )
 
 
-def _narrow_defects(scene: Scene, rig: RigConfig, supersample: int) -> tuple[str, ...]:
+def _narrow_defects(scene: Scene, rig: RigConfig, options: RenderOptions) -> tuple[str, ...]:
     # defects between whose neighbouring rays there is room to be missed
-    spacing = pixel_footprint(scene.camera, rig.camera.distance_mm) / supersample
+    spacing = pixel_footprint(scene.camera, rig.camera.distance_mm) / options.supersample
     names = [defect.name for defect in scene.defects if defect.shape.width < spacing]
     if not names:
         return ()
     least = min(defect.shape.width for defect in scene.defects)
-    enough = math.ceil(LEAST_RAYS_ACROSS * spacing * supersample / least)
+    enough = math.ceil(LEAST_RAYS_ACROSS * spacing * options.supersample / least)
     text = (
         f"{counted(len(names), 'defect')} narrower than the {spacing:.3g} mm between rays "
         f"({', '.join(names[:3])}{', …' if len(names) > 3 else ''}): some pixels miss what they would show; "
@@ -294,8 +259,7 @@ def _write_posture(
     """
     posture = images.posture
     if not writer.geometry_done(posture):
-        facts = {"back_face_pixels": images.back_faces}
-        disk.add(_add_geometry, writer, images, facts)
+        disk.add(_add_geometry, writer, images)
     names = [light.name for light in rig.lights]
     for light, image in zip(scene.lights, images.lights, strict=True):
         for exposure in rig.exposures(light.name, options.exposures):
@@ -304,8 +268,17 @@ def _write_posture(
                 disk.add(_add_image, writer, scene, images, light, image, exposure, seeds)
 
 
-def _add_geometry(writer: ImageSetWriter, images: PostureImages, facts: dict[str, Any]) -> None:
-    writer.add_geometry(images.posture, _geometry_channels(images.geometry), metadata=facts)
+def _add_geometry(writer: ImageSetWriter, images: PostureImages) -> None:
+    g = images.geometry
+    channels = {
+        **{f"P.{axis}": g.points[..., i] for i, axis in enumerate("XYZ")},
+        **{f"N.{axis}": g.normals[..., i] for i, axis in enumerate("XYZ")},
+        "Z": g.distance,
+        "patch": g.patch.astype(np.float32),
+    }
+    if g.defect is not None:
+        channels["defect"] = g.defect.astype(np.float32)
+    writer.add_geometry(images.posture, channels, metadata={"back_face_pixels": images.back_faces})
 
 
 def _add_image(
@@ -349,14 +322,3 @@ def _bits(value: float) -> int:
 def _degrees(angle: float) -> float:
     # radians came from degrees of at most a few decimals; rounding gives those back
     return round(float(np.degrees(angle)), 9)
-
-
-def _geometry_channels(geometry: Geometry) -> dict[str, Float32]:
-    labels = {} if geometry.defect is None else {"defect": geometry.defect.astype(np.float32)}
-    return {
-        **{f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")},
-        **{f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")},
-        "Z": geometry.distance,
-        "patch": geometry.patch.astype(np.float32),
-        **labels,
-    }

@@ -19,16 +19,15 @@ from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.core.vectors import dot, vector_at
 from lightopt.geometry import Hits, Patches, RayCaster
-from lightopt.lights import SurfaceLight
-from lightopt.optics import Reflectance
 from lightopt.rendering._bounced_images import bounced_bands
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
     PanelVisibility,
+    Shaded,
     channel_groups,
     panel_to_shade,
-    shade_converged,
-    shade_light,
+    shade_changed,
+    shade_together,
     shadow_targets,
 )
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
@@ -36,9 +35,8 @@ from lightopt.rendering._direct_view import direct_levels
 from lightopt.rendering._interreflection import PartLight
 from lightopt.rendering._lens_means import TYPICAL_VIEWS, lens_means
 from lightopt.rendering._penumbra_squares import SIDES
-from lightopt.rendering._surface import SurfacePoints, trace_samples
-from lightopt.rendering._surface_light import shade_surface_lights
-from lightopt.scene import PartView, Scene, lens_share, screen_window, through_lens, view_from_part
+from lightopt.rendering._surface import PointRows, SurfacePoints, trace_samples
+from lightopt.scene import Scene, lens_share, screen_window, through_lens, view_from_part
 
 _log = logging.getLogger("lightopt.rendering")
 
@@ -58,69 +56,51 @@ _Places = tuple[Int32, Int32, Int32]  # numbers of rays, and rows and columns of
 
 @dataclass(frozen=True, kw_only=True)
 class LightImage:
-    """The part under one light at exposure 1.
-
-    level: Linear, unclipped, noise-free [grey level], shape (height, width)
-    diffuse, specular: Its two components [grey level], or None without `layers`
-    inside: Level of a pixel's centre minus the mean over the pixel, shape (height, width); None without `averaged`, and
-        with a lens of finite aperture, whose images are means over pixels
-    """
+    """The part under one light at exposure 1."""
 
     light: str
-    level: Float32
-    diffuse: Float32 | None = None
-    specular: Float32 | None = None
+    level: Float32  # linear, unclipped, noise-free [grey level], shape (height, width)
+    diffuse: Float32 | None = None  # its two components [grey level], or None without `layers`
+    specular: Float32 | None = None  # its two components [grey level], or None without `layers`
+    # level of a pixel's centre minus the mean over the pixel, shape (height, width); None without `averaged`, and with
+    # a lens of finite aperture, whose images are means over pixels
     inside: Float32 | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """What each pixel's centre looks at; world frame, zero where a ray misses the part.
+    """What each pixel's centre looks at; world frame, zero where a ray misses the part."""
 
-    points: [mm], shape (height, width, 3)
-    normals: Interpolated unit normals of the surface without its defects, shape (height, width, 3)
-    distance: From the pinhole along the ray [mm], shape (height, width)
-    patch: Patch seen, −1 where none; all −1 without patches; shape (height, width)
-    hit: Whether the ray meets the part, shape (height, width)
-    defect: Index among the scene's defects of the one seen, −1 where none, shape (height, width); None for a part
-        without defects
-    material: Number of the reflectance seen, shape (height, width); None for a part without regions
-    """
-
-    points: Float32
-    normals: Float32
-    distance: Float32
-    patch: Int32
-    hit: Bool
+    points: Float32  # [mm], shape (height, width, 3)
+    normals: Float32  # interpolated unit normals of the surface without its defects, shape (height, width, 3)
+    distance: Float32  # from the pinhole along the ray [mm], shape (height, width)
+    patch: Int32  # patch seen, −1 where none; all −1 without patches; shape (height, width)
+    hit: Bool  # whether the ray meets the part, shape (height, width)
+    # index among the scene's defects of the one seen, −1 where none, shape (height, width); None for a part without
+    # defects
     defect: Int32 | None = None
+    # number of the reflectance seen, shape (height, width); None for a part without regions
     material: UInt8 | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class PostureImages:
-    """A part in one posture under each light.
-
-    back_faces: Number of pixels whose centre sees the back of a face; they are black
-    """
+    """A part in one posture under each light."""
 
     posture: Posture
     lights: tuple[LightImage, ...]
     geometry: Geometry
-    back_faces: int
+    back_faces: int  # number of pixels whose centre sees the back of a face; they are black
     rays: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelLevels:
-    """Some pixels of the images of a posture, k of them: means over their area.
+    """Some pixels of the images of a posture, k of them: means over their area."""
 
-    diffuse, specular: Direct light under each light [grey level], shape (lights, k)
-    defect: Share of each pixel that each of the scene's defects takes, shape (defects, k)
-    """
-
-    diffuse: Float64
-    specular: Float64
-    defect: Float64
+    diffuse: Float64  # direct light under each light [grey level], shape (lights, k)
+    specular: Float64  # direct light under each light [grey level], shape (lights, k)
+    defect: Float64  # share of each pixel that each of the scene's defects takes, shape (defects, k)
 
 
 def cast_rays_at(scene: Scene, *, rays: float = math.inf) -> RayCaster:
@@ -201,15 +181,16 @@ def render_posture(
         from a ray at each centre and more rays only where levels are not smooth; with `supersample` 1
     """
     before = caster.rays_cast
-    view = view_from_part(scene, posture)
     if scene.camera.lens is None:
-        job = _PostureJob(scene, view, caster, shadows, supersample, layers, patches, averaged=averaged)
-        _run(job, posture, threads, progress)
-        images = tuple(job.images)
+        how: dict[str, Any] = {"supersample": supersample, "patches": patches, "averaged": averaged}
+        job = _PostureJob(scene, posture, caster, shadows=shadows, layers=layers, **how)
+        images = job.run(threads, progress)
     else:
-        job = _PostureJob(replace(scene, lights=()), replace(view, lights=()), caster, shadows, 1, layers, patches)
-        _run(job, posture, threads, None)
-        images = _through_lens(scene, posture, caster, shadows, layers, supersample**2, threads, progress)
+        lens: dict[str, Any] = {"least": supersample**2, "threads": threads, "progress": progress}
+        images = _through_lens(scene, posture, caster, shadows=shadows, layers=layers, **lens)
+        # what its middle looks at
+        job = _PostureJob(replace(scene, lights=()), posture, caster, patches=patches)
+        job.run(threads)
     assert job.geometry is not None
     return PostureImages(
         posture=posture,
@@ -224,12 +205,9 @@ def render_lights(
     scene: Scene, posture: Posture, *, caster: RayCaster, averaged: Bool | None = None, threads: int | None = None
 ) -> tuple[LightImage, ...]:
     """The images of :func:`render_posture` alone, without what each pixel looks at."""
-    view = view_from_part(scene, posture)
     if scene.camera.lens is not None:
-        return _through_lens(scene, posture, caster, True, False, 1, threads, None)
-    job = _PostureJob(scene, view, caster, True, 1, False, None, averaged=averaged, geometry=False)
-    _run(job, posture, threads, None)
-    return tuple(job.images)
+        return _through_lens(scene, posture, caster, threads=threads)
+    return _PostureJob(scene, posture, caster, averaged=averaged, geometry=False).run(threads)
 
 
 def render_pixels(scene: Scene, posture: Posture, pixels: Index, *, caster: RayCaster) -> PixelLevels:
@@ -238,7 +216,7 @@ def render_pixels(scene: Scene, posture: Posture, pixels: Index, *, caster: RayC
     What defects change is the difference between two calls, with and without them: both cast the same rays. Light from
     the part to itself and a lens of finite aperture are left out.
     """
-    job = _PostureJob(scene, view_from_part(scene, posture), caster, True, 1, True, None, geometry=False)
+    job = _PostureJob(scene, posture, caster, layers=True, geometry=False)
     step = max(1, BLOCK_SAMPLES // RAYS_ACROSS**2)
     parts = [job.levels_of(pixels[start : start + step]) for start in range(0, max(1, len(pixels)), step)]
     names = ("diffuse", "specular", "defect")
@@ -249,11 +227,12 @@ def _through_lens(
     scene: Scene,
     posture: Posture,
     caster: RayCaster,
-    shadows: bool,
-    layers: bool,
-    least: int,
-    threads: int | None,
-    progress: Share | None,
+    *,
+    shadows: bool = True,
+    layers: bool = False,
+    least: int = 1,
+    threads: int | None = None,
+    progress: Share | None = None,
 ) -> tuple[LightImage, ...]:
     # `least`: number of views at least
     names = ("level", "diffuse", "specular") if layers else ("level",)
@@ -261,48 +240,14 @@ def _through_lens(
 
     def render_view(place: Float64, offset: Float64) -> list[dict[str, Float32]]:
         seen = replace(scene, camera=through_lens(scene.camera, place))
-        view = view_from_part(seen, posture)
-        job = _PostureJob(seen, view, caster, shadows, 1, layers, None, geometry=False, offset=offset)
-        _run(job, posture, threads, None)
+        job = _PostureJob(seen, posture, caster, shadows=shadows, layers=layers, geometry=False, offset=offset)
+        images = job.run(threads)
         counter.add(1)
         counter.report()
-        return [{name: getattr(image, name) for name in names} for image in job.images]
+        return [{name: getattr(image, name) for name in names} for image in images]
 
     means = lens_means(render_view, scene, least=least)
     return tuple(LightImage(light=light.name, **mean) for light, mean in zip(scene.lights, means, strict=True))
-
-
-def _run(job: _PostureJob, posture: Posture, threads: int | None, progress: Share | None) -> None:
-    caster, view = job.caster, job.view
-    before, free, begun = caster.rays_cast, caster.rays_free, monotonic()
-    if job.shadow_caster is not None:
-        left, top, right, bottom = job.window
-        targets = np.concatenate([shadow_targets(light) for light in view.lights] or [np.zeros((0, 3))])
-        samples = max(0, right - left) * max(0, bottom - top) * job.supersample**2
-        caster.map_blockers(targets, rays=samples, threads=threads)
-    blocks = job.blocks()
-    counter = WorkCounter(len(blocks), progress)
-
-    def done() -> None:
-        counter.add(1)
-        counter.report()
-
-    threads = threads or available_processors()
-    run_all(((job.block, rows) for rows in blocks), threads=threads, done=done)
-    if job.averaged is not None:
-        lights = ((job.find_rough, (number,)) for number in range(len(job.images)))
-        run_all(lights, threads=threads)
-        run_all(((job.average, chunk) for chunk in job.rough_chunks()), threads=threads)
-        for image in job.images:
-            assert image.inside is not None
-            image.inside[:] -= image.level
-    if job.images and (job.scene.bounces or job.scene.environment):
-        job.add_bounces(threads)
-    for number, level in direct_levels(view, job.scene.mesh, caster, threads=threads):
-        job.images[number].level[:] += level
-    rays, free, seconds = caster.rays_cast - before, caster.rays_free - free, monotonic() - begun
-    text = "posture %s: %.2f million rays in %.2f s; %.2f million shadow rays proven free"
-    _log.info(text, posture, rays / 1e6, seconds, free / 1e6)
 
 
 class _RaysInside(NamedTuple):
@@ -322,18 +267,19 @@ class _PostureJob:
     def __init__(
         self,
         scene: Scene,
-        view: PartView,
+        posture: Posture,
         caster: RayCaster,
-        shadows: bool,
-        supersample: int,
-        layers: bool,
-        patches: Patches | None,
         *,
+        shadows: bool = True,
+        supersample: int = 1,
+        layers: bool = False,
+        patches: Patches | None = None,
         averaged: Bool | None = None,
         geometry: bool = True,
         offset: Float64 | None = None,  # of the samples from their pixels' centres, to the right and down [px]
     ) -> None:
-        self.scene, self.view, self.caster = scene, view, caster
+        self.scene, self.posture, self.caster = scene, posture, caster
+        self.view = view = view_from_part(scene, posture)
         self.offset = np.zeros(2) if offset is None else offset
         self.shadow_caster = caster if shadows else None
         self.supersample, self.patches = supersample, patches
@@ -357,6 +303,39 @@ class _PostureJob:
         self.together = channel_groups(self.panels)
         # neighbouring samples show where penumbrae are, so that blocks then overlap by a row
         self.halo = int(shadows and any(isinstance(panel, ConvergedPanel) for panel in self.panels))
+
+    def run(self, threads: int | None, progress: Share | None = None) -> tuple[LightImage, ...]:
+        """Render all images."""
+        caster, view = self.caster, self.view
+        before, free, begun = caster.rays_cast, caster.rays_free, monotonic()
+        if self.shadow_caster is not None:
+            left, top, right, bottom = self.window
+            targets = np.concatenate([shadow_targets(light) for light in view.lights] or [np.zeros((0, 3))])
+            samples = max(0, right - left) * max(0, bottom - top) * self.supersample**2
+            caster.map_blockers(targets, rays=samples, threads=threads)
+        blocks = self.blocks()
+        counter = WorkCounter(len(blocks), progress)
+
+        def done() -> None:
+            counter.add(1)
+            counter.report()
+
+        threads = threads or available_processors()
+        run_all(((self.block, rows) for rows in blocks), threads=threads, done=done)
+        if self.averaged is not None:
+            run_all(((self.find_rough, (number,)) for number in range(len(self.images))), threads=threads)
+            run_all(((self.average, chunk) for chunk in self.rough_chunks()), threads=threads)
+            for image in self.images:
+                assert image.inside is not None
+                image.inside[:] -= image.level
+        if self.images and (self.scene.bounces or self.scene.environment):
+            self.add_bounces(threads)
+        for number, level in direct_levels(view, self.scene.mesh, caster, threads=threads):
+            self.images[number].level[:] += level
+        rays, free, seconds = caster.rays_cast - before, caster.rays_free - free, monotonic() - begun
+        text = "posture %s: %.2f million rays in %.2f s; %.2f million shadow rays proven free"
+        _log.info(text, self.posture, rays / 1e6, seconds, free / 1e6)
+        return tuple(self.images)
 
     def blocks(self) -> list[tuple[int, int]]:
         """Rows [top, bottom) of each block."""
@@ -399,24 +378,24 @@ class _PostureJob:
                     if places is None:
                         pixels[target] = self._means(values, hits, grid, own)
                     else:
-                        _store_values(*places, values, pixels)
+                        _store_values(places, values, pixels)
 
     def _light(
         self,
         marked: tuple[DefectSamples, ...],
         number: int,
-        light: tuple[Float64, Float64, PanelVisibility | None],
+        light: Shaded,
         sample: Index,
         grid: tuple[int, int],
         passed: Float64 | None,
     ) -> Iterator[tuple[Float32, Float64]]:
         # the arrays of an image, and what its light, from `_shade`, makes of the samples for each [grey level]
         image, panel = self.images[number], self.panels[number]
-        diffuse, specular, visibility = light
+        diffuse, specular, seen = light
         for some in marked:
-            diffuse[some.index], specular[some.index] = some.light(
-                panel, visibility, sample=sample, shape=grid, caster=self.shadow_caster
-            )
+            own: dict[str, Any] = {"index": some.index, "seen": seen, "sample": sample, "shape": grid}
+            changed = shade_changed(some.surface, panel, some.reflectance, self.shadow_caster, **own)
+            diffuse[some.index], specular[some.index] = changed
         if passed is not None:
             diffuse, specular = passed * diffuse, passed * specular
         yield image.level, diffuse + specular
@@ -526,7 +505,7 @@ class _PostureJob:
     def _trace(self, columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
         order, *at = _tiles(columns, rows)
         hits, surface = trace_samples(self.caster, self.scene.mesh, self.view.camera, *at, neighbours=True)
-        return replace(hits, ray=order[hits.ray]), surface
+        return hits._replace(ray=order[hits.ray]), surface
 
     def _wavy(self, surface: SurfacePoints) -> SurfacePoints:
         waviness, place = self.scene.waviness, self.scene.placement
@@ -539,40 +518,27 @@ class _PostureJob:
     def _in_defects(self, surface: SurfacePoints) -> tuple[DefectSamples, ...]:
         return defect_samples(self.scene.defects, surface, self.scene.reflectances)
 
-    def _shade(
-        self, surface: SurfacePoints, numbers: list[int], sample: Index, grid: tuple[int, int]
-    ) -> list[tuple[Float64, Float64, PanelVisibility | None]]:
+    def _shade(self, surface: SurfacePoints, numbers: list[int], sample: Index, grid: tuple[int, int]) -> list[Shaded]:
         # diffuse and specular levels of lights that are shaded together, and what the samples see of them
+        lights, caster = [self.panels[number] for number in numbers], self.shadow_caster
         parts = [
-            (index, self._shade_material(some, numbers, sample[index], grid, own))
+            (index, shade_together(some, lights, own, caster, sample=sample[index], shape=grid))
             for index, some, own in surface.by_material(self.scene.reflectances)
         ]
         if surface.material is None:
             return parts[0][1]
-        count, merged = len(surface), list[tuple[Float64, Float64, PanelVisibility | None]]()
-        for i, number in enumerate(numbers):
+        count, merged = len(surface), list[Shaded]()
+        for i, light in enumerate(lights):
             diffuse, specular = np.empty(count), np.empty(count)
-            seen = PanelVisibility.empty(count) if isinstance(self.panels[number], ConvergedPanel) else None
-            for index, lights in parts:
-                diffuse[index], specular[index], own_seen = lights[i]
+            seen = None
+            if isinstance(light, ConvergedPanel):
+                seen = PanelVisibility(np.empty(count, np.uint8), np.empty(count, np.bool_))
+            for index, found in parts:
+                diffuse[index], specular[index], own_seen = found[i]
                 if seen is not None and own_seen is not None:
                     seen.coarse[index], seen.penumbra[index] = own_seen.coarse, own_seen.penumbra
             merged.append((diffuse, specular, seen))
         return merged
-
-    def _shade_material(
-        self, surface: SurfacePoints, numbers: list[int], sample: Index, grid: tuple[int, int], own: Reflectance
-    ) -> list[tuple[Float64, Float64, PanelVisibility | None]]:
-        caster, panel = self.shadow_caster, self.panels[numbers[0]]
-        if isinstance(panel, ConvergedPanel):
-            d, s, seen = shade_converged(surface, panel, sample=sample, shape=grid, reflectance=own, caster=caster)
-            return [(own.R_d * d, own.R_s * s, seen)]
-        if isinstance(panel, SurfaceLight):
-            channels = [light for n in numbers if isinstance(light := self.panels[n], SurfaceLight)]
-            both = shade_surface_lights(surface, channels, reflectance=own, caster=caster)
-            return [(own.R_d * d, own.R_s * s, None) for d, s in zip(*both, strict=True)]
-        d, s = shade_light(surface, panel, reflectance=own, caster=caster)
-        return [(own.R_d * d, own.R_s * s, None)]
 
     def _means(self, values: Float64, hits: Hits, grid: tuple[int, int], own: slice) -> Float64:
         # over the samples of each pixel; 0 where a ray misses the part
@@ -588,29 +554,17 @@ class _PostureJob:
         g = self.geometry
         if g is None:
             return
-        _store_surface(
-            *places,
-            surface.points,
-            surface.normals,
-            hits.distance,
-            surface.front,
-            self.view.rotation,
-            self.view.translation,
-            g.points,
-            g.normals,
-            g.distance,
-            g.hit,
-            self.back,
-        )
+        pose, images = (self.view.rotation, self.view.translation), (g.points, g.normals, g.distance, g.hit, self.back)
+        _store_surface(places, surface.rows, hits.distance, pose, images)
         if self.patches is not None:
-            _store_values(*places, self.patches.patch_at(hits.face, hits.u, hits.v), g.patch)
+            _store_values(places, self.patches.patch_at(hits.face, hits.u, hits.v), g.patch)
         if g.material is not None and surface.material is not None:
-            _store_values(*places, surface.material, g.material)
+            _store_values(places, surface.material, g.material)
         if g.defect is not None:
             label = np.full(len(surface), -1, np.int32)
             for some in marked:
                 label[some.index] = some.label
-            _store_values(*places, label, g.defect)
+            _store_values(places, label, g.defect)
 
 
 def _no_hit(shape: tuple[int, int], *, defects: bool, regions: bool) -> Geometry:
@@ -699,25 +653,18 @@ def _places(ray: Int32, columns: int, own_start: int, own_end: int, top: int, le
 
 @kernel
 def _store_surface(
-    index: Int32,
-    row: Int32,
-    column: Int32,
-    points: Float64,
-    normals: Float64,
+    places: _Places,
+    surface: PointRows,
     distance: Float64,
-    front: Bool,
-    rotation: Float64,
-    translation: Float64,
-    point_image: Float32,
-    normal_image: Float32,
-    distance_image: Float32,
-    hit_image: Bool,
-    back_image: Bool,
+    pose: tuple[Float64, Float64],
+    images: tuple[Float32, Float32, Float32, Bool, Bool],
 ) -> None:
     # turned into the world's frame
+    (index, row, column), (points, frames, _, _, front), (rotation, translation) = places, surface, pose
+    point_image, normal_image, distance_image, hit_image, back_image = images
     for j in range(len(index)):
         i, y, x = index[j], row[j], column[j]
-        p, n = vector_at(points, i), vector_at(normals, i)
+        p, n = vector_at(points, i), vector_at(frames, i)
         for axis in range(3):
             turned = vector_at(rotation, axis)
             point_image[y, x, axis] = dot(turned, p) + translation[axis]
@@ -728,7 +675,8 @@ def _store_surface(
 
 
 @kernel
-def _store_values(index: Int32, row: Int32, column: Int32, values: Any, image: Any) -> None:
+def _store_values(places: _Places, values: Any, image: Any) -> None:
+    index, row, column = places
     for j in range(len(index)):
         image[row[j], column[j]] = values[index[j]]
 

@@ -23,7 +23,7 @@ from lightopt.core.arrays import Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, dot, minus, plus, scaled, vector_at
-from lightopt.geometry import RayCaster, TriangleMesh, resolve_hits
+from lightopt.geometry import RayCaster, resolve_hits
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import (
     DiffuseForm,
@@ -41,7 +41,7 @@ from lightopt.optics import (
     white_level,
 )
 from lightopt.rendering._converged_panel import ConvergedPanel, converged_panel, isolated_levels
-from lightopt.rendering._surface import SurfacePoints, surface_at
+from lightopt.rendering._surface import PointRows, SurfacePoints, surface_at
 from lightopt.scene import Scene
 
 # cells of the unit square of (u, turn), from which directions are made, with a first ray through the middle of each
@@ -53,35 +53,24 @@ LEAST_SHARE = 0.05  # of that error, above which a cell gets more than one furth
 SPREAD = 1.4  # width of the directions of the lobe's rays, in those of the lobe
 MOST_OF_A_RAY = 0.3  # of what a ray of diffuse light adds at once [grey level]
 LEAST_POINTS, MOST_POINTS = 2, 6  # a side, that stand for panels; those of more points are whole
-
 _RAYS_AT_ONCE = 1 << 16
 _SHIFT = 0.6180339887498949  # of one row of cells against the next, in cells
 _STEP_U, _STEP_V = 0.7548776662466927, 0.5698402909980532  # 1/g and 1/g² of g³ = g + 1
 _SCATTER = 1e3  # by which places are multiplied for starts of the sequence [1/mm]
 
 # directions of rays from some of the points, shape (rays, 3), and weights, 0 where nothing is gathered
-_Rays = Callable[[SurfacePoints, Index, Float64, Float64], tuple[Float64, Float64]]
+_Rays = Callable[[PointRows, Index, Float64, Float64], tuple[Float64, Float64]]
 _Levels = Callable[[SurfacePoints], Float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PartLight:
-    """What the light of the part on itself depends on, in one posture.
+    """What the light of the part on itself depends on, in one posture."""
 
-    lights: Part frame, from :meth:`of_scene`
-    reflectances: By the materials of the mesh's faces
-    blocker: For shadows; None for none
-    environment: Level of the surroundings under a light of gain 1 [grey level]
-    bounces: From the part to the part
-    """
-
-    mesh: TriangleMesh
+    scene: Scene
     caster: RayCaster
-    blocker: RayCaster | None
-    lights: Sequence[PanelLight | ConvergedPanel]
-    reflectances: tuple[Reflectance, ...]
-    environment: float
-    bounces: int
+    blocker: RayCaster | None  # for shadows; None for none
+    lights: Sequence[PanelLight | ConvergedPanel]  # part frame, from :meth:`of_scene`
 
     @classmethod
     def of_scene(
@@ -91,26 +80,19 @@ class PartLight:
 
         lights: Part frame; panels get places that the lobe cannot tell apart or, where these are too many, are whole
         """
-        return cls(
-            mesh=scene.mesh,
-            caster=caster,
-            blocker=caster if shadows else None,
-            lights=[_mirrored_light(light, scene.sharpest.sigma, caster) for light in lights],
-            reflectances=scene.reflectances,
-            environment=scene.environment,
-            bounces=scene.bounces,
-        )
+        mirrored = [_mirrored_light(light, scene.sharpest.sigma, caster) for light in lights]
+        return cls(scene=scene, caster=caster, blocker=caster if shadows else None, lights=mirrored)
 
     @cached_property
     def white(self) -> float:
         """White level of the part [grey level]."""
-        return white_level(self.reflectances[0])
+        return white_level(self.scene.reflectances[0])
 
     @property
     def surroundings(self) -> Float64:
         """Level of the surroundings under each light, shape (lights,)."""
         lights = (one.light if isinstance(one, ConvergedPanel) else one for one in self.lights)
-        return np.array([self.environment * light.total_weight for light in lights])
+        return np.array([self.scene.environment * light.total_weight for light in lights])
 
     def diffuse(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
         """What diffuse reflection adds to the levels of points, about its error, and glints, shape (3, lights, k).
@@ -127,19 +109,15 @@ class PartLight:
 
     def _added(self, surface: SurfacePoints, threads: int | None, *, by_lobe: bool) -> Float64:
         added = np.zeros((3, len(self.lights), len(surface)))
-        for index, some, own in surface.by_material(self.reflectances):
+        for index, some, own in surface.by_material(self.scene.reflectances):
             added[..., index] = self._converged(some, own, threads, by_lobe=by_lobe)
         return added
 
     def _ways(self, own: Reflectance, *, by_lobe: bool) -> tuple[float, _Rays]:
         # rays of points of a reflectance, and the factor of what they gather
-        def by_cosine(surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
-            return _rays_by_cosine(surface.normals, surface.facets, surface.views, own.diffuse, point, u, turn)
-
-        def of_lobe(surface: SurfacePoints, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
-            return lobe_rays(surface.frames, surface.facets, surface.views, own.lobe, point, u, turn)
-
-        return (own.R_s / (math.pi * self.white), of_lobe) if by_lobe else (own.R_d / self.white, by_cosine)
+        if by_lobe:
+            return own.R_s / (math.pi * self.white), lambda rows, *places: lobe_rays(rows, own.lobe, *places)
+        return own.R_d / self.white, lambda rows, *places: _rays_by_cosine(rows, own.diffuse, *places)
 
     def _converged(self, surface: SurfacePoints, own: Reflectance, threads: int | None, *, by_lobe: bool) -> Float64:
         # factor times the mean over the unit square of (u, turn), and about its error. What a first ray of each cell
@@ -147,11 +125,11 @@ class PartLight:
         factor, rays = self._ways(own, by_lobe=by_lobe)
         cells, most = LOBE_CELLS if by_lobe else DIFFUSE_CELLS, math.inf
         step, area = max(1, _RAYS_AT_ONCE // (cells[0] * cells[1])), 1.0 / (cells[0] * cells[1])
-        if not by_lobe and self.bounces > 1:
+        if not by_lobe and self.scene.bounces > 1:
             # light of the surroundings is no glint, however bright these are
             most = MOST_OF_A_RAY + 2.0 * factor * area * float(self.surroundings.max(initial=0.0))
         # what the lobe throws on diffuse surface are caustics
-        shown = self.reflectances
+        shown = self.scene.reflectances
         if not by_lobe:
             shown = tuple(replace(one, R_s=0.0, sigma=1e-3, model=SpecularModel()) for one in shown)
         # half vectors turn by half of what directions do between rays
@@ -168,7 +146,7 @@ class PartLight:
             sides = np.clip(np.ceil(off ** (2.0 / 3.0)), np.where(off > LEAST_SHARE, 2, 1), MOST_SIDES).astype(np.intp)
             cell, u, turn = _divided(some.points, point, u, turn, sides, cells)
             (values,) = factor * self._seen(
-                some, rays, point[cell], u, turn, lambda met: self._levels(met, self.bounces, shown)
+                some, rays, point[cell], u, turn, lambda met: self._levels(met, self.scene.bounces, shown)
             )
             number = sides[cell] ** 2
             added = area * values / number
@@ -201,13 +179,13 @@ class PartLight:
         self, surface: SurfacePoints, rays: _Rays, point: Index, u: Float64, turn: Float64, levels: _Levels
     ) -> Float64:
         end_if_stopped()
-        directions, weights = rays(surface, point, u, turn)
+        directions, weights = rays(surface.rows, point, u, turn)
         own = np.flatnonzero(weights > 0.0)
         origins, ways = surface.points[point[own]], directions[own]
         faces = self.caster.next_hit(origins, surface.facets[point[own]], ways)
-        hits = resolve_hits(faces, origins, ways, self.mesh.vertices, self.mesh.faces)
+        hits = resolve_hits(faces, origins, ways, self.scene.mesh.vertices, self.scene.mesh.faces)
         met = own[hits.ray]
-        other = surface_at(hits, self.mesh, hits.points - directions[met], outside=surface.outside)
+        other = surface_at(hits, self.scene.mesh, hits.points - directions[met], outside=surface.outside)
         found = levels(other)
         seen = np.zeros((*found.shape[:2], len(point)))
         seen[0][:, own] = self.surroundings[:, None]
@@ -218,29 +196,29 @@ class PartLight:
         # levels of points that rays met, without shadows, and those of highlights that may be beside them, where
         # normals are uncertain by an angle [rad]; shape (2, lights, k)
         levels = np.zeros((2, len(self.lights), len(surface)))
-        if not self.bounces:
+        if not self.scene.bounces:
             return levels
-        for index, some, own in surface.by_material(shown):
-            wide = math.hypot(own.sigma, angle)
-            spread = replace(own, R_d=0.0, R_s=own.R_s * (own.sigma / wide) ** 2, sigma=wide)
-            for array, one in zip(levels, (own, spread) if own.R_s else (own,), strict=False):
-                array[:, index] = isolated_levels(some, self.lights, one, None, penumbrae=False)
+        levels[0] = isolated_levels(surface, self.lights, shown, None, penumbrae=False)
+        if any(own.R_s for own in shown):
+            wide = [(own, math.hypot(own.sigma, angle)) for own in shown]
+            spread = [replace(own, R_d=0.0, R_s=own.R_s * (own.sigma / w) ** 2, sigma=w) for own, w in wide]
+            levels[1] = isolated_levels(surface, self.lights, spread, None, penumbrae=False)
         return levels
 
     def _levels(self, surface: SurfacePoints, bounces: int, shown: Sequence[Reflectance]) -> Float64:
         # levels of points that rays met before so many bounces, shape (1, lights, k); shown: for direct light
-        levels = np.zeros((1, len(self.lights), len(surface)))
         if not bounces:
-            return levels
-        for index, some, own in surface.by_material(shown):
-            levels[0][:, index] = isolated_levels(some, self.lights, own, self.blocker, penumbrae=False)
-        if surface.front.any() and (bounces > 1 or self.environment):
+            return np.zeros((1, len(self.lights), len(surface)))
+        levels = isolated_levels(surface, self.lights, shown, self.blocker, penumbrae=False)[None]
+        if surface.front.any() and (bounces > 1 or self.scene.environment):
             seen_from_front = np.flatnonzero(surface.front)
-            for index, some, own in surface.take(seen_from_front).by_material(self.reflectances):
+            for index, some, own in surface.take(seen_from_front).by_material(self.scene.reflectances):
                 nodes = _cells(len(some), NESTED_CELLS)
                 for by_lobe in (False, True):
                     factor, rays = self._ways(own, by_lobe=by_lobe)
-                    seen = self._seen(some, rays, *nodes, lambda met: self._levels(met, bounces - 1, self.reflectances))
+                    seen = self._seen(
+                        some, rays, *nodes, lambda met: self._levels(met, bounces - 1, self.scene.reflectances)
+                    )
                     mean = seen.reshape(len(self.lights), len(some), -1).mean(axis=2)
                     levels[0][:, seen_from_front[index]] += factor * mean
         return levels
@@ -323,19 +301,17 @@ def _turned(n: Vector, angle: float, turn: float) -> Vector:
 
 
 @kernel
-def lobe_rays(
-    frames: Float64, facets: Float64, views: Float64, lobe: Lobe, point: Index, u: Float64, turn: Float64
-) -> tuple[Float64, Float64]:
+def lobe_rays(rows: PointRows, lobe: Lobe, point: Index, u: Float64, turn: Float64) -> tuple[Float64, Float64]:
     """Directions in which the lobe of points gathers light, shape (k, 3), and weights, shape (k,).
 
     The mean of weight times light is ∫ lobe/cosθ_o · light dω. Views are mirrored by half vectors as dense as a lobe of
     SPREAD times the width, whose rays meet highlights in its tail, as many by each of several lobes; dω of light
     is 4 (V·H) dω of H. In each direction from the normal, the lobe of a brushed surface is one of another width.
 
-    frames, facets, views: Of a :class:`lightopt.rendering.SurfacePoints`
     point: Of each ray, shape (k,)
     u, turn: Place of each ray in the unit square, shape (k,)
     """
+    _, frames, views, facets, _ = rows
     directions, weights = np.empty((len(point), 3)), np.zeros(len(point))
     for k in range(len(point)):
         i = point[k]
@@ -392,17 +368,18 @@ def _solid_angle(delta: float, lobe: Lobe) -> float:
 
 @kernel
 def _rays_by_cosine(
-    normals: Float64, facets: Float64, views: Float64, form: DiffuseForm, point: Index, u: Float64, turn: Float64
+    rows: PointRows, form: DiffuseForm, point: Index, u: Float64, turn: Float64
 ) -> tuple[Float64, Float64]:
     # as dense as N·l; weights are diffuse light over that of Lambert's
+    _, frames, views, facets, _ = rows
     directions, weights = np.empty((len(point), 3)), np.zeros(len(point))
     for k in range(len(point)):
-        way = _turned(vector_at(normals, point[k]), math.asin(math.sqrt(u[k])), turn[k])
+        way = _turned(vector_at(frames, point[k]), math.asin(math.sqrt(u[k])), turn[k])
         directions[k, 0], directions[k, 1], directions[k, 2] = way
         if dot(vector_at(facets, point[k]), way) > 0.0:
             weights[k] = 1.0
             if not is_lambert(form):
-                n, v = vector_at(normals, point[k]), vector_at(views, point[k])
+                n, v = vector_at(frames, point[k]), vector_at(views, point[k])
                 cosine = math.sqrt(1.0 - u[k])
                 weights[k] = diffuse_term(cosine, dot(n, v), dot(way, v), form) / cosine
     return directions, weights

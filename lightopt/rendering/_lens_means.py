@@ -21,8 +21,7 @@ FIRST_VIEWS, TYPICAL_VIEWS, MOST_VIEWS = 4, 16, 256
 # in all but this share of the lit pixels: at sharp edges the mean of n views has steps of 1/n of the contrast
 MOST_CHANGED = 0.005
 
-# the image of each light: its level and, with layers, its components [grey level]
-Images = list[dict[str, Float32]]
+Images = list[dict[str, Float32]]  # the image of each light: its level and, with layers, its components [grey level]
 
 
 def lens_means(render_view: Callable[[Float64, Float64], Images], scene: Scene, *, least: int = 1) -> Images:

@@ -15,10 +15,10 @@ import numpy as np
 from lightopt.core.arrays import Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.core.vectors import Vector, divided, dot, length, minus, plus, vector_at
+from lightopt.core.vectors import divided, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, panel_grid, panel_numbers, panel_point
-from lightopt.optics import LAMBERT, DiffuseForm, Lobe, Reflectance, lobe_at
+from lightopt.optics import LAMBERT, DiffuseForm, Reflectance, lobe_at
 from lightopt.rendering._converged_panel import channel_groups, converged_panel
 from lightopt.rendering._panel_quadrature import (
     NO_LOBE,
@@ -28,8 +28,9 @@ from lightopt.rendering._panel_quadrature import (
     rectangle_diffuse,
     rectangle_specular,
 )
-from lightopt.rendering._point_lights import point_terms
-from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._penumbra import ConvergedLight
+from lightopt.rendering._point_lights import diffuse_only, point_terms
+from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at
 from lightopt.rendering._surface_light import least_deflection, light_of_channels
 
 _CHUNK = 8192
@@ -37,23 +38,17 @@ _CHUNK = 8192
 
 @dataclass(frozen=True, kw_only=True)
 class LightLayer:
-    """Light of one panel at n surface points that see all of it.
+    """Light of one panel at n surface points that see all of it."""
 
-    surface: The points, part frame
-    diffuse: Per unit of R_d, shape (n,)
-    form: Of the diffuse light
-    deflection: About the least angle δ between the normal and the half vectors of the panel's points [rad], shape (n,):
-        nothing narrower than this reaches the camera as a highlight
-    grid: The panel's point lights [mm], shape (m, 3); none of them for the converged panel
-    nodes: Gauss–Legendre nodes a side that the converged panel needs for its fall-off and emission; 0 with point lights
-    """
-
-    surface: SurfacePoints
+    surface: SurfacePoints  # the points, part frame
     light: PanelLight
-    diffuse: Float64
-    form: DiffuseForm
+    diffuse: Float64  # per unit of R_d, shape (n,)
+    form: DiffuseForm  # of the diffuse light
+    # about the least angle δ between the normal and the half vectors of the panel's points [rad], shape (n,): nothing
+    # narrower than this reaches the camera as a highlight
     deflection: Float64
-    grid: Float64
+    grid: Float64  # the panel's point lights [mm], shape (m, 3); none of them for the converged panel
+    # Gauss–Legendre nodes a side that the converged panel needs for its fall-off and emission; 0 with point lights
     nodes: int
 
     def take(self, index: Index) -> LightLayer:
@@ -66,15 +61,14 @@ class LightLayer:
         """Specular light per unit of R_s, whatever R_s is, shape (n,) (paper, equations 3 and 4)."""
         if isinstance(self.light, SurfaceLight):
             return light_of_channels(self.surface, [self.light], reflectance, diffuse=False, threads=threads)[1][0]
-        panel, lobe = panel_numbers(self.light), reflectance.lobe
-        s = self.surface
-        result = np.zeros(len(s))
+        light = ConvergedLight(panel_numbers(self.light), 0.0, 0.0, reflectance.lobe, LAMBERT, self.nodes)
+        rows, count = self.surface.rows, len(self.surface)
+        result = np.zeros(count)
 
         def chunk(start: int) -> None:
-            end = min(start + _CHUNK, len(s))
-            _specular(s.points, s.frames, s.views, self.grid, panel, lobe, self.nodes, start, end, result)
+            _specular(rows, self.grid, light, (start, min(start + _CHUNK, count)), result)
 
-        in_threads(chunk, range(0, len(s), _CHUNK), threads)
+        in_threads(chunk, range(0, count, _CHUNK), threads)
         result *= self.light.total_weight
         return result
 
@@ -109,101 +103,71 @@ def light_layer(
     caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for
     form: Of the diffuse light
     """
+    grid, nodes, (diffuse, deflection) = np.zeros((0, 3)), 0, np.zeros((2, len(surface)))
+    layer = LightLayer(
+        surface=surface, light=light, diffuse=diffuse, form=form, deflection=deflection, grid=grid, nodes=nodes
+    )
     if isinstance(light, SurfaceLight):
         (diffuse,), _ = light_of_channels(surface, [light], form, threads=threads)
-        none = np.zeros((0, 3))
-        return LightLayer(
-            surface=surface,
-            light=light,
-            diffuse=diffuse,
-            form=form,
-            deflection=least_deflection(surface, light),
-            grid=none,
-            nodes=0,
-        )
-    panel = panel_numbers(light)
+        return replace(layer, diffuse=diffuse, deflection=least_deflection(surface, light))
     if light.points == "auto":
-        converged = converged_panel(light, centre=caster.centre, radius=caster.radius)
-        grid, nodes = np.zeros((0, 3)), converged.nodes
+        nodes = converged_panel(light, centre=caster.centre, radius=caster.radius).nodes
     else:
-        grid, nodes = panel_grid(light, light.points), 0
-    diffuse = np.zeros(len(surface))
-    deflection = np.zeros(len(surface))
-
-    geometry = surface.points, surface.normals, surface.views
+        grid = panel_grid(light, light.points)
+    rows, own = surface.rows, ConvergedLight(panel_numbers(light), 0.0, 0.0, NO_LOBE, form, nodes)
 
     def chunk(start: int) -> None:
-        end = min(start + _CHUNK, len(surface))
-        _diffuse_and_deflection(*geometry, grid, panel, form, nodes, start, end, diffuse, deflection)
+        part = start, min(start + _CHUNK, len(surface))
+        _diffuse_and_deflection(rows, grid, own, part, diffuse, deflection)
 
     in_threads(chunk, range(0, len(surface), _CHUNK), threads)
     diffuse *= light.total_weight
-    return LightLayer(
-        surface=surface, light=light, diffuse=diffuse, form=form, deflection=deflection, grid=grid, nodes=nodes
-    )
+    return replace(layer, grid=grid, nodes=nodes)
 
 
 @kernel
-def _specular(
-    points: Float64,
-    frames: Float64,
-    views: Float64,
-    grid: Float64,
-    panel: PanelNumbers,
-    lobe: Lobe,
-    panel_nodes: int,
-    start: int,
-    end: int,
-    result: Float64,
-) -> None:
-    for i in range(start, end):
-        p, n, v = vector_at(points, i), vector_at(frames, i), vector_at(views, i)
-        if out_of_reach(p, n, v, panel, lobe):
+def _specular(rows: PointRows, grid: Float64, light: ConvergedLight, part: tuple[int, int], result: Float64) -> None:
+    # of points [start, end)
+    points, frames, views, _, _ = rows
+    panel, lobe = light.panel, light.lobe
+    for i in range(*part):
+        at = point_at(points, frames, views, i)
+        if out_of_reach(at, panel, lobe):
             continue
-        n_dot_v, turned = dot(n, v), lobe_at(lobe, frames, i)
+        turned = lobe_at(lobe, frames, i)
         if len(grid) == 0:
-            result[i] = rectangle_specular(p, n, v, n_dot_v, panel, WHOLE_PANEL, turned, panel_nodes)
+            result[i] = rectangle_specular(at, panel, WHOLE_PANEL, turned, light.nodes)
             continue
         total = 0.0
         for k in range(len(grid)):
-            _, s = point_terms(p, n, v, n_dot_v, vector_at(grid, k), panel, turned, LAMBERT)
-            total += s
+            total += point_terms(at, vector_at(grid, k), panel, turned, LAMBERT)[1]
         result[i] = total / len(grid)
 
 
 @kernel
 def _diffuse_and_deflection(
-    points: Float64,
-    normals: Float64,
-    views: Float64,
-    grid: Float64,
-    panel: PanelNumbers,
-    form: DiffuseForm,
-    panel_nodes: int,
-    start: int,
-    end: int,
-    diffuse: Float64,
-    deflection: Float64,
+    rows: PointRows, grid: Float64, light: ConvergedLight, part: tuple[int, int], diffuse: Float64, deflection: Float64
 ) -> None:
-    for i in range(start, end):
-        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
-        deflection[i] = _deflection(p, n, v, panel)
+    points, frames, views, _, _ = rows
+    panel, form = light.panel, light.form
+    for i in range(*part):
+        at = point_at(points, frames, views, i)
+        deflection[i] = _deflection(at, panel)
         if len(grid) == 0:
-            diffuse[i] = rectangle_diffuse(p, n, v, panel, WHOLE_PANEL, form, panel_nodes)
+            diffuse[i] = rectangle_diffuse(at, panel, WHOLE_PANEL, form, light.nodes)
             continue
         total = 0.0
         for k in range(len(grid)):
-            d, _ = point_terms(p, n, v, 0.0, vector_at(grid, k), panel, NO_LOBE, form)
-            total += d
+            total += point_terms(diffuse_only(at), vector_at(grid, k), panel, light.lobe, form)[0]
         diffuse[i] = total / len(grid)
 
 
 @kernel
-def _deflection(p: Vector, n: Vector, v: Vector, panel: PanelNumbers) -> float:
+def _deflection(at: SurfacePoint, panel: PanelNumbers) -> float:
     # at the place of the panel nearest to the mirrored view
-    s, t = mirror_point(p, n, v, dot(n, v), panel)
+    s, t = mirror_point(at, panel)
     s, t = min(max(s, -0.5), 0.5), min(max(t, -0.5), 0.5)
-    light = minus(panel_point(panel, s, t), p)
-    half = plus(divided(light, length(light)), v)
-    chord = length(minus(n, divided(half, length(half))))
+    light = minus(panel_point(panel, s, t), at.p)
+    half = plus(divided(light, length(light)), at.v)
+    chord = length(minus(at.n, divided(half, length(half))))
     return 2.0 * math.asin(min(1.0, 0.5 * chord))

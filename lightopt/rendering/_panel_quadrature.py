@@ -8,7 +8,7 @@ varies little: neither needs many nodes.
 The lobe of GGX has tails instead of a window. Along each side the nodes are those of a Gauss–Legendre rule in u, where
 the side is width · sinh u from where the lobe is greatest: its peak is as smooth in u as its tails are.
 
-Surface points p [mm], unit normals n and unit view directions v are vectors in the part's frame.
+Surface points are in the part's frame.
 """
 
 import math
@@ -35,13 +35,13 @@ from lightopt.optics import (
     specular_divisor,
     square_across,
 )
-from lightopt.rendering._point_lights import point_terms
+from lightopt.rendering._point_lights import diffuse_only, point_terms
+from lightopt.rendering._surface import SurfacePoint
 
 # most Gauss–Legendre nodes along a side; only a view or a light that grazes the surface asks for as many
 MAX_NODES = 48
 
 NEGLIGIBLE_EXPONENT = 45.0  # a rectangle where the lobe is nowhere above e⁻⁴⁵ = 3e-20 of R_s gets no specular light
-
 _NEGLIGIBLE_SHARE = NEGLIGIBLE_EXPONENT / MAX_LOBE_EXPONENT
 
 # the window ends where the lobe has fallen to e⁻¹⁴ = 8e-7 of its greatest value on the rectangle
@@ -52,9 +52,7 @@ WINDOW_MARGIN = 1.15  # the window is widened by this, since the exponent is onl
 # nodes a side of a whole panel where Oren and Nayar's component has a bend on it, and further ones where it has none
 _BENT_NODES, _FURTHER_NODES = 12, 2
 
-# of a lobe that is aslant: σ along a side of a piece, and the most pieces along one
-_PIECE, _MOST_PIECES = 10.0, 64
-
+_PIECE, _MOST_PIECES = 10.0, 64  # of a lobe that is aslant: σ along a side of a piece, and the most pieces along one
 _GRAZING = 1e-3
 _LINEARISATIONS = 3
 _BOX_STEPS = 12
@@ -73,7 +71,6 @@ def _gauss_legendre() -> tuple[Float64, Float64]:
 
 
 NO_LOBE = Reflectance(R_d=1.0, R_s=0.0, sigma=1.0).lobe
-
 TAIL_ERROR = 3e-5  # share of the lobe's light by which a rule may be off
 _EVEN = 1e3  # width, in sides, from which a lobe is the same all along one
 
@@ -103,22 +100,18 @@ class _Horizon(NamedTuple):
 
 
 @kernel
-def rectangle_diffuse(
-    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, area: Rectangle, form: DiffuseForm, count: int
-) -> float:
+def rectangle_diffuse(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, form: DiffuseForm, count: int) -> float:
     """Diffuse light, per unit of R_d, of a rectangle of a panel of total weight 1.
 
     count: Nodes along each side that Lambert's form needs
     """
     if not is_lambert(form):
-        count = diffuse_nodes(p, n, v, panel, area, form, count)
-    return _integrals(p, n, v, 0.0, panel, area, NO_LOBE, form, count, count)[0]
+        count = _diffuse_nodes(at, panel, area, form, count)
+    return _integrals(diffuse_only(at), panel, area, NO_LOBE, form, (count, count))[0]
 
 
 @kernel
-def diffuse_nodes(
-    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, area: Rectangle, form: DiffuseForm, count: int
-) -> int:
+def _diffuse_nodes(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, form: DiffuseForm, count: int) -> int:
     """Nodes along each side of a rectangle that a form needs, by the number that Lambert's does.
 
     Oren and Nayar's component bends where (L − (N·L)·N)·V changes its sign, and where N·L is N·V. Between it is a
@@ -127,12 +120,12 @@ def diffuse_nodes(
     count += _FURTHER_NODES
     if form.roughness == 0.0:
         return count
-    n_dot_v = max(0.0, dot(n, v))
-    across = minus(v, scaled(n, n_dot_v))
+    n, n_dot_v = at.n, max(0.0, dot(at.n, at.v))
+    across = minus(at.v, scaled(n, n_dot_v))
     ahead = steep = 0
     for corner in range(4):
         s, t = area.s1 if corner % 2 else area.s0, area.t1 if corner // 2 else area.t0
-        light = minus(panel_point(panel, s, t), p)
+        light = minus(panel_point(panel, s, t), at.p)
         ahead += dot(light, across) > 0.0
         steep += dot(light, n) > n_dot_v * length(light)
     if ahead % 4 == 0 and (ahead == 0 or steep % 4 == 0):
@@ -142,19 +135,11 @@ def diffuse_nodes(
 
 @kernel
 def _integrals(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    n_dot_v: float,
-    panel: PanelNumbers,
-    area: Rectangle,
-    lobe: Lobe,
-    form: DiffuseForm,
-    count_s: int,
-    count_t: int,
+    at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, form: DiffuseForm, counts: tuple[int, int]
 ) -> tuple[float, float]:
-    # diffuse and specular terms over a rectangle, by Gauss–Legendre nodes along its sides
-    horizon = _horizon(p, n, panel, area)
+    # diffuse and specular terms over a rectangle, by so many Gauss–Legendre nodes along its sides
+    count_s, count_t = counts
+    horizon = _horizon(at, panel, area)
     first, last = _broken_rows(horizon, area)
     diffuse = specular = 0.0
     for low, high in ((area.t0, first), (first, last), (last, area.t1)):
@@ -169,7 +154,7 @@ def _integrals(
             row_d = row_s = 0.0
             for j in range(count_s):
                 q = panel_point(panel, r0 + (r1 - r0) * NODES[count_s, j], t)
-                d, s = point_terms(p, n, v, n_dot_v, q, panel, lobe, form)
+                d, s = point_terms(at, q, panel, lobe, form)
                 row_d += WEIGHTS[count_s, j] * d
                 row_s += WEIGHTS[count_s, j] * s
             part_d += WEIGHTS[count_t, i] * (r1 - r0) * row_d
@@ -180,9 +165,9 @@ def _integrals(
 
 
 @kernel
-def _horizon(p: Vector, n: Vector, panel: PanelNumbers, area: Rectangle) -> _Horizon:
-    level = dot(n, minus(panel.centre, p))
-    rise_s, rise_t = dot(n, panel.across), dot(n, panel.along)
+def _horizon(at: SurfacePoint, panel: PanelNumbers, area: Rectangle) -> _Horizon:
+    level = dot(at.n, minus(panel.centre, at.p))
+    rise_s, rise_t = dot(at.n, panel.across), dot(at.n, panel.along)
     lowest = level + min(rise_s * area.s0, rise_s * area.s1) + min(rise_t * area.t0, rise_t * area.t1)
     return _Horizon(level, rise_s, rise_t, lowest)
 
@@ -213,41 +198,37 @@ def _row_above_horizon(horizon: _Horizon, t: float, area: Rectangle) -> tuple[fl
 
 
 @kernel
-def rectangle_specular(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int
-) -> float:
+def rectangle_specular(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int) -> float:
     """Specular light, per unit of R_s, of a rectangle of a panel of total weight 1.
 
-    n_dot_v: cosθ_o
     panel_nodes: Nodes a side that the whole panel needs for its fall-off and emission
     """
-    if n_dot_v <= 0.0:
+    if at.n_dot_v <= 0.0:
         return 0.0
     if lobe.plain:
-        return _gaussian_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
+        return _gaussian_light(at, panel, area, lobe, panel_nodes)
+    if lobe.ggx and lobe.widening > 1.0:
+        return _brushed_light(at, panel, area, lobe, panel_nodes)
     if lobe.ggx:
-        if lobe.widening > 1.0:
-            return _brushed_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
-        return _tailed_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
+        return _tailed_light(at, panel, area, lobe, panel_nodes)
     total = 0.0
     for number in range(lobe.wider + 1):
         share, one = gaussian_lobe(lobe, number)
-        total += share * _one_gaussian(p, n, v, n_dot_v, panel, area, one, panel_nodes)
+        if lobe.widening > 1.0:
+            total += share * _brushed_light(at, panel, area, one, panel_nodes)
+        else:
+            total += share * _gaussian_light(at, panel, area, one, panel_nodes)
     return total
 
 
-@kernel
-def _one_gaussian(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int
-) -> float:
-    if lobe.widening > 1.0:
-        return _brushed_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
-    return _gaussian_light(p, n, v, n_dot_v, panel, area, lobe, panel_nodes)
+class Exponent(NamedTuple):
+    """The exponent δ²/(2σ²) of a lobe about a place (s, t) of a light.
 
+    a, b, c: Half its Hessian [[a, b], [b, c]]
+    gs, gt: Half its gradient
+    least: Its value
+    """
 
-class _Nearest(NamedTuple):
-    # where on a rectangle the lobe is greatest; half the Hessian [[a, b], [b, c]] and half the gradient (gs, gt) of the
-    # exponent δ²/(2σ²) there, and its value
     s: float
     t: float
     a: float
@@ -259,63 +240,55 @@ class _Nearest(NamedTuple):
 
 
 @kernel
-def _nearest(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, far: float
-) -> _Nearest:
-    # far: exponent beyond which nothing is sought
-    s, t = mirror_point(p, n, v, n_dot_v, panel)
-    s, t = min(max(s, area.s0), area.s1), min(max(t, area.t0), area.t1)
-    inverse = lobe.inverse
-    hx = hy = jxs = jxt = jys = jyt = 0.0
-    a = b = c = 0.0
-    least = 0.0
-    for round_ in range(_LINEARISATIONS):
-        hx, hy, jxs, jxt, jys, jyt = _half_vector_map(p, n, v, panel, s, t, lobe)
-        # exponent ≈ k·|h + J·Δx|²: its matrix and gradient, per axis of the panel
-        k = inverse
-        a = k * (jxs * jxs + jys * jys)
-        b = k * (jxs * jxt + jys * jyt)
-        c = k * (jxt * jxt + jyt * jyt)
-        gs, gt = k * (jxs * hx + jys * hy), k * (jxt * hx + jyt * hy)
-        least = k * (hx * hx + hy * hy)
-        if round_ == _LINEARISATIONS - 1 or least > far:
-            break
-        ns, nt = least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, area)
-        if abs(ns - s) < 1e-6 and abs(nt - t) < 1e-6:
-            break
-        s, t = ns, nt
-    gs = inverse * (jxs * hx + jys * hy)
-    gt = inverse * (jxt * hx + jyt * hy)
-    return _Nearest(s, t, a, b, c, gs, gt, least)
+def exponent_at(
+    at: SurfacePoint, s: float, t: float, place: Vector, along_s: Vector, along_t: Vector, lobe: Lobe
+) -> Exponent:
+    """That of the place (s, t) [mm], which moves along `along_s` and `along_t`: the exponent is k·|h + J·Δx|²."""
+    hx, hy, jxs, jxt, jys, jyt = _half_vector_map(at, place, along_s, along_t, lobe)
+    k = lobe.inverse
+    a, b, c = k * (jxs * jxs + jys * jys), k * (jxs * jxt + jys * jyt), k * (jxt * jxt + jyt * jyt)
+    return Exponent(s, t, a, b, c, k * (jxs * hx + jys * hy), k * (jxt * hx + jyt * hy), k * (hx * hx + hy * hy))
 
 
 @kernel
-def _gaussian_light(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int
-) -> float:
-    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, n_dot_v, panel, area, lobe, 50.0 * NEGLIGIBLE_EXPONENT)
-    if least > NEGLIGIBLE_EXPONENT:
+def _nearest(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, far: float) -> Exponent:
+    # where on a rectangle the lobe is greatest. far: exponent beyond which nothing is sought
+    s, t = mirror_point(at, panel)
+    s, t = min(max(s, area.s0), area.s1), min(max(t, area.t0), area.t1)
+    near = exponent_at(at, s, t, panel_point(panel, s, t), panel.across, panel.along, lobe)
+    for _ in range(_LINEARISATIONS - 1):
+        if near.least > far:
+            break
+        s, t = least_in_box(near, area)
+        if abs(s - near.s) < 1e-6 and abs(t - near.t) < 1e-6:
+            break
+        near = exponent_at(at, s, t, panel_point(panel, s, t), panel.across, panel.along, lobe)
+    return near
+
+
+@kernel
+def _gaussian_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int) -> float:
+    near = _nearest(at, panel, area, lobe, 50.0 * NEGLIGIBLE_EXPONENT)
+    if near.least > NEGLIGIBLE_EXPONENT:
         return 0.0
-    window = lobe_window(a, b, c, gs, gt, s, t, least, area)
+    window = lobe_window(near, area)
     if window.s0 >= window.s1 or window.t0 >= window.t1:
         return 0.0
     least_s = math.ceil(panel_nodes * (window.s1 - window.s0)) + 1
     least_t = math.ceil(panel_nodes * (window.t1 - window.t0)) + 1
-    count_s = max(node_count(a, gs, window.s0 - s, window.s1 - s), least_s)
-    count_t = max(node_count(c, gt, window.t0 - t, window.t1 - t), least_t)
-    if _horizon(p, n, panel, window).lowest > 0.0:
-        return _lobe_above_horizon(p, n, v, n_dot_v, panel, window, lobe, count_s, count_t)
-    return _integrals(p, n, v, n_dot_v, panel, window, lobe, LAMBERT, count_s, count_t)[1]
+    count_s = max(node_count(near.a, near.gs, window.s0 - near.s, window.s1 - near.s), least_s)
+    count_t = max(node_count(near.c, near.gt, window.t0 - near.t, window.t1 - near.t), least_t)
+    if _horizon(at, panel, window).lowest > 0.0:
+        return _lobe_above_horizon(at, panel, window, lobe, (count_s, count_t))
+    return _integrals(at, panel, window, lobe, LAMBERT, (count_s, count_t))[1]
 
 
 @kernel
-def _tailed_light(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int
-) -> float:
+def _tailed_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int) -> float:
     # of a lobe with tails, whose width is α = 2σ in δ: (2 + exponent)/2 is to the power of −2
     least_s = math.ceil(panel_nodes * (area.s1 - area.s0)) + 1
     least_t = math.ceil(panel_nodes * (area.t1 - area.t0)) + 1
-    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, n_dot_v, panel, area, lobe, EVERYWHERE)
+    s, t, a, b, c, gs, gt, least = _nearest(at, panel, area, lobe, EVERYWHERE)
     centre_s, width_s = peak(a, gs, least, s, area.s0, area.s1)
     centre_t, width_t = peak(c, gt, least, t, area.t0, area.t1)
     u0, u1 = math.asinh((area.s0 - centre_s) / width_s), math.asinh((area.s1 - centre_s) / width_s)
@@ -324,7 +297,7 @@ def _tailed_light(
     leaning = 0.5 * math.pi / (1.0 + 2.0 * abs(b) / math.sqrt(max(a * c, 1e-30)))
     count_s = max(min(tail_nodes(u0, u1, leaning, TAIL_ERROR), MAX_NODES // 2), least_s)
     count_t = max(min(tail_nodes(w0, w1, leaning, TAIL_ERROR), MAX_NODES // 2), least_t)
-    horizon = _horizon(p, n, panel, area)
+    horizon = _horizon(at, panel, area)
     if horizon.lowest <= 0.0:
         # masking ends the light there, within about α
         count_s, count_t = 2 * count_s, 2 * count_t
@@ -341,36 +314,34 @@ def _tailed_light(
         for j in range(count_s):
             u = u0 + (u1 - u0) * NODES[count_s, j]
             q = panel_point(panel, centre_s + width_s * math.sinh(u), at_t)
-            _, value = point_terms(p, n, v, n_dot_v, q, panel, lobe, LAMBERT)
+            _, value = point_terms(at, q, panel, lobe, LAMBERT)
             row += WEIGHTS[count_s, j] * math.cosh(u) * value
         total += WEIGHTS[count_t, i] * math.cosh(w) * row * (u1 - u0)
     return total * width_s * width_t * (w1 - w0)
 
 
 @kernel
-def _brushed_light(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int
-) -> float:
+def _brushed_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int) -> float:
     # of a lobe that is wider across the brushing, a ridge that may lie aslant: nodes that resolve its narrow side all
     # over the window, in pieces
     far = EVERYWHERE if lobe.ggx else 50.0 * NEGLIGIBLE_EXPONENT
-    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, n_dot_v, panel, area, lobe, far)
+    near = _nearest(at, panel, area, lobe, far)
     window = area
     if not lobe.ggx:
-        if least > NEGLIGIBLE_EXPONENT:
+        if near.least > NEGLIGIBLE_EXPONENT:
             return 0.0
-        window = lobe_window(a, b, c, gs, gt, s, t, least, area)
+        window = lobe_window(near, area)
     width, height = window.s1 - window.s0, window.t1 - window.t0
     if width <= 0.0 or height <= 0.0:
         return 0.0
-    parts_s, count_s = ridge_nodes(width, a, lobe.ggx)
-    parts_t, count_t = ridge_nodes(height, c, lobe.ggx)
+    parts_s, count_s = ridge_nodes(width, near.a, lobe.ggx)
+    parts_t, count_t = ridge_nodes(height, near.c, lobe.ggx)
     count_s = max(count_s, math.ceil(panel_nodes * width / parts_s) + 1)
     count_t = max(count_t, math.ceil(panel_nodes * height / parts_t) + 1)
     total = 0.0
     for k in range(parts_s * parts_t):
         piece = piece_of(window, k, parts_s, parts_t)
-        total += _integrals(p, n, v, n_dot_v, panel, piece, lobe, LAMBERT, count_s, count_t)[1]
+        total += _integrals(at, panel, piece, lobe, LAMBERT, (count_s, count_t))[1]
     return total
 
 
@@ -425,14 +396,9 @@ def tail_nodes(low: float, high: float, singular: float, error: float) -> int:
 
 
 @kernel
-def lobe_window(
-    a: float, b: float, c: float, gs: float, gt: float, s: float, t: float, least: float, area: Rectangle
-) -> Rectangle:
-    """Where on an area the lobe is not negligible, from its exponent's quadratic form; empty where nowhere.
-
-    a, b, c: The form's matrix [[a, b], [b, c]], half of it counting, in the coordinates (s, t)
-    gs, gt, least: Half its gradient and its value at (s, t)
-    """
+def lobe_window(near: Exponent, area: Rectangle) -> Rectangle:
+    """Where on an area the lobe is not negligible, from its exponent's quadratic form; empty where nowhere."""
+    s, t, a, b, c, gs, gt, least = near
     window = area
     determinant = a * c - b * b
     if not (determinant <= 1e-12 * a * c or a <= 0.0 or c <= 0.0):
@@ -451,18 +417,12 @@ def lobe_window(
 
 @kernel
 def _lobe_above_horizon(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    n_dot_v: float,
-    panel: PanelNumbers,
-    area: Rectangle,
-    lobe: Lobe,
-    count_s: int,
-    count_t: int,
+    at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, counts: tuple[int, int]
 ) -> float:
     # the specular term of `_integrals` where no horizon crosses the rectangle: the processor works on several nodes at
     # once in loops without branches over numbers that lie side by side
+    p, n, v, n_dot_v = at
+    count_s, count_t = counts
     chord, values = np.empty(count_s * count_t), np.empty(count_s * count_t)
     width, height = area.s1 - area.s0, area.t1 - area.t0
     for i in range(count_t):
@@ -488,12 +448,12 @@ def _lobe_above_horizon(
         widest = max(widest, chord[k])
     if widest >= NARROW_CHORD_SQUARED:
         # δ of 29° or more, where only a rough surface shows a lobe
-        return _integrals(p, n, v, n_dot_v, panel, area, lobe, LAMBERT, count_s, count_t)[1]
+        return _integrals(at, panel, area, lobe, LAMBERT, counts)[1]
     return total * width * height / specular_divisor(n_dot_v, square_across(v, lobe), lobe)
 
 
 @kernel
-def smooth_nodes(p: Vector, n: Vector, v: Vector, centre: Vector, reach: float, lobe: Lobe, error: float) -> int:
+def smooth_nodes(at: SurfacePoint, centre: Vector, reach: float, lobe: Lobe, error: float) -> int:
     """Nodes a side that integrate a lobe where it is smooth all over a light; :data:`MAX_NODES` where it is not.
 
     Of several Gaussian lobes, the narrowest one that is not negligible counts; never the first.
@@ -501,8 +461,8 @@ def smooth_nodes(p: Vector, n: Vector, v: Vector, centre: Vector, reach: float, 
     centre, reach: Of the light, and how far its points are from there at most [mm]
     error: Of tails, as a share of the light
     """
-    half, spread = half_vector_cone(p, v, centre, reach)
-    off = minus(n, half)
+    half, spread = half_vector_cone(at, centre, reach)
+    off = minus(at.n, half)
     away = length(off)
     if spread >= 1.0:
         return MAX_NODES
@@ -522,24 +482,24 @@ def smooth_nodes(p: Vector, n: Vector, v: Vector, centre: Vector, reach: float, 
 
 
 @kernel
-def out_of_reach(p: Vector, n: Vector, v: Vector, panel: PanelNumbers, lobe: Lobe) -> bool:
+def out_of_reach(at: SurfacePoint, panel: PanelNumbers, lobe: Lobe) -> bool:
     """Whether the lobe is surely negligible all over the panel: a quick test that looks at its centre alone."""
-    half, spread = half_vector_cone(p, v, panel.centre, half_diagonal(panel))
+    half, spread = half_vector_cone(at, panel.centre, half_diagonal(panel))
     # the chord is never more than the angle
-    nearest = max(0.0, length(minus(n, half)) - spread)
+    nearest = max(0.0, length(minus(at.n, half)) - spread)
     return (spread < math.pi) & (nearest * nearest * lobe.inverse > _NEGLIGIBLE_SHARE * lobe.farthest)
 
 
 @kernel
-def half_vector_cone(p: Vector, v: Vector, centre: Vector, reach: float) -> tuple[Vector, float]:
+def half_vector_cone(at: SurfacePoint, centre: Vector, reach: float) -> tuple[Vector, float]:
     """Unit half vector of a light's centre, and how far those of points within reach [mm] are from it, at most [rad].
 
     While L turns by α, H turns by no more than α / (2·cos(half the angle between L and V)). Where nothing is known, the
     angle is π, and the vector may be of another length. No branches: many points are tested at once.
     """
-    light = minus(centre, p)
+    light = minus(centre, at.p)
     r = length(light)
-    half = plus(divided(light, r), v)
+    half = plus(divided(light, r), at.v)
     size = length(half)
     # L turns by α ≤ 2·tan(α/2), sinα = reach / r; cosine of half the angle to V, and when L has turned away by α
     sine = reach / r
@@ -555,10 +515,10 @@ def half_vector_cone(p: Vector, v: Vector, centre: Vector, reach: float) -> tupl
 
 
 @kernel
-def mirror_point(p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers) -> tuple[float, float]:
+def mirror_point(at: SurfacePoint, panel: PanelNumbers) -> tuple[float, float]:
     """Where the mirrored view meets the panel's plane, (s, t) in the panel's sides; its centre where it never does."""
-    mirrored = minus(scaled(n, 2.0 * n_dot_v), v)
-    centre = minus(panel.centre, p)
+    mirrored = minus(scaled(at.n, 2.0 * at.n_dot_v), at.v)
+    centre = minus(panel.centre, at.p)
     towards, ahead = dot(mirrored, panel.outward), dot(centre, panel.outward)
     if abs(towards) < _GRAZING or ahead / towards <= 0.0:
         return 0.0, 0.0
@@ -571,24 +531,15 @@ def mirror_point(p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNu
 
 @kernel
 def _half_vector_map(
-    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, s: float, t: float, lobe: Lobe
+    at: SurfacePoint, place: Vector, along_s: Vector, along_t: Vector, lobe: Lobe
 ) -> tuple[float, float, float, float, float, float]:
-    return half_vector_map(p, n, v, panel_point(panel, s, t), panel.across, panel.along, lobe)
-
-
-@kernel
-def half_vector_map(
-    p: Vector, n: Vector, v: Vector, place: Vector, along_s: Vector, along_t: Vector, lobe: Lobe
-) -> tuple[float, float, float, float, float, float]:
-    """Components of H in the tangent plane of N, and their derivatives along s and t; so that |h| is δ, not its sine.
-
-    place, along_s, along_t: Of the light [mm], and how it moves with s and t
-    lobe: Of a brushed surface, the component across the brushing counts as much less as the lobe is wider there
-    """
-    light = minus(place, p)
+    # components of H in the tangent plane of N, and their derivatives along s and t; so that |h| is δ, not its sine. Of
+    # a brushed surface, the component across the brushing counts as much less as the lobe is wider there
+    n = at.n
+    light = minus(place, at.p)
     r = length(light)
     light = divided(light, r)
-    half = plus(light, v)
+    half = plus(light, at.v)
     size = length(half)
     half = divided(half, size)
     # any two unit vectors perpendicular to N and to each other
@@ -630,12 +581,12 @@ def _half_vector_step(side: Vector, r: float, light: Vector, size: float, half: 
 
 
 @kernel
-def least_in_box(
-    a: float, b: float, c: float, gs: float, gt: float, s: float, t: float, area: Rectangle
-) -> tuple[float, float]:
-    """Where ½(a·s² + 2b·s·t + c·t²) + gs·s + gt·t is least in a box, one coordinate after the other: it is convex."""
+def least_in_box(near: Exponent, area: Rectangle) -> tuple[float, float]:
+    """Where an exponent's quadratic form is least in a box, one coordinate after the other: it is convex."""
+    s, t, a, b, c, gs, gt, _ = near
     if a <= 0.0 or c <= 0.0:
         return s, t
+    gs, gt = gs - a * s - b * t, gt - b * s - c * t
     for _ in range(_BOX_STEPS):
         s = min(max(-(gs + b * t) / a, area.s0), area.s1)
         t = min(max(-(gt + b * s) / c, area.t0), area.t1)

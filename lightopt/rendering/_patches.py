@@ -35,11 +35,8 @@ from lightopt.scene import (
     view_from_part,
 )
 
-DEFAULT_PATCH_BUDGET = 200_000
-"""Patches visible in at least one posture, by default."""
-
-# the geometry image holds patch numbers as float32, which counts no further
-_MOST_PATCHES = 1 << 24
+DEFAULT_PATCH_BUDGET = 200_000  # patches visible in at least one posture, by default
+_MOST_PATCHES = 1 << 24  # the geometry image holds patch numbers as float32, which counts no further
 
 # image rows whose rays are cast at once, and points that are tested at once: they bound the memory
 _BLOCK_ROWS, _BLOCK_POINTS = 32, 1 << 16
@@ -49,27 +46,21 @@ _TILE = 4  # pixels along a side of the tiles that points are tested in
 
 @dataclass(frozen=True, kw_only=True)
 class PatchTable:
-    """A part's patches and from which postures the camera sees them; part frame.
-
-    postures: The postures considered
-    visible: Whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p)
-    grazing: Whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p):
-        such patches count in no score and no share of that posture. Where edges are left out, also at edges
-    max_edge: Longest edge of a patch that the camera may see, unless the mesh was finer already [mm]
-    footprint: Side of a pixel's footprint on the part, where it is smallest [mm]
-    seen_faces: Faces of the mesh that the camera sees, where they use up the budget of patches; 0 otherwise, and of a
-        table from arrays
-    exceeded: The budget of patches, where more are visible although the camera sees fewer faces: half of the budget is
-        for cutting; 0 otherwise, and of a table from arrays
-    """
+    """A part's patches and from which postures the camera sees them; part frame."""
 
     patches: Patches
-    postures: tuple[Posture, ...]
-    visible: Bool
+    postures: tuple[Posture, ...]  # the postures considered
+    visible: Bool  # whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p)
+    # whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p): such
+    # patches count in no score and no share of that posture. Where edges are left out, also at edges
     grazing: Bool
-    max_edge: float
-    footprint: float
+    max_edge: float  # longest edge of a patch that the camera may see, unless the mesh was finer already [mm]
+    footprint: float  # side of a pixel's footprint on the part, where it is smallest [mm]
+    # faces of the mesh that the camera sees, where they use up the budget of patches; 0 otherwise, and of a table from
+    # arrays
     seen_faces: int = 0
+    # the budget of patches, where more are visible although the camera sees fewer faces: half of the budget is for
+    # cutting; 0 otherwise, and of a table from arrays
     exceeded: int = 0
 
     def inspectable(self, posture: Posture) -> Index:
@@ -137,14 +128,10 @@ class PatchTable:
 
 @dataclass(frozen=True)
 class PatchPixels:
-    """Which pixels show each patch.
+    """Which pixels show each patch."""
 
-    start: The pixels of patch i are ``pixels[start[i]:start[i + 1]]``; shape (p + 1,)
-    pixels: Raveled pixel indices, ascending within a patch
-    """
-
-    start: Int64
-    pixels: Int64
+    start: Int64  # the pixels of patch i are ``pixels[start[i]:start[i + 1]]``; shape (p + 1,)
+    pixels: Int64  # raveled pixel indices, ascending within a patch
 
     def of(self, patch: int) -> Int64:
         """Raveled indices of the pixels whose centre shows a patch; empty for a patch smaller than a pixel."""
@@ -204,7 +191,7 @@ def build_patches(
     while (cut := estimate_patch_count(mesh, edge, select=seen, limit=limit) - hidden - shown) > most:
         # what cutting adds goes with 1 / edge²
         edge *= max(1.02, min(4.0, math.sqrt(cut / max(1, most))))
-    edge = min(edge, max(footprint, _longest_edge(mesh, seen)))
+    edge = min(edge, max(footprint, math.sqrt(longest_edges(mesh.vertices, mesh.faces, seen).max(initial=0.0))))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
     # of a face that no pixel's centre shows, the centroid was tried above; it is that of the patch where there is one
     tried = no_pixel & (patches.roots < 0)
@@ -309,10 +296,6 @@ def patch_positions(table: PatchTable, scene: Scene, posture: Posture) -> tuple[
     """
     columns, rows, _ = project(view_from_part(scene, posture).camera, table.patches.centroids)
     return columns, rows
-
-
-def _longest_edge(mesh: TriangleMesh, faces: Bool) -> float:
-    return math.sqrt(longest_edges(mesh.vertices, mesh.faces, faces).max(initial=0.0))
 
 
 def grain_of(areas: Float64) -> float:

@@ -25,7 +25,8 @@ from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, dot, length, minus, vector_at
 from lightopt.lights import half_diagonal
 from lightopt.rendering._panel_quadrature import half_vector_cone
-from lightopt.rendering._penumbra_cells import ConvergedLight
+from lightopt.rendering._penumbra import ConvergedLight
+from lightopt.rendering._surface import PointRows, SurfacePoint, point_at
 
 SIDES = (16, 8, 4)  # of the squares, one after the other; of any smaller one all samples would be worked out
 
@@ -107,23 +108,14 @@ def _node(at: Int32, corners: Int64, side: int, q: int, place: int) -> int:
 
 @kernel
 def smooth_squares(
-    points: Float64,
-    normals: Float64,
-    facets: Float64,
-    views: Float64,
-    front: Bool,
-    at: Int32,
-    corners: Int64,
-    side: int,
-    coarse: UInt8,
-    whole: Float64,
-    light: ConvergedLight,
+    rows: PointRows, at: Int32, corners: Int64, side: int, coarse: UInt8, whole: Float64, light: ConvergedLight
 ) -> Bool:
     """Squares of one smooth piece of surface that nothing speaks against before anything is worked out, shape (q,).
 
     Facets show nowhere in the light, no narrow lobe is near, and the coarse rays show nothing that those of the samples
     to be worked out do not.
     """
+    points, frames, views, facets, front = rows
     smooth = np.empty(len(corners), np.bool_)
     for q in range(len(corners)):
         shown = 0
@@ -135,16 +127,9 @@ def smooth_squares(
                 smooth[q] = (
                     i >= 0
                     and front[i]
-                    and (x == left or _continuous(points, normals, i, at[y, x - 1]))
-                    and (y == top or _continuous(points, normals, i, at[y - 1, x]))
-                    and _smoothly_lit(
-                        vector_at(points, i),
-                        vector_at(normals, i),
-                        vector_at(facets, i),
-                        vector_at(views, i),
-                        whole[i, 1],
-                        light,
-                    )
+                    and (x == left or _continuous(points, frames, i, at[y, x - 1]))
+                    and (y == top or _continuous(points, frames, i, at[y - 1, x]))
+                    and _smoothly_lit(point_at(points, frames, views, i), vector_at(facets, i), whole[i, 1], light)
                 )
                 if not smooth[q]:
                     break
@@ -160,19 +145,19 @@ def smooth_squares(
 
 
 @kernel
-def _smoothly_lit(p: Vector, n: Vector, facet: Vector, v: Vector, specular: float, light: ConvergedLight) -> bool:
+def _smoothly_lit(point: SurfacePoint, facet: Vector, specular: float, light: ConvergedLight) -> bool:
     panel = light.panel
-    towards = minus(panel.centre, p)
+    towards = minus(panel.centre, point.p)
     if dot(facet, towards) <= 0.5 * (abs(dot(facet, panel.across)) + abs(dot(facet, panel.along))):
         # the face hides what is between its own plane and the interpolated horizon: a strip of the panel in which N·L
         # is half of its greatest value on average
-        between, r = minus(n, facet), length(towards)
+        between, r = minus(point.n, facet), length(towards)
         greatest = max(0.0, dot(between, towards) + length(between) * half_diagonal(panel)) / r
         if 0.5 * light.diffuse_level * greatest * greatest * r > FACET_LEVEL * half_diagonal(panel):
             return False
     if light.specular_level * specular <= GLOSSY_LEVEL:
         return True
-    _, spread = half_vector_cone(p, v, panel.centre, half_diagonal(panel))
+    _, spread = half_vector_cone(point, panel.centre, half_diagonal(panel))
     return 0.5 / light.lobe.inverse >= (LEAST_LOBE * spread) ** 2
 
 
@@ -185,8 +170,8 @@ def _continuous(points: Float64, normals: Float64, i: int, j: int) -> bool:
 
 
 @kernel
-def _weights(side: int) -> Float64:
-    # of the values at the start, the middle and the end of a side, for the quadratic through them at each sample
+def quadratic_weights(side: int) -> Float64:
+    """Weights of the values at the start, middle and end of a side in the quadratic at each sample, (side + 1, 3)."""
     weights = np.empty((side + 1, 3))
     for k in range(side + 1):
         x = k / side
@@ -224,7 +209,7 @@ def interpolate(
     done: Which points need nothing more, shape (k,); all that are worked out in the squares are
     crossed: Which points the edge of a shadow crosses the panel of, shape (k,)
     """
-    weights = _weights(side)
+    weights = quadratic_weights(side)
     levels = light.diffuse_level, light.specular_level
     panel, seen = np.empty((2, len(_PLACES))), np.empty((2, len(_PLACES)))
     step = side // 4

@@ -16,7 +16,7 @@ from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.rendering._converged_panel import shadow_targets
 from lightopt.rendering._point_lights import visible_counts
-from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
+from lightopt.rendering._surface import GRAZING_COSINE, PointRows, SurfacePoints, trace_samples
 from lightopt.scene import PartView, Scene, pixel_directions, screen_window, view_from_part
 
 UNLIT, WHOLE, LEFT_OUT = 0, 1, 2
@@ -32,31 +32,22 @@ CREASE_COSINE = 0.985
 MARGIN_PX = 2
 
 _LEAST_COSINE = 0.02  # no pixel is taken to see more than fifty times the surface that faces it
-
 _BLOCK_ROWS = 64
 _CHUNK = 32_768
-
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PosturePixels:
-    """What the pixel centres of one posture's images look at, k of them.
+    """What the pixel centres of one posture's images look at, k of them."""
 
-    posture, view: Of the part; camera and lights in the part's frame
-    row, column: Of each pixel, shape (k,)
-    surface: Where the rays meet the part, part frame
-    clean: Off silhouettes, creases, back faces and grazing views, shape (k,)
-    shape: Rows and columns of the image
-    """
-
-    posture: Posture
-    view: PartView
-    row: Int32
-    column: Int32
-    surface: SurfacePoints
-    clean: Bool
-    shape: tuple[int, int]
+    posture: Posture  # of the part; camera and lights in the part's frame
+    view: PartView  # of the part; camera and lights in the part's frame
+    row: Int32  # of each pixel, shape (k,)
+    column: Int32  # of each pixel, shape (k,)
+    surface: SurfacePoints  # where the rays meet the part, part frame
+    clean: Bool  # off silhouettes, creases, back faces and grazing views, shape (k,)
+    shape: tuple[int, int]  # rows and columns of the image
 
 
 def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: int | None = None) -> PosturePixels:
@@ -72,24 +63,10 @@ def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: 
         hits, surface = trace_samples(caster, scene.mesh, view.camera, x, y, neighbours=True)
         return row[hits.ray], column[hits.ray], surface
 
-    blocks = in_threads(block, range(top, bottom, _BLOCK_ROWS), threads)
-    row = np.concatenate([b[0] for b in blocks] or [np.zeros(0, np.int32)])
-    column = np.concatenate([b[1] for b in blocks] or [np.zeros(0, np.int32)])
-    empty, none = np.zeros((0, 3)), np.zeros(0, np.bool_)
-    surface = SurfacePoints(
-        np.concatenate([b[2].points for b in blocks] or [empty]),
-        np.concatenate([b[2].normals for b in blocks] or [empty]),
-        np.concatenate([b[2].facets for b in blocks] or [empty]),
-        np.concatenate([b[2].views for b in blocks] or [empty]),
-        np.concatenate([b[2].front for b in blocks] or [none]),
-        caster.is_outside(view.camera.position),
-        None
-        if scene.mesh.material is None
-        else np.concatenate([b[2].material for b in blocks if b[2].material is not None] or [none.astype(np.uint8)]),
-        np.concatenate([b[2].across for b in blocks if b[2].across is not None] or [empty])
-        if any(scene.mesh.brushing)
-        else None,
-    )
+    # no row at all is a block, too
+    blocks = in_threads(block, range(top, max(bottom, top + 1), _BLOCK_ROWS), threads)
+    rows, all_columns, parts = zip(*blocks, strict=True)
+    row, column, surface = np.concatenate(rows), np.concatenate(all_columns), SurfacePoints.joined(parts)
     shape = (scene.camera.height, scene.camera.width)
     edge = _spread(_edges(surface, row, column, shape), row, column)
     cosine: Float64 = np.einsum("ij,ij->i", surface.normals, surface.views)
@@ -99,20 +76,13 @@ def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: 
 
 @dataclass(frozen=True, kw_only=True)
 class PixelMasks:
-    """What kind of surface each pixel centre of one posture's images looks at; arrays of shape (H, W) but `faces`.
+    """What kind of surface each pixel centre of one posture's images looks at; arrays of shape (H, W) but `faces`."""
 
-    hit: Whether it is the part at all
-    clean: Off silhouettes, creases, back faces and grazing views: as :class:`PosturePixels` has it
-    grazing: Front faces at more than :data:`GRAZING_DEG` to their normal
-    area: Of the surface that the pixel sees [mm²], 0 off the part
-    faces: Whether a pixel centre looks at each face of the mesh, shape (f,)
-    """
-
-    hit: Bool
-    clean: Bool
-    grazing: Bool
-    area: Float32
-    faces: Bool
+    hit: Bool  # whether it is the part at all
+    clean: Bool  # off silhouettes, creases, back faces and grazing views: as :class:`PosturePixels` has it
+    grazing: Bool  # front faces at more than :data:`GRAZING_DEG` to their normal
+    area: Float32  # of the surface that the pixel sees [mm²], 0 off the part
+    faces: Bool  # whether a pixel centre looks at each face of the mesh, shape (f,)
 
 
 def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: int | None = None) -> PixelMasks:
@@ -136,15 +106,9 @@ def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: i
         row, column, faces[hits.face] = row[hits.ray], column[hits.ray], True
         index = np.full((len(rows) + 1, shape[1] + 1), -1, np.int32)
         index[row - rows[0], column] = np.arange(len(row), dtype=np.int32)
-        material = np.zeros(0, np.uint8) if surface.material is None else surface.material
-        differing = _differing(
-            surface.points, surface.normals, surface.facets, material, row, column, index, int(rows[0]), shape[0]
-        )
-        rays = pixel_directions(camera, x[hits.ray], y[hits.ray])
-        _store_masks(
-            surface.normals, surface.facets, surface.views, surface.front, hits.distance, rays, solid_angle,
-            differing, row, column, first, last, hit, edge, clean, grazing, area,
-        )  # fmt: skip
+        differing = _differing(surface.rows, _materials(surface), row, column, index, int(rows[0]), shape[0])
+        rays, masks = pixel_directions(camera, x[hits.ray], y[hits.ray]), (hit, edge, clean, grazing, area)
+        _store_masks(surface.rows, hits.distance, rays, solid_angle, differing, (row, column), (first, last), masks)
 
     in_threads(block, range(top, bottom, _BLOCK_ROWS), threads)
     clean &= ~_widened(edge)
@@ -153,31 +117,24 @@ def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: i
 
 @kernel
 def _store_masks(
-    normals: Float64,
-    facets: Float64,
-    views: Float64,
-    front: Bool,
+    surface: PointRows,
     distance: Float64,
     rays: Float64,
     solid_angle: float,
     differing: Bool,
-    row: Int32,
-    column: Int32,
-    first: int,
-    last: int,
-    hit: Bool,
-    edge: Bool,
-    clean: Bool,
-    grazing: Bool,
-    area: Float32,
+    pixels: tuple[Int32, Int32],
+    part: tuple[int, int],
+    masks: tuple[Bool, Bool, Bool, Bool, Float32],
 ) -> None:
-    # of the pixels in rows [first, last)
+    # of the pixels, by row and column, in some rows [first, last)
+    (row, column), (first, last), (hit, edge, clean, grazing, area) = pixels, part, masks
+    _, frames, views, facets, front = surface
     for i in range(len(row)):
         y, x = row[i], column[i]
         if not first <= y < last:
             continue
         view, ray = vector_at(views, i), vector_at(rays, i)
-        facing = dot(vector_at(normals, i), view) >= GRAZING_COSINE
+        facing = dot(vector_at(frames, i), view) >= GRAZING_COSINE
         hit[y, x], edge[y, x] = True, differing[i]
         # back faces are no grazing views: they are black, and counted
         clean[y, x], grazing[y, x] = front[i] and facing, front[i] and not facing
@@ -188,14 +145,9 @@ def _store_masks(
         area[y, x] = angle * distance[i] ** 2 / max(cosine, _LEAST_COSINE)
 
 
-def panel_visibility(
-    pixels: PosturePixels, light: PanelLight, caster: RayCaster, *, moving: bool = False, threads: int | None = None
+def _panel_visibility(
+    pixels: PosturePixels, light: PanelLight, caster: RayCaster, moving: bool, threads: int | None
 ) -> UInt8:
-    """What each pixel sees of a panel: :data:`UNLIT`, :data:`WHOLE` or :data:`LEFT_OUT`, shape (k,).
-
-    light: Part frame
-    moving: Whether it will be asked again with the panel nearby, as of a part that is moved
-    """
     surface = pixels.surface
     targets = shadow_targets(light)
     front = np.flatnonzero(surface.front)
@@ -206,8 +158,7 @@ def panel_visibility(
         where = slice(start, end) if len(front) == len(surface) else front[start:end]  # a slice is not copied
         return *visible_counts(surface.take(where), targets, caster), where
 
-    clear = np.zeros(len(surface), np.intp)
-    above = np.zeros(len(surface), np.intp)
+    clear, above = np.zeros((2, len(surface)), np.intp)
     for seen, facing, where in in_threads(chunk, range(0, len(front), _CHUNK), threads):
         clear[where], above[where] = seen, facing
     # below the horizon of the interpolated normal there is no light, whatever is in the way
@@ -217,8 +168,7 @@ def panel_visibility(
         mixed |= (above > 0) & (above < len(targets))
     hidden = (clear == 0) & (above > 0) & ~mixed
     lit = (clear > 0) & ~mixed
-    visibility = np.where(lit, WHOLE, UNLIT).astype(np.uint8)
-    visibility[mixed] = LEFT_OUT
+    visibility = np.select([mixed, lit], [LEFT_OUT, WHOLE], UNLIT).astype(np.uint8)
     for own, other in ((lit, hidden), (hidden, lit)):
         beside = other | mixed
         if own.any() and beside.any():
@@ -234,12 +184,16 @@ def visibility_of_lights(
     moving: bool = False,
     threads: int | None = None,
 ) -> UInt8:
-    """As :func:`panel_visibility` of each light, shape (lights, k); the same places are asked once."""
+    """What each pixel sees of each light: :data:`UNLIT`, :data:`WHOLE` or :data:`LEFT_OUT`, shape (lights, k).
+
+    lights: Part frame
+    moving: Whether it will be asked again with the lights nearby, as of a part that is moved
+    """
     found: dict[bytes, UInt8] = {}
     places = [shadow_targets(light).tobytes() for light in lights]
     for place, light in zip(places, lights, strict=True):
         if place not in found:
-            found[place] = panel_visibility(pixels, light, caster, moving=moving, threads=threads)
+            found[place] = _panel_visibility(pixels, light, caster, moving, threads)
     return np.stack([found[place] for place in places])
 
 
@@ -248,24 +202,21 @@ def _edges(surface: SurfacePoints, row: Int32, column: Int32, shape: tuple[int, 
     # by seeing no part at all
     index = np.full((shape[0] + 1, shape[1] + 1), -1, np.int32)
     index[row, column] = np.arange(len(row), dtype=np.int32)
-    material = np.zeros(0, np.uint8) if surface.material is None else surface.material
-    return _differing(surface.points, surface.normals, surface.facets, material, row, column, index, 0, shape[0])
+    return _differing(surface.rows, _materials(surface), row, column, index, 0, shape[0])
+
+
+def _materials(surface: SurfacePoints) -> UInt8:
+    # none where there is one only
+    return np.zeros(0, np.uint8) if surface.material is None else surface.material
 
 
 @kernel
 def _differing(
-    points: Float64,
-    normals: Float64,
-    facets: Float64,
-    material: UInt8,
-    row: Int32,
-    column: Int32,
-    index: Int32,
-    top: int,
-    rows: int,
+    surface: PointRows, material: UInt8, row: Int32, column: Int32, index: Int32, top: int, rows: int
 ) -> Bool:
     # `index`: of the point that each pixel sees, −1 where none, from row `top` on, with a row and a column more; of an
     # image of so many rows. In its first and last row flags are not complete
+    points, frames, _, facets, _ = surface
     edge = np.zeros(len(row), np.bool_)
     columns = index.shape[1] - 1
     for a in range(len(row)):
@@ -281,7 +232,7 @@ def _differing(
                 edge[a] = True
                 continue
             step = minus(vector_at(points, b), vector_at(points, a))
-            crease = dot(vector_at(normals, a), vector_at(normals, b)) < CREASE_COSINE
+            crease = dot(vector_at(frames, a), vector_at(frames, b)) < CREASE_COSINE
             rise = abs(dot(step, vector_at(facets, a)))
             border = len(material) > 0 and material[a] != material[b]
             if crease or border or rise > STEEPEST_STEP * math.sqrt(dot(step, step)):

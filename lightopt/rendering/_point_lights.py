@@ -25,7 +25,7 @@ from lightopt.optics import (
     specular_lobe,
     square_across,
 )
-from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints
 
 # pairs of surface point and point light that are shaded at once: some 60 MiB, and 0.2 s that Ctrl-C waits
 PAIRS_AT_ONCE = 1 << 20
@@ -36,16 +36,20 @@ _LEAST_SHARE = 0.25
 
 
 @kernel
-def point_terms(
-    p: Vector, n: Vector, v: Vector, n_dot_v: float, q: Vector, panel: PanelNumbers, lobe: Lobe, form: DiffuseForm
-) -> tuple[float, float]:
+def diffuse_only(at: SurfacePoint) -> SurfacePoint:
+    """The point with a cosθ_o of 0, which leaves the specular term out."""
+    return SurfacePoint(at.p, at.n, at.v, 0.0)
+
+
+@kernel
+def point_terms(at: SurfacePoint, q: Vector, panel: PanelNumbers, lobe: Lobe, form: DiffuseForm) -> tuple[float, float]:
     """Diffuse and specular terms, per unit of R_d and R_s, of one point light of weight 1 (paper, equations 2 and 3).
 
-    p, n, v: Surface point [mm], its unit normal and unit view direction
-    n_dot_v: cosθ_o; 0 leaves the specular term out
+    at: Its cosθ_o, where 0, leaves the specular term out
     q: The point light [mm], a point of the panel
     form: Of the diffuse term
     """
+    p, n, v, n_dot_v = at
     light = minus(q, p)
     r2 = dot(light, light)
     light = scaled(light, 1.0 / math.sqrt(r2))
@@ -102,12 +106,12 @@ def shade_points(
     step = max(1, PAIRS_AT_ONCE // points)
     chunks = [
         _shade_chunk(surface.take(slice(start, start + step)), light, points, reflectance, caster)
-        for start in range(0, len(surface), step)
+        for start in range(0, max(1, len(surface)), step)
     ]
     if len(chunks) == 1:
         return chunks[0]
-    empty = [np.zeros(0)]
-    return np.concatenate([d for d, _ in chunks] or empty), np.concatenate([s for _, s in chunks] or empty)
+    diffuse, specular = zip(*chunks, strict=True)
+    return np.concatenate(diffuse), np.concatenate(specular)
 
 
 def _shade_chunk(
@@ -116,17 +120,8 @@ def _shade_chunk(
     end_if_stopped()
     grid = panel_grid(light, points)
     clear = clear_targets(surface, grid, caster, geometric=caster is not None)
-    return add_points(
-        surface.points,
-        surface.frames,
-        surface.views,
-        grid,
-        clear,
-        panel_numbers(light),
-        light.total_weight / points,
-        reflectance.lobe,
-        reflectance.diffuse,
-    )
+    weight = light.total_weight / points
+    return add_points(surface.rows, grid, clear, panel_numbers(light), weight, reflectance.lobe, reflectance.diffuse)
 
 
 def facing_targets(surface: SurfacePoints, targets: Float64, *, geometric: bool) -> Bool:
@@ -173,24 +168,16 @@ def _facing(
 
 @kernel
 def add_points(
-    points: Float64,
-    frames: Float64,
-    views: Float64,
-    targets: Float64,
-    clear: Bool,
-    panel: PanelNumbers,
-    weight: float,
-    lobe: Lobe,
-    form: DiffuseForm,
+    rows: PointRows, targets: Float64, clear: Bool, panel: PanelNumbers, weight: float, lobe: Lobe, form: DiffuseForm
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of point lights, per unit of R_d and R_s; two arrays of shape (k,).
 
-    points, frames, views: Of a :class:`lightopt.rendering.SurfacePoints`
     targets: The point lights [mm], shape (m, 3)
     clear: Whether nothing is on the way from a light to a point, shape (m, k)
     weight: Of each light
     form: Of the diffuse light
     """
+    points, frames, views, _, _ = rows
     diffuse, specular = np.zeros(len(points)), np.zeros(len(points))
     # the processor works on several points at once in loops without branches over numbers that lie side by side
     p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
@@ -201,12 +188,9 @@ def add_points(
     for first in range(0, len(points), _AT_ONCE):
         count = min(_AT_ONCE, len(points) - first)
         for j in range(count):
+            i = first + j
             for axis in range(3):
-                p[axis, j], n[axis, j], v[axis, j] = (
-                    points[first + j, axis],
-                    frames[first + j, axis],
-                    views[first + j, axis],
-                )
+                p[axis, j], n[axis, j], v[axis, j] = points[i, axis], frames[i, axis], views[i, axis]
             n_dot_v[j] = dot(column_at(n, j), column_at(v, j))
             if lobe.widening > 1.0:
                 across_view[j] = square_across(column_at(v, j), lobe_at(lobe, frames, first + j))

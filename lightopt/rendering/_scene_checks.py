@@ -1,6 +1,6 @@
 """Checks before rendering: no panel is inside the part, and enough pixels see the part."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,31 +14,15 @@ from lightopt.scene import PartView, Scene, pixel_footprint, screen_window, unit
 
 PANEL_POINTS = 25  # points of a panel that are tried
 LEAST_PIXELS = 16  # least number of pixels that see the part, in the posture that shows it best
-
 BLOCK_RAYS = 65_536
 
 
-@dataclass(frozen=True, kw_only=True)
-class PanelInPart:
-    """A panel that is inside the part, wholly or in places.
-
-    share: Of the panel that is inside
-    """
+class PanelInPart(NamedTuple):
+    """A panel that is inside the part, wholly or in places."""
 
     light: str
     posture: Posture
-    share: float
-    text: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class TooFewPixels:
-    """A part that too few pixels see, in every posture.
-
-    pixels: That see it in the posture that shows it best
-    """
-
-    pixels: int
+    share: float  # of the panel that is inside
     text: str
 
 
@@ -57,13 +41,12 @@ def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
                     "inside the part; check the mesh's units, its placement, and the light's distance of "
                     f"{light.distance:g} mm"
                 )
-                share = inside / len(points)
-                found.append(PanelInPart(light=light.name, posture=posture, share=share, text=text))
+                found.append(PanelInPart(light.name, posture, inside / len(points), text))
     return tuple(found)
 
 
-def too_few_pixels(scene: Scene, caster: RayCaster) -> TooFewPixels | None:
-    """Whether too few pixels see the part in every posture; None where enough do in one."""
+def too_few_pixels(scene: Scene, caster: RayCaster) -> tuple[int, str] | None:
+    """How many pixels see the part in the posture that shows it best, and a text; None where they are enough."""
     most = 0
     for posture in scene.postures:
         most = max(most, _pixels(scene, view_from_part(scene, posture), caster))
@@ -78,7 +61,7 @@ def too_few_pixels(scene: Scene, caster: RayCaster) -> TooFewPixels | None:
         f"{pixel_footprint(scene.camera, distance):.3g} mm; check the mesh's units, the part's placement and the "
         "camera's lens"
     )
-    return TooFewPixels(pixels=most, text=text)
+    return most, text
 
 
 def refuse_unusable_scene(scene: Scene, rig: RigConfig, part: PartConfig, caster: RayCaster) -> None:
@@ -90,7 +73,7 @@ def refuse_unusable_scene(scene: Scene, rig: RigConfig, part: PartConfig, caster
     problems = [f"{rig.source.at('lights', index[panel.light])}: {panel.text}" for panel in panels_in_part(scene)]
     unseen = too_few_pixels(scene, caster)
     if unseen is not None:
-        problems += [f"{part.source.at('mesh', 'file')}: {unseen.text}", *unit_hint(part, scene)]
+        problems += [f"{part.source.at('mesh', 'file')}: {unseen[1]}", *unit_hint(part, scene)]
     if problems:
         raise InputError(*problems)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
@@ -31,27 +32,47 @@ GRAZING_COSINE = math.cos(math.radians(GRAZING_DEG))
 """Cosine of :data:`GRAZING_DEG`: a place with a smaller cosine between normal and view is seen at a grazing angle."""
 
 
-@dataclass(frozen=True)
-class SurfacePoints:
-    """Points of the surface that a camera looks at, k of them, part frame.
-
-    points: [mm], shape (k, 3)
-    normals: Interpolated unit normals N that shading uses, shape (k, 3)
-    facets: Unit geometric normals of the faces, shape (k, 3)
-    views: Unit vectors V towards the camera, shape (k, 3)
-    front: False where the camera sees the back of a face, which is black; shape (k,)
-    outside: Whether the camera stands outside the part's bounding sphere
-    material: Number of the reflectance of each, shape (k,); None: one reflectance, number 0
-    across: Unit tangents across the brushing, 0 where it has no direction, shape (k, 3); None: nothing is brushed
-    """
+class PointRows(NamedTuple):
+    """Surface points in the form that kernels take; arrays as :class:`SurfacePoints` has them."""
 
     points: Float64
-    normals: Float64
-    facets: Float64
+    frames: Float64
     views: Float64
+    facets: Float64
     front: Bool
-    outside: bool = False
-    material: UInt8 | None = None
+
+
+class SurfacePoint(NamedTuple):
+    """One of them: p [mm], unit normal n, unit view direction v, and cosθ_o."""
+
+    p: Vector
+    n: Vector
+    v: Vector
+    n_dot_v: float
+
+
+@kernel
+def surface_point(p: Vector, n: Vector, v: Vector) -> SurfacePoint:
+    return SurfacePoint(p, n, v, dot(n, v))
+
+
+@kernel
+def point_at(points: Float64, frames: Float64, views: Float64, i: int) -> SurfacePoint:
+    return surface_point(vector_at(points, i), vector_at(frames, i), vector_at(views, i))
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points of the surface that a camera looks at, k of them, part frame."""
+
+    points: Float64  # [mm], shape (k, 3)
+    normals: Float64  # interpolated unit normals N that shading uses, shape (k, 3)
+    facets: Float64  # unit geometric normals of the faces, shape (k, 3)
+    views: Float64  # unit vectors V towards the camera, shape (k, 3)
+    front: Bool  # False where the camera sees the back of a face, which is black; shape (k,)
+    outside: bool = False  # whether the camera stands outside the part's bounding sphere
+    material: UInt8 | None = None  # number of the reflectance of each, shape (k,); None: one reflectance, number 0
+    # unit tangents across the brushing, 0 where it has no direction, shape (k, 3); None: nothing is brushed
     across: Float64 | None = None
 
     @cached_property
@@ -70,16 +91,24 @@ class SurfacePoints:
 
     def take(self, index: Index | slice) -> SurfacePoints:
         """The points at `index`, shape (j,), or those of a slice, which are not copied."""
-        return SurfacePoints(
-            self.points[index],
-            self.normals[index],
-            self.facets[index],
-            self.views[index],
-            self.front[index],
-            self.outside,
-            None if self.material is None else self.material[index],
-            None if self.across is None else self.across[index],
-        )
+        return self._mapped(lambda _, value: value[index])
+
+    @classmethod
+    def joined(cls, parts: Sequence[SurfacePoints]) -> SurfacePoints:
+        """The points of one or more surfaces of a part, one after the other."""
+        return parts[0]._mapped(lambda name, _: np.concatenate([getattr(part, name) for part in parts]))
+
+    def _mapped(self, work: Callable[[str, NDArray[Any]], NDArray[Any]]) -> SurfacePoints:
+        # with arrays that are made from the name and the value of each
+        arrays = {
+            name: value for name, value in vars(self).items() if isinstance(value, np.ndarray) and name != "frames"
+        }
+        return replace(self, **{name: work(name, value) for name, value in arrays.items()})
+
+    @property
+    def rows(self) -> PointRows:
+        """In the form that kernels take."""
+        return PointRows(self.points, self.frames, self.views, self.facets, self.front)
 
     def by_material(self, belonging: Sequence[Of]) -> Iterator[tuple[Index | slice, SurfacePoints, Of]]:
         """Indices of the points of each material, these points, and what belongs to it; none without points."""
@@ -152,11 +181,8 @@ def surface_at(hits: Hits, mesh: TriangleMesh, eyes: Float64, *, outside: bool) 
     eyes: Where the rays come from [mm], a common place of shape (3,), or one for each hit, shape (k, 3)
     outside: Whether they come from outside the part's bounding sphere, or from points that were seen from there
     """
-    smooth = mesh.normals is not None
-    vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
-    found = _interpolate(
-        mesh.vertices, mesh.faces, vertex_normals, smooth, hits.face, hits.u, hits.v, hits.points, np.atleast_2d(eyes)
-    )
+    smooth = mesh.normals if mesh.normals is not None else np.zeros((0, 3))
+    found = _interpolate(mesh.vertices, mesh.faces, smooth, hits, np.atleast_2d(eyes))
     material = None if mesh.material is None else mesh.material[hits.face]
     across = mesh.across_brushing(hits.points, found[0], hits.face)
     return SurfacePoints(hits.points, *found, outside=outside, material=material, across=across)
@@ -164,21 +190,12 @@ def surface_at(hits: Hits, mesh: TriangleMesh, eyes: Float64, *, outside: bool) 
 
 @kernel
 def _interpolate(
-    vertices: Float64,
-    faces: Int32,
-    vertex_normals: Float64,
-    smooth: bool,
-    face: Int32,
-    u: Float64,
-    v: Float64,
-    points: Float64,
-    eyes: Float64,
+    vertices: Float64, faces: Int32, vertex_normals: Float64, hits: Hits, eyes: Float64
 ) -> tuple[Float64, Float64, Float64, Bool]:
+    # normals, those of the facets, directions to the eyes, and whether these are in front
+    _, face, u, v, points, _ = hits
     k = len(face)
-    normals = np.empty((k, 3))
-    facets = np.empty((k, 3))
-    views = np.empty((k, 3))
-    front = np.empty(k, np.bool_)
+    normals, facets, views, front = np.empty((k, 3)), np.empty((k, 3)), np.empty((k, 3)), np.empty(k, np.bool_)
     for i in range(k):
         a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
         corner = vector_at(vertices, a)
@@ -187,9 +204,9 @@ def _interpolate(
         view = minus(vector_at(eyes, i if len(eyes) > 1 else 0), vector_at(points, i))
         view = divided(view, length(view))
         normal = facet
-        if smooth:
+        if len(vertex_normals) > 0:
             w = 1.0 - u[i] - v[i]
-            na, nb, nc = (vector_at(vertex_normals, a), vector_at(vertex_normals, b), vector_at(vertex_normals, c))
+            na, nb, nc = vector_at(vertex_normals, a), vector_at(vertex_normals, b), vector_at(vertex_normals, c)
             mean = Vector(
                 w * na.x + u[i] * nb.x + v[i] * nc.x,
                 w * na.y + u[i] * nb.y + v[i] * nc.y,

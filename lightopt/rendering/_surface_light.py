@@ -9,6 +9,7 @@ are divided, each piece with a ray of its own.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,9 +53,10 @@ from lightopt.rendering._panel_quadrature import (
     NODES,
     TAIL_ERROR,
     WEIGHTS,
+    Exponent,
     Rectangle,
+    exponent_at,
     half_vector_cone,
-    half_vector_map,
     least_in_box,
     lobe_window,
     node_count,
@@ -66,7 +68,7 @@ from lightopt.rendering._panel_quadrature import (
 )
 from lightopt.rendering._pattern_weights import pattern_weights, picture_weights
 from lightopt.rendering._point_lights import facing_targets
-from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at, surface_point
 
 DIFFUSE_NODES = 3  # a side of an element
 LEAST_NODES, MOST_NODES = 2, 48  # a side of the lobe's window
@@ -89,14 +91,22 @@ FIRST_FAR_OFF = 4.0  # times that of the form at the middle of an element, which
 NEAR = 0.02  # of an element's sides: steps that are less end the search
 MOST_ENDS, _RINGS, TAIL_GROWTH = 24, 11, 3.2  # of the pieces that a side is taken in for a lobe with tails
 _CROSSING_STEPS, _CROSSING_NEAR = 20, 1e-9  # of the search for the horizon, and how near it is, as a share of a side
-
 _SIDE_BY_SIDE = 512  # points whose numbers are in the processor's nearest cache together
 _LEAST_AT_ONCE = 256
+_Nodes = tuple[Float64, Float64, Float64]  # of an element: places, light and weights
 AT_ONCE = 1 << 21  # surface points times elements times terms of patterns that are shaded at once
 
 
+class _Sum(NamedTuple):
+    # what an element, whose radiance has a pattern, gives to a surface point: for each term a sum that is added to
+    at: SurfacePoint
+    e: Element
+    pattern: Pattern
+    found: Float64
+
+
 @kernel
-def _nodes(e: Element, pattern: Pattern, count: int) -> tuple[Float64, Float64, Float64]:
+def _nodes(e: Element, pattern: Pattern, count: int) -> _Nodes:
     terms = pattern.terms
     places, light = np.empty((count**2, 3)), np.empty((count**2, 3))
     weights = np.empty((len(terms), count**2))
@@ -130,17 +140,9 @@ def element_weights(e: Element, pattern: Pattern, b: int, weights: Float64) -> N
 
 
 @kernel
-def diffuse_of_element(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    form: DiffuseForm,
-    places: Float64,
-    light: Float64,
-    weights: Float64,
-    found: Float64,
-) -> None:
+def diffuse_of_element(at: SurfacePoint, form: DiffuseForm, nodes: _Nodes, found: Float64) -> None:
     # light of an element per unit of R_d, for each term of the pattern: Σ weight · light · cosα · (N·L) / r²
+    (places, light, weights), (p, n, v, _) = nodes, at
     found[:] = 0.0
     for k in range(len(places)):
         towards = minus(vector_at(places, k), p)
@@ -169,9 +171,10 @@ def _even_nodes(low: float, high: float, count: int) -> Float64:
 
 
 @kernel
-def _values_of_nodes(p: Vector, n: Vector, v: Vector, e: Element, at_s: Float64, at_t: Float64, lobe: Lobe) -> Float64:
+def _values_of_nodes(at: SurfacePoint, e: Element, at_s: Float64, at_t: Float64, lobe: Lobe) -> Float64:
     # lobe times radiance · cosα / r² · dA per ds dt of places of an element, shape (count_s, count_t); 0 below the
     # horizon. As in `whole_panel`, the processor works on several nodes at once
+    p, n, v, _ = at
     count_s, count_t = len(at_s), len(at_t)
     values, chord, across = np.empty((count_s, count_t)), np.empty(count_t), np.zeros(count_t)
     cosine, sine = np.ones(count_t), np.zeros(count_t)
@@ -207,34 +210,34 @@ def _values_of_nodes(p: Vector, n: Vector, v: Vector, e: Element, at_s: Float64,
 
 
 @kernel
-def _height(p: Vector, n: Vector, e: Element, s: float, t: float) -> float:
+def _height(at: SurfacePoint, e: Element, s: float, t: float) -> float:
     # of a place of an element above the plane through a point
-    return dot(n, minus(element_place(e, s, t)[0], p))
+    return dot(at.n, minus(element_place(e, s, t)[0], at.p))
 
 
 @kernel
-def _horizon_crosses(p: Vector, n: Vector, e: Element, area: Rectangle) -> bool:
+def _horizon_crosses(at: SurfacePoint, e: Element, area: Rectangle) -> bool:
     # whether the plane through a point passes between the corners of a part of an element
-    if dot(n, minus(e.centre, p)) >= e.reach:
+    if dot(at.n, minus(e.centre, at.p)) >= e.reach:
         return False
-    first, second = _height(p, n, e, area.s0, area.t0), _height(p, n, e, area.s1, area.t0)
-    third, fourth = _height(p, n, e, area.s0, area.t1), _height(p, n, e, area.s1, area.t1)
+    first, second = _height(at, e, area.s0, area.t0), _height(at, e, area.s1, area.t0)
+    third, fourth = _height(at, e, area.s0, area.t1), _height(at, e, area.s1, area.t1)
     return min(min(first, second), min(third, fourth)) < 0.0 < max(max(first, second), max(third, fourth))
 
 
 @kernel
-def _crossing(p: Vector, n: Vector, e: Element, start: tuple[float, float], end: tuple[float, float]) -> float:
+def _crossing(at: SurfacePoint, e: Element, start: tuple[float, float], end: tuple[float, float]) -> float:
     # how far along a line of (u, v) the horizon is met, as a share of it; −1 where both ends are on one side.
     # False position in the variant that halves the value of the end that stays
     low, high = 0.0, 1.0
-    at_low, at_high = _height(p, n, e, start[0], start[1]), _height(p, n, e, end[0], end[1])
+    at_low, at_high = _height(at, e, start[0], start[1]), _height(at, e, end[0], end[1])
     if (at_low > 0.0) == (at_high > 0.0):
         return -1.0
     share, stayed = 0.0, 0
     for _ in range(_CROSSING_STEPS):
         share = (low * at_high - high * at_low) / (at_high - at_low)
         s, t = start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])
-        value = _height(p, n, e, s, t)
+        value = _height(at, e, s, t)
         if (value > 0.0) == (at_low > 0.0):
             if abs(share - low) < _CROSSING_NEAR:
                 break
@@ -253,26 +256,17 @@ def _crossing(p: Vector, n: Vector, e: Element, start: tuple[float, float], end:
 
 
 @kernel
-def _add_above_horizon(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    e: Element,
-    area: Rectangle,
-    counts: tuple[int, int],
-    terms: Float64,
-    lobe: Lobe,
-    share: float,
-    found: Float64,
-) -> None:
+def _add_above_horizon(to: _Sum, area: Rectangle, counts: tuple[int, int], lobe: Lobe, share: float) -> None:
     # a share of the specular light of a part of an element that the horizon crosses, added for each term: rows of nodes
     # along v end at the horizon, and are taken apart along u where it meets the sides
+    at, e, pattern, found = to
+    terms = pattern.terms
     count_s, count_t = counts
-    whole = share / specular_divisor(dot(n, v), square_across(v, lobe), lobe)
+    whole = share / _divisor(at, lobe)
     ends = np.array([area.s0, area.s0, area.s0, area.s1])
     for side in range(2):
         t = area.t1 if side else area.t0
-        along = _crossing(p, n, e, (area.s0, t), (area.s1, t))
+        along = _crossing(at, e, (area.s0, t), (area.s1, t))
         if along > 0.0:
             ends[1 + side] = area.s0 + along * (area.s1 - area.s0)
     ends.sort()
@@ -285,16 +279,16 @@ def _add_above_horizon(
             pattern_weights(terms[b], 0, start, width, count_s, False, weights_s[b])
         for i in range(count_s):
             s, low, high = start + width * NODES[count_s, i], area.t0, area.t1
-            along = _crossing(p, n, e, (s, low), (s, high))
+            along = _crossing(at, e, (s, low), (s, high))
             if along >= 0.0:
                 border = low + along * (high - low)
-                if _height(p, n, e, s, low) > 0.0:
+                if _height(at, e, s, low) > 0.0:
                     high = border
                 else:
                     low = border
-            elif _height(p, n, e, s, 0.5 * (low + high)) <= 0.0:
+            elif _height(at, e, s, 0.5 * (low + high)) <= 0.0:
                 continue
-            values = _values_of_nodes(p, n, v, e, np.array([s]), _even_nodes(low, high, count_t), lobe)[0]
+            values = _values_of_nodes(at, e, np.array([s]), _even_nodes(low, high, count_t), lobe)[0]
             factor = width * (high - low) * whole
             for b in range(len(terms)):
                 pattern_weights(terms[b], 1, low, high - low, count_t, False, weights_t)
@@ -302,28 +296,22 @@ def _add_above_horizon(
 
 
 @kernel
-def lobe_reaches(p: Vector, n: Vector, v: Vector, e: Element, inverse: float, farthest: float) -> bool:
-    """Whether the lobe of a point may not be negligible on an element: a quick test.
+def _divisor(at: SurfacePoint, lobe: Lobe) -> float:
+    return specular_divisor(at.n_dot_v, square_across(at.v, lobe), lobe)
 
-    inverse: 1/(2σ²) [rad⁻²]
-    farthest: δ²/(2σ²) from which the lobe is negligible
-    """
-    half, spread = half_vector_cone(p, v, e.centre, e.reach)
-    nearest = max(0.0, length(minus(n, half)) - spread)
+
+@kernel
+def _lobe_reaches(at: SurfacePoint, e: Element, inverse: float, farthest: float) -> bool:
+    # whether the lobe of a point may not be negligible on an element, by its 1/(2σ²) [rad⁻²] and the δ²/(2σ²) from
+    # which it is: a quick test
+    half, spread = half_vector_cone(at, e.centre, e.reach)
+    nearest = max(0.0, length(minus(at.n, half)) - spread)
     return (spread >= math.pi) | (nearest * nearest * inverse <= farthest)
 
 
 @kernel
 def specular_of_element(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    e: Element,
-    area: Rectangle,
-    pattern: Pattern,
-    lobe: Lobe,
-    most: float,
-    found: Float64,
+    at: SurfacePoint, e: Element, area: Rectangle, pattern: Pattern, lobe: Lobe, most: float, found: Float64
 ) -> None:
     """Add the specular light of a piece of an element per unit of R_s (paper, equation 3), for each pattern term.
 
@@ -331,73 +319,53 @@ def specular_of_element(
     most: The lobe is negligible where it is less than e^−most of its height
     found: Shape (b,)
     """
-    if dot(n, v) <= 0.0:
+    if at.n_dot_v <= 0.0:
         return
+    to = _Sum(at, e, pattern, found)
     if lobe.plain:
-        _add_gaussian(p, n, v, e, area, pattern, lobe, most, 1.0, found)
+        _add_gaussian(to, area, lobe, most, 1.0)
     elif lobe.ggx:
-        _add_tailed(p, n, v, e, area, pattern, lobe, most, found)
+        _add_tailed(to, area, lobe, most)
     else:
         for number in range(lobe.wider + 1):
             share, one = gaussian_lobe(lobe, number)
-            _add_gaussian(p, n, v, e, area, pattern, one, most + math.log(share), share, found)
+            _add_gaussian(to, area, one, most + math.log(share), share)
 
 
 @kernel
-def _nearest(
-    p: Vector, n: Vector, v: Vector, e: Element, area: Rectangle, lobe: Lobe, far: float
-) -> tuple[float, float, float, float, float, float, float, float]:
-    # where on a piece of an element the lobe is greatest, (s, t); half the Hessian [[a, b], [b, c]] and half the
-    # gradient (gs, gt) of the exponent δ²/(2σ²) there, and its value, which is infinite where it is surely beyond `far`
-    s, t, inverse = 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1), lobe.inverse
+def _nearest(at: SurfacePoint, e: Element, area: Rectangle, lobe: Lobe, far: float) -> Exponent:
+    # where on a piece of an element the lobe is greatest; with an infinite exponent where it is surely beyond `far`
+    s, t = 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)
     wide, high = area.s1 - area.s0, area.t1 - area.t0
-    a = b = c = gs = gt = least = 0.0
+    near = Exponent(s, t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for round_ in range(STEPS):
         q, along_s, along_t = element_place(e, s, t)
-        hx, hy, jxs, jxt, jys, jyt = half_vector_map(p, n, v, q, along_s, along_t, lobe)
-        a, b, c = (
-            inverse * (jxs * jxs + jys * jys),
-            inverse * (jxs * jxt + jys * jyt),
-            inverse * (jxt * jxt + jyt * jyt),
-        )
-        gs, gt = inverse * (jxs * hx + jys * hy), inverse * (jxt * hx + jyt * hy)
-        least = inverse * (hx * hx + hy * hy)
-        ns, nt = least_in_box(a, b, c, gs - a * s - b * t, gt - b * s - c * t, s, t, area)
+        near = exponent_at(at, s, t, q, along_s, along_t, lobe)
+        _, _, a, b, c, gs, gt, least = near
+        ns, nt = least_in_box(near, area)
         ds, dt = ns - s, nt - t
-        if least + 2.0 * (gs * ds + gt * dt) + a * ds * ds + 2.0 * b * ds * dt + c * dt * dt > (
-            far if round_ else FIRST_FAR_OFF * far
-        ):
-            return s, t, a, b, c, gs, gt, np.inf
-        moved = max(abs(ds) / wide, abs(dt) / high)
-        if moved < NEAR:
-            break
+        there = least + 2.0 * (gs * ds + gt * dt) + a * ds * ds + 2.0 * b * ds * dt + c * dt * dt
+        if there > (far if round_ else FIRST_FAR_OFF * far):
+            return Exponent(s, t, a, b, c, gs, gt, np.inf)
+        if max(abs(ds) / wide, abs(dt) / high) < NEAR:
+            return near
         s, t = ns, nt
-    return s, t, a, b, c, gs, gt, least
+    return Exponent(s, t, near.a, near.b, near.c, near.gs, near.gt, near.least)
 
 
 @kernel
-def _add_gaussian(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    e: Element,
-    area: Rectangle,
-    pattern: Pattern,
-    lobe: Lobe,
-    most: float,
-    share: float,
-    found: Float64,
-) -> None:
+def _add_gaussian(to: _Sum, area: Rectangle, lobe: Lobe, most: float, share: float) -> None:
     # adds a share of the light of one Gaussian lobe
-    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, e, area, lobe, FAR_OFF * most + 1.0)
+    near = _nearest(to.at, to.e, area, lobe, FAR_OFF * most + 1.0)
+    s, t, a, _, c, gs, gt, least = near
     if least > most:
         return
-    window = lobe_window(a, b, c, gs, gt, s, t, least, area)
+    window = lobe_window(near, area)
     width, height = window.s1 - window.s0, window.t1 - window.t0
     if width <= 0.0 or height <= 0.0:
         return
     if lobe.widening > 1.0:
-        _add_ridge(p, n, v, e, window, pattern, lobe, share, found)
+        _add_ridge(to, window, lobe, share)
         return
     count_s = node_count(a, gs, window.s0 - s, window.s1 - s)
     count_t = node_count(c, gt, window.t0 - t, window.t1 - t)
@@ -406,31 +374,22 @@ def _add_gaussian(
     if least > FLANK:
         count_s, count_t = count_s - 2, count_t - 2
     count_s, count_t = max(min(count_s, few), LEAST_NODES), max(min(count_t, few), LEAST_NODES)
-    _add_window(p, n, v, e, window, (count_s, count_t), pattern, lobe, share, found)
+    _add_window(to, window, (count_s, count_t), lobe, share)
 
 
 @kernel
-def _add_tailed(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    e: Element,
-    area: Rectangle,
-    pattern: Pattern,
-    lobe: Lobe,
-    most: float,
-    found: Float64,
-) -> None:
+def _add_tailed(to: _Sum, area: Rectangle, lobe: Lobe, most: float) -> None:
     # adds the light of a lobe with tails. As on a panel, nodes are those of a rule in u, where a side is width · sinh u
     # from where it is greatest. Those of patterns take pieces that grow with the distance from there
-    s, t, a, b, c, gs, gt, least = _nearest(p, n, v, e, area, lobe, EVERYWHERE)
+    at, e, pattern, found = to
+    s, t, a, b, c, gs, gt, least = _nearest(at, e, area, lobe, EVERYWHERE)
     if least > farthest_exponent(most, lobe):
         return
     # of its light, which is less than e^most times LEAST_LEVEL
     value = 1.0 / (1.0 + 0.5 * least) ** 2
     error = min(max(ELEMENT_ERROR / LEAST_LEVEL * math.exp(-most) / (value * FULL_ANGLE), TAIL_ERROR), MOST_TAIL_ERROR)
     if lobe.widening > 1.0:
-        _add_ridge(p, n, v, e, area, pattern, lobe, 1.0, found)
+        _add_ridge(to, area, lobe, 1.0)
         return
     centre_s, width_s = peak(a, gs, least, s, area.s0, area.s1)
     centre_t, width_t = peak(c, gt, least, t, area.t0, area.t1)
@@ -438,17 +397,17 @@ def _add_tailed(
         # singular in u at ±iπ/2, nearer where it leans across the sides, and where they are bent
         leaning = BENT * 0.5 * math.pi / (1.0 + 2.0 * abs(b) / math.sqrt(max(a * c, 1e-30)))
         # masking lets the light end at the horizon, not break off: more nodes are enough there
-        crossed = _horizon_crosses(p, n, e, area)
-        if not crossed and _height(p, n, e, 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)) <= 0.0:
+        crossed = _horizon_crosses(at, e, area)
+        if not crossed and _height(at, e, 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)) <= 0.0:
             return
         times = 2 if crossed else 1
         at_s, weights_s = _sinh_nodes(centre_s, width_s, area.s0, area.s1, leaning, error, times)
         at_t, weights_t = _sinh_nodes(centre_t, width_t, area.t0, area.t1, leaning, error, times)
-        values = _values_of_nodes(p, n, v, e, at_s, at_t, lobe)
+        values = _values_of_nodes(at, e, at_s, at_t, lobe)
         total = 0.0
         for i in range(len(at_s)):
             total += weights_s[i] * np.dot(weights_t, values[i])
-        found[0] += total / specular_divisor(dot(n, v), square_across(v, lobe), lobe)
+        found[0] += total / _divisor(at, lobe)
         return
     ends_s, ends_t = np.empty(MOST_ENDS), np.empty(MOST_ENDS)
     count_s = _set_ends(centre_s, width_s, area.s0, area.s1, ends_s)
@@ -458,36 +417,24 @@ def _add_tailed(
         for j in range(count_t):
             nodes_t = tail_nodes(ends_t[j] - centre_t, ends_t[j + 1] - centre_t, width_t, error)
             window = Rectangle(ends_s[i], ends_s[i + 1], ends_t[j], ends_t[j + 1])
-            _add_window(p, n, v, e, window, (nodes_s, nodes_t), pattern, lobe, 1.0, found)
+            _add_window(to, window, (nodes_s, nodes_t), lobe, 1.0)
 
 
 @kernel
-def _add_ridge(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    e: Element,
-    window: Rectangle,
-    pattern: Pattern,
-    lobe: Lobe,
-    share: float,
-    found: Float64,
-) -> None:
+def _add_ridge(to: _Sum, window: Rectangle, lobe: Lobe, share: float) -> None:
     # adds a share of the light of a lobe that is wider across the brushing, a ridge that may lie aslant. Along the
     # angle of a disc it is as narrow as where it is farthest out
     along_s = along_t = 0.0
     for corner in range(4):
-        q, of_s, of_t = element_place(
-            e, window.s1 if corner % 2 else window.s0, window.t1 if corner // 2 else window.t0
-        )
-        _, _, jxs, jxt, jys, jyt = half_vector_map(p, n, v, q, of_s, of_t, lobe)
-        along_s = max(along_s, lobe.inverse * (jxs * jxs + jys * jys))
-        along_t = max(along_t, lobe.inverse * (jxt * jxt + jyt * jyt))
+        s, t = window.s1 if corner % 2 else window.s0, window.t1 if corner // 2 else window.t0
+        q, of_s, of_t = element_place(to.e, s, t)
+        there = exponent_at(to.at, s, t, q, of_s, of_t, lobe)
+        along_s, along_t = max(along_s, there.a), max(along_t, there.c)
     parts_s, count_s = ridge_nodes(window.s1 - window.s0, along_s, lobe.ggx)
     parts_t, count_t = ridge_nodes(window.t1 - window.t0, along_t, lobe.ggx)
     for k in range(parts_s * parts_t):
         piece = piece_of(window, k, parts_s, parts_t)
-        _add_window(p, n, v, e, piece, (count_s, count_t), pattern, lobe, share, found)
+        _add_window(to, piece, (count_s, count_t), lobe, share)
 
 
 @kernel
@@ -521,19 +468,9 @@ def _set_ends(centre: float, width: float, low: float, high: float, ends: Float6
 
 
 @kernel
-def _add_window(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    e: Element,
-    window: Rectangle,
-    counts: tuple[int, int],
-    pattern: Pattern,
-    lobe: Lobe,
-    share: float,
-    found: Float64,
-) -> None:
+def _add_window(to: _Sum, window: Rectangle, counts: tuple[int, int], lobe: Lobe, share: float) -> None:
     # adds a share of the light of a part of an element by so many nodes, and more where the pattern needs them
+    at, e, pattern, found = to
     count_s, count_t = counts
     terms, width, height, pictures = pattern.terms, window.s1 - window.s0, window.t1 - window.t0, 0
     for b in range(len(terms)):
@@ -553,12 +490,12 @@ def _add_window(
             count_s = count
     if pictures > 0:
         count_s, count_t = min(MOST_PATTERN_NODES, 2 * count_s), min(MOST_PATTERN_NODES, 2 * count_t)
-    elif _horizon_crosses(p, n, e, window):
-        _add_above_horizon(p, n, v, e, window, (count_s, count_t), terms, lobe, share, found)
+    elif _horizon_crosses(at, e, window):
+        _add_above_horizon(to, window, (count_s, count_t), lobe, share)
         return
-    factor = share * (width * height / specular_divisor(dot(n, v), square_across(v, lobe), lobe))
+    factor = share * (width * height / _divisor(at, lobe))
     at_s, at_t = _even_nodes(window.s0, window.s1, count_s), _even_nodes(window.t0, window.t1, count_t)
-    values = _values_of_nodes(p, n, v, e, at_s, at_t, lobe)
+    values = _values_of_nodes(at, e, at_s, at_t, lobe)
     if len(terms) == 1 and terms[0, 2] == 0.0:
         for i in range(count_s):
             total = 0.0
@@ -610,16 +547,15 @@ def _piece(e: Element, number: int) -> Rectangle:
 
 
 @kernel
-def _most_exponents(frames: Float64, views: Float64, most: float, lobe: Lobe) -> Float64:
+def _most_exponents(rows: PointRows, most: float, lobe: Lobe) -> Float64:
     # where less than e to the power of minus this of a lobe is negligible, given that where cosθ_o is 1; −1 where there
     # is no specular light
+    points, frames, views, _, _ = rows
     limits = np.full(len(frames), -1.0)
     for i in range(len(frames)):
-        view = vector_at(views, i)
-        cosine = dot(vector_at(frames, i), view)
-        if cosine > 0.0 and most >= 0.0:
-            across = square_across(view, lobe_at(lobe, frames, i))
-            limits[i] = max(0.0, most - math.log(specular_divisor(cosine, across, lobe)))
+        at = point_at(points, frames, views, i)
+        if at.n_dot_v > 0.0 and most >= 0.0:
+            limits[i] = max(0.0, most - math.log(_divisor(at, lobe_at(lobe, frames, i))))
     return limits
 
 
@@ -639,9 +575,7 @@ def all_diffuse_nodes(elements: Float64, pattern: Pattern) -> tuple[Float64, Flo
 
 @kernel
 def _add_elements(
-    points: Float64,
-    frames: Float64,
-    views: Float64,
+    rows: PointRows,
     elements: Float64,
     pattern: Pattern,
     group: Index,
@@ -655,8 +589,9 @@ def _add_elements(
     # diffuse light of the clear elements of each group and term per unit of R_d, shape (groups, b, k), and specular
     # light of each element and term per unit of R_s, whatever hides it, shape (e, b, k). The processor works on several
     # points at once in loops without branches over numbers that lie side by side
+    points, frames, views, _, _ = rows
     terms = len(pattern.terms)
-    found, limits = np.empty(terms), _most_exponents(frames, views, most, lobe)
+    found, limits = np.empty(terms), _most_exponents(rows, most, lobe)
     places, light, weights = all_diffuse_nodes(elements, pattern)
     striped = not (terms == 1 and pattern.terms[0, 2] == 0.0)
     p, n, v = np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE))
@@ -693,39 +628,36 @@ def _add_elements(
                         for j in range(count):
                             to[j] += weights[m, b, k] * value[j] if own[j] else 0.0
             for j in range(count):
-                point, normal = column_at(p, j), column_at(n, j)
-                above = dot(normal, minus(e.centre, point)) > -e.reach
-                near[j] = above & lobe_reaches(point, normal, column_at(v, j), e, lobe.inverse, farthest[j])
+                at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
+                above = dot(at.n, minus(e.centre, at.p)) > -e.reach
+                near[j] = above & _lobe_reaches(at, e, lobe.inverse, farthest[j])
             if not lobe.plain:
                 nodes = places[m], light[m], weights[m]
                 few = nodes if striped else _nodes(e, pattern, FAINT_NODES)
                 many = nodes if striped else _nodes(e, pattern, MANY_NODES)
                 own_specular = specular[m, :, first:]
-                _add_smooth(
-                    p, n, v, frames[first:], near[:count], e, few, nodes, many, lobe, greatest, work, own_specular
-                )
+                columns, rules = (p, n, v), (few, nodes, many)
+                _add_smooth(columns, frames[first:], near[:count], e, rules, lobe, greatest, work, own_specular)
             for j in range(count):
                 if near[j]:
                     i = first + j
                     found[:] = 0.0
-                    geometry = column_at(p, j), column_at(n, j), column_at(v, j)
-                    turned = lobe_at(lobe, frames, i)
-                    specular_of_element(*geometry, e, whole_element(e), pattern, turned, limit[j], found)
+                    at, turned = (
+                        surface_point(column_at(p, j), column_at(n, j), column_at(v, j)),
+                        lobe_at(lobe, frames, i),
+                    )
+                    specular_of_element(at, e, whole_element(e), pattern, turned, limit[j], found)
                     for b in range(terms):
                         specular[m, b, i] = found[b]
 
 
 @kernel
 def _add_smooth(
-    p: Float64,
-    n: Float64,
-    v: Float64,
+    columns: tuple[Float64, Float64, Float64],
     frames: Float64,
     near: Bool,
     e: Element,
-    few: tuple[Float64, Float64, Float64],
-    nodes: tuple[Float64, Float64, Float64],
-    many: tuple[Float64, Float64, Float64],
+    rules: tuple[_Nodes, _Nodes, _Nodes],
     lobe: Lobe,
     greatest: Float64,
     work: Float64,
@@ -733,53 +665,52 @@ def _add_smooth(
 ) -> None:
     # where the lobe is smooth all over an element, which is above the horizon: sets the light of these points from the
     # nodes of diffuse light, and they are no longer `near`. Where the element adds hardly anything, few nodes do
+    (p, n, v), (few, nodes, many) = columns, rules
     rule, level = np.zeros(len(near), np.int64), np.empty(len(near))
     striped = len(many[0]) == len(nodes[0])
     for j in range(len(near)):
-        point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
-        towards = minus(e.centre, point)
-        half, spread = half_vector_cone(point, view, e.centre, e.reach)
-        nearest = max(0.0, length(minus(normal, half)) - spread) if spread < math.pi else 0.0
+        at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
+        towards = minus(e.centre, at.p)
+        half, spread = half_vector_cone(at, e.centre, e.reach)
+        nearest = max(0.0, length(minus(at.n, half)) - spread) if spread < math.pi else 0.0
         angle = min(math.pi * e.reach**2 / dot(towards, towards), math.pi)
         level[j] = greatest[j] * specular_lobe(nearest * nearest / lobe.widening, 0.0, lobe) * angle
         rule[j] = FAINT_NODES if level[j] < FAINT_LEVEL else 0
     for j in range(len(near)):
-        point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
-        if not near[j] or dot(normal, view) <= 0.0:
+        at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
+        if not near[j] or at.n_dot_v <= 0.0:
             rule[j] = 0
         elif rule[j] == 0:
             if lobe.ggx and level[j] < FAINT_AT_HORIZON:
                 # masking lets its light end at the horizon, not break off
                 rule[j] = DIFFUSE_NODES
-            elif dot(normal, minus(e.centre, point)) >= e.reach:
+            elif dot(at.n, minus(e.centre, at.p)) >= e.reach:
                 error = min(ELEMENT_ERROR / level[j], 0.1)
-                wanted = smooth_nodes(point, normal, view, e.centre, e.reach, lobe_at(lobe, frames, j), error)
+                wanted = smooth_nodes(at, e.centre, e.reach, lobe_at(lobe, frames, j), error)
                 if wanted <= DIFFUSE_NODES + (not striped):
                     rule[j] = DIFFUSE_NODES
                 elif wanted <= MANY_NODES + 1 and not striped:
                     rule[j] = MANY_NODES
-    _add_nodes(p, n, v, frames, rule == FAINT_NODES, few, lobe, work, specular)
-    _add_nodes(p, n, v, frames, rule == DIFFUSE_NODES, nodes, lobe, work, specular)
-    _add_nodes(p, n, v, frames, rule == MANY_NODES, many, lobe, work, specular)
+    _add_nodes(columns, frames, rule == FAINT_NODES, few, lobe, work, specular)
+    _add_nodes(columns, frames, rule == DIFFUSE_NODES, nodes, lobe, work, specular)
+    _add_nodes(columns, frames, rule == MANY_NODES, many, lobe, work, specular)
     for j in range(len(near)):
         near[j] &= rule[j] == 0
 
 
 @kernel
 def _add_nodes(
-    p: Float64,
-    n: Float64,
-    v: Float64,
+    columns: tuple[Float64, Float64, Float64],
     frames: Float64,
     chosen: Bool,
-    nodes: tuple[Float64, Float64, Float64],
+    nodes: _Nodes,
     lobe: Lobe,
     work: Float64,
     specular: Float64,
 ) -> None:
     # adds the light of the nodes of an element that are above the horizon to the chosen points, which lie side by side
     # in `work` then, so that the processor works on several at once
-    places, light, weights = nodes
+    (p, n, v), (places, light, weights) = columns, nodes
     index, number = np.empty(len(chosen), np.int64), 0
     for j in range(len(chosen)):
         if chosen[j]:
@@ -808,9 +739,8 @@ def _add_nodes(
             for i in range(number):
                 specular[b, index[i]] += weights[b, k] * work[9, i]
     for i in range(number):
-        view = column_at(work[6:9], i)
-        across = square_across(view, lobe_at(lobe, frames, index[i]))
-        divisor = specular_divisor(dot(column_at(work[3:6], i), view), across, lobe)
+        at = surface_point(column_at(work[:3], i), column_at(work[3:6], i), column_at(work[6:9], i))
+        divisor = _divisor(at, lobe_at(lobe, frames, index[i]))
         for b in range(len(weights)):
             specular[b, index[i]] /= divisor
 
@@ -837,53 +767,42 @@ def _piece_targets(elements: Float64) -> Float64:
             s, t = (k % PIECES + 0.5) / PIECES, (k // PIECES + 0.5) / PIECES
             q, _, _ = element_place(e, area.s0 + s * (area.s1 - area.s0), area.t0 + t * (area.t1 - area.t0))
             row = m * PIECES * PIECES + k
-            targets[row, 0], targets[row, 1], targets[row, 2] = q.x, q.y, q.z
+            targets[row, 0], targets[row, 1], targets[row, 2] = q
     return targets
 
 
 @kernel
 def _replace_pieces(
-    points: Float64,
-    frames: Float64,
-    views: Float64,
+    rows: PointRows,
     elements: Float64,
     pattern: Pattern,
-    element: Index,
-    point: Index,
+    pairs: tuple[Index, Index],
     free: Bool,
     lobe: Lobe,
     most: float,
     specular: Float64,
 ) -> None:
-    found = np.empty(len(pattern.terms))
-    limits = _most_exponents(frames, views, most, lobe)
+    (points, frames, views, _, _), (element, point) = rows, pairs
+    found, limits = np.empty(len(pattern.terms)), _most_exponents(rows, most, lobe)
     for k in range(len(point)):
         i, m = point[k], element[k]
-        p, n, v, e = vector_at(points, i), vector_at(frames, i), vector_at(views, i), element_at(elements, m)
-        turned = lobe_at(lobe, frames, i)
+        at, e, turned = point_at(points, frames, views, i), element_at(elements, m), lobe_at(lobe, frames, i)
         found[:] = 0.0
         for number in range(PIECES * PIECES):
             if free[k, number]:
-                specular_of_element(p, n, v, e, _piece(e, number), pattern, turned, limits[i], found)
+                specular_of_element(at, e, _piece(e, number), pattern, turned, limits[i], found)
         specular[m, :, i] = found
 
 
 @dataclass(frozen=True)
 class Channels:
-    """Channels of one light: the surface that they have in common, and what each makes of it.
+    """Channels of one light: the surface that they have in common, and what each makes of it."""
 
-    elements: Of all channels, of radiance 1, shape (e, ELEMENT_NUMBERS)
-    pattern: The terms of all patterns, of coefficient 1
-    shares: Radiance times coefficient of each channel, element and term, shape (channels, e, b)
-    group: Of each element, of those that are alike in every channel, shape (e,)
-    group_shares: The shares of the groups, shape (channels, groups, b)
-    """
-
-    elements: Float64
-    pattern: Pattern
-    shares: Float64
-    group: Index
-    group_shares: Float64
+    elements: Float64  # of all channels, of radiance 1, shape (e, ELEMENT_NUMBERS)
+    pattern: Pattern  # the terms of all patterns, of coefficient 1
+    shares: Float64  # radiance times coefficient of each channel, element and term, shape (channels, e, b)
+    group: Index  # of each element, of those that are alike in every channel, shape (e,)
+    group_shares: Float64  # the shares of the groups, shape (channels, groups, b)
 
 
 def channels_of(lights: Sequence[SurfaceLight]) -> Channels:
@@ -958,10 +877,9 @@ def _shade_chunk(
     size = len(surface)
     diffuse = np.zeros((channels.group_shares.shape[1], len(pattern.terms), size))
     specular = np.zeros((len(elements), len(pattern.terms), size))
-    geometry = surface.points, surface.frames, surface.views
     diffusing = clear if reflectance.R_d > 0.0 else np.zeros_like(clear)
-    form = reflectance.diffuse
-    _add_elements(*geometry, elements, pattern, channels.group, diffusing, form, lobe, most, diffuse, specular)
+    form, rows = reflectance.diffuse, surface.rows
+    _add_elements(rows, elements, pattern, channels.group, diffusing, form, lobe, most, diffuse, specular)
     specular[..., ~surface.front] = 0.0
     if caster is not None and hidden.any():
         # in the channel where they are brightest
@@ -970,7 +888,7 @@ def _shade_chunk(
         element, point = np.nonzero((level > NEGLIGIBLE_LEVEL) & hidden.any(axis=0))
         specular *= clear[:, None]
         free = _free_pieces(surface, elements, caster, element, point)
-        _replace_pieces(*geometry, elements, pattern, element, point, free, lobe, most, specular)
+        _replace_pieces(rows, elements, pattern, (element, point), free, lobe, most, specular)
     levels = np.zeros((2, len(shares), size))
     _add_channels(diffuse, channels.group_shares, levels[0])
     _add_channels(specular, shares, levels[1])
@@ -1025,13 +943,14 @@ def light_of_channels(
 
 
 @kernel
-def _deflections(points: Float64, normals: Float64, views: Float64, elements: Float64, deflection: Float64) -> None:
+def _deflections(rows: PointRows, elements: Float64, deflection: Float64) -> None:
+    points, frames, views, _, _ = rows
     for i in range(len(points)):
-        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
+        at = point_at(points, frames, views, i)
         for m in range(len(elements)):
             e = element_at(elements, m)
-            half, spread = half_vector_cone(p, v, e.centre, e.reach)
-            chord = length(minus(n, half))
+            half, spread = half_vector_cone(at, e.centre, e.reach)
+            chord = length(minus(at.n, half))
             angle = 2.0 * math.asin(min(1.0, 0.5 * chord)) - spread
             deflection[i] = min(deflection[i], max(0.0, angle))
 
@@ -1039,7 +958,7 @@ def _deflections(points: Float64, normals: Float64, views: Float64, elements: Fl
 def least_deflection(surface: SurfacePoints, light: SurfaceLight) -> Float64:
     """About the least angle between each normal and the half vectors of a light [rad], shape (k,)."""
     deflection = np.full(len(surface), math.pi)
-    _deflections(surface.points, surface.normals, surface.views, light.elements, deflection)
+    _deflections(surface.rows, light.elements, deflection)
     return deflection
 
 

@@ -30,8 +30,9 @@ from lightopt.optics import (
     specular_lobe,
     square_across,
 )
-from lightopt.rendering._panel_quadrature import NODES, half_vector_cone, half_vector_map
-from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._converged_variants import VariantNumbers, leaning
+from lightopt.rendering._panel_quadrature import NODES, exponent_at, half_vector_cone
+from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at, surface_point
 from lightopt.rendering._surface_light import (
     AT_ONCE,
     LEAST_LEVEL,
@@ -44,7 +45,6 @@ from lightopt.rendering._surface_light import (
     specular_of_element,
     whole_element,
 )
-from lightopt.rendering._variant_numbers import VariantNumbers, leaning
 
 NEGLIGIBLE_CHANGE = 0.05  # what the lobe of an element adds at most where it is left out [grey level]
 MOST_SHARED = 12  # nodes a side of an element that all variants share
@@ -58,17 +58,17 @@ def _shared_count(width: float) -> int:
 
 
 @kernel
-def _shared_counts(p: Vector, n: Vector, v: Vector, e: Element, lobe: Lobe) -> tuple[int, int]:
-    q, along_u, along_v = element_place(e, 0.5 * (e.u0 + e.u1), 0.5 * (e.v0 + e.v1))
-    _, _, jxu, jxv, jyu, jyv = half_vector_map(p, n, v, q, along_u, along_v, lobe)
-    wide = math.sqrt(2.0 * lobe.inverse * (jxu * jxu + jyu * jyu)) * (e.u1 - e.u0)
-    high = math.sqrt(2.0 * lobe.inverse * (jxv * jxv + jyv * jyv)) * (e.v1 - e.v0)
+def _shared_counts(at: SurfacePoint, e: Element, lobe: Lobe) -> tuple[int, int]:
+    u, v = 0.5 * (e.u0 + e.u1), 0.5 * (e.v0 + e.v1)
+    q, along_u, along_v = element_place(e, u, v)
+    middle = exponent_at(at, u, v, q, along_u, along_v, lobe)
+    wide, high = math.sqrt(2.0 * middle.a) * (e.u1 - e.u0), math.sqrt(2.0 * middle.c) * (e.v1 - e.v0)
     return _shared_count(min(wide, 1e3)), _shared_count(min(high, 1e3))
 
 
 @kernel
 def _set_shared_nodes(
-    p: Vector, v: Vector, e: Element, pattern: Pattern, counts: tuple[int, int], nodes: Float64, light: Float64
+    at: SurfacePoint, e: Element, pattern: Pattern, counts: tuple[int, int], nodes: Float64, light: Float64
 ) -> None:
     # half vector of each node and 2·H·V, shape (4, nodes), and its light for each term, shape (b, nodes)
     du, dv = e.u1 - e.u0, e.v1 - e.v0
@@ -77,11 +77,11 @@ def _set_shared_nodes(
         for j in range(counts[1]):
             k = i * counts[1] + j
             q, along_u, along_v = element_place(e, e.u0 + du * NODES[counts[0], i], e.v0 + dv * NODES[counts[1], j])
-            towards = minus(q, p)
-            half = plus(divided(towards, length(towards)), v)
+            towards = minus(q, at.p)
+            half = plus(divided(towards, length(towards)), at.v)
             half = divided(half, length(half))
             nodes[0, k], nodes[1, k], nodes[2, k] = half
-            nodes[3, k] = 2.0 * dot(half, v)
+            nodes[3, k] = 2.0 * dot(half, at.v)
             light[:, k] = du * dv * element_weight(e, towards, along_u, along_v)
     for b in range(len(pattern.terms)):
         element_weights(e, pattern, b, weights)
@@ -90,9 +90,7 @@ def _set_shared_nodes(
 
 @kernel
 def _specular_of_nodes(
-    n: Vector,
-    v: Vector,
-    n_dot_v: float,
+    at: SurfacePoint,
     nodes: Float64,
     light: Float64,
     count: int,
@@ -103,6 +101,7 @@ def _specular_of_nodes(
 ) -> None:
     # adds to `found`; `narrow`: whether all half vectors are so near; `values` is for its own use. The processor works
     # on several nodes at once in loops without branches
+    _, n, v, n_dot_v = at
     if narrow and lobe.plain:
         for k in range(count):
             x, y, z = n.x - nodes[0, k], n.y - nodes[1, k], n.z - nodes[2, k]
@@ -143,23 +142,20 @@ def _set_vector_light(p: Vector, places: Float64, light: Float64, weights: Float
 
 
 @kernel
-def _set_normals(n: Vector, r: Vector, v: Vector, lean: Float64, normals: Float64, n_dot_v: Float64) -> float:
-    # normals of the variants and N·V; returns how far a normal is from n, at most
+def _set_normals(n: Vector, r: Vector, lean: Float64, normals: Float64) -> float:
+    # normals of the variants; returns how far a normal is from n, at most
     a, farthest = cross(n, r), 0.0
     for t in range(len(lean)):
         turned = leaning(lean, t, n, r, a)
         normals[t, 0], normals[t, 1], normals[t, 2] = turned
-        n_dot_v[t] = dot(turned, v)
         farthest = max(farthest, length(minus(turned, n)))
     return farthest
 
 
 @kernel
 def _variant_sums(
-    points: Float64,
-    frames: Float64,
+    rows: PointRows,
     references: Float64,
-    views: Float64,
     elements: Float64,
     pattern: Pattern,
     group: Index,
@@ -171,6 +167,7 @@ def _variant_sums(
     # levels of the variants of each point under each channel, shape (channels, t, k). The light of the elements of a
     # group is summed, of which a channel has `shares`, shape (channels, groups, b)
     lean, R_d, R_s, inverse, most, form, diffuse = variants
+    points, frames, views, _, _ = rows
     linear = is_lambert(diffuse)
     sharpest, reach = inverse.max(), 0.0
     ends = np.empty(len(inverse))
@@ -181,62 +178,62 @@ def _variant_sums(
     found, whole = np.empty(terms), np.empty((terms, 3))
     nodes, shared, values = np.empty((4, MOST_SHARED**2)), np.empty((terms, MOST_SHARED**2)), np.empty(MOST_SHARED**2)
     towards, sums = np.empty((groups, terms, 3)), np.empty((groups, count, terms))
-    turned_normals, n_dot_v = np.empty((count, 3)), np.empty(count)
+    turned_normals = np.empty((count, 3))
     places, light, weights = all_diffuse_nodes(elements, pattern)
     for i in range(len(points)):
-        p, n, v, own = vector_at(points, i), vector_at(frames, i), vector_at(views, i), lobe_at(form, frames, i)
-        farthest = _set_normals(n, vector_at(references, i), v, lean, turned_normals, n_dot_v)
+        plain, own = point_at(points, frames, views, i), lobe_at(form, frames, i)
+        farthest = _set_normals(plain.n, vector_at(references, i), lean, turned_normals)
         towards[:], sums[:] = 0.0, 0.0
         for m in range(len(elements)):
             if not clear[m, i]:
                 continue
             e, g = element_at(elements, m), group[m]
-            middle = minus(e.centre, p)
-            height, turn = dot(n, middle), farthest * length(middle)
+            middle = minus(e.centre, plain.p)
+            height, turn = dot(plain.n, middle), farthest * length(middle)
             if height + turn <= -e.reach:
                 continue
             above = linear and height - turn >= e.reach
             if linear:
-                _set_vector_light(p, places[m], light[m], weights[m], whole)
+                _set_vector_light(plain.p, places[m], light[m], weights[m], whole)
             if above:
                 # Lambert's light is linear in the normal
                 towards[g] += whole
-            half, spread = half_vector_cone(p, v, e.centre, e.reach)
-            far = spread < math.pi and length(minus(n, half)) - spread - farthest > reach
+            half, spread = half_vector_cone(plain, e.centre, e.reach)
+            far = spread < math.pi and length(minus(plain.n, half)) - spread - farthest > reach
             if above and far:
                 continue
             counts = 0, 0
             for t in range(count):
-                turned = vector_at(turned_normals, t)
+                at = surface_point(plain.p, vector_at(turned_normals, t), plain.v)
                 if not above:
-                    height = dot(turned, middle)
+                    height = dot(at.n, middle)
                     if height <= -e.reach:
                         continue
                     if linear and height >= e.reach:
                         for b in range(terms):
-                            sums[g, t, b] += R_d[t] * dot(vector_at(whole, b), turned)
+                            sums[g, t, b] += R_d[t] * dot(vector_at(whole, b), at.n)
                     else:
-                        diffuse_of_element(p, turned, v, diffuse, places[m], light[m], weights[m], found)
+                        diffuse_of_element(at, diffuse, (places[m], light[m], weights[m]), found)
                         for b in range(terms):
                             sums[g, t, b] += R_d[t] * found[b]
-                if far or n_dot_v[t] <= 0.0:
+                if far or at.n_dot_v <= 0.0:
                     continue
-                lobe = lobe_beside(lobe_of_width(own, inverse[t]), turned)
-                away = length(minus(turned, half))
+                lobe = lobe_beside(lobe_of_width(own, inverse[t]), at.n)
+                away = length(minus(at.n, half))
                 nearest = max(0.0, away - spread)
                 if spread < math.pi and nearest * nearest * inverse[t] > ends[t]:
                     continue
                 if counts[0] == 0:
-                    counts = _shared_counts(p, n, v, e, lobe_of_width(own, sharpest))
+                    counts = _shared_counts(plain, e, lobe_of_width(own, sharpest))
                     if max(counts) <= MOST_SHARED:
-                        _set_shared_nodes(p, v, e, pattern, counts, nodes, shared)
+                        _set_shared_nodes(plain, e, pattern, counts, nodes, shared)
                 found[:] = 0.0
                 if max(counts) <= MOST_SHARED:
                     number = counts[0] * counts[1]
                     narrow = (away + spread) ** 2 < NARROW_CHORD_SQUARED
-                    _specular_of_nodes(turned, v, n_dot_v[t], nodes, shared, number, lobe, narrow, values, found)
+                    _specular_of_nodes(at, nodes, shared, number, lobe, narrow, values, found)
                 else:
-                    specular_of_element(p, turned, v, e, whole_element(e), pattern, lobe, most[t], found)
+                    specular_of_element(at, e, whole_element(e), pattern, lobe, most[t], found)
                 for b in range(terms):
                     sums[g, t, b] += R_s[t] * found[b]
         for t in range(count):
@@ -276,8 +273,7 @@ def surface_light_variants(
         some = surface.take(part)
         own = np.zeros((len(lights), len(variants.lean), len(some)))
         clear, _ = elements_seen(replace(some, normals=some.facets), elements, caster)
-        geometry = some.points, some.frames, references[part], some.views
-        _variant_sums(*geometry, elements, channels.pattern, group, clear, variants, shares, own)
+        _variant_sums(some.rows, references[part], elements, channels.pattern, group, clear, variants, shares, own)
         return own
 
     step = min(max(1, AT_ONCE // len(elements)), points_at_once(len(surface), threads))

@@ -6,10 +6,11 @@ once for all variants: towards every light that the facet faces, since a leaning
 does not.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +40,11 @@ from lightopt.optics import (
     specular_lobe,
     square_across,
 )
-from lightopt.rendering._converged_panel import ConvergedPanel, channel_groups, panel_probes, probe_targets
-from lightopt.rendering._converged_variants import panel_variants
+from lightopt.rendering._converged_panel import ConvergedPanel, channel_groups
+from lightopt.rendering._converged_variants import VariantNumbers, panel_variants
 from lightopt.rendering._point_lights import PAIRS_AT_ONCE, add_points, clear_targets
-from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._surface import PointRows, SurfacePoints
 from lightopt.rendering._surface_light_variants import surface_light_variants
-from lightopt.rendering._variant_numbers import VariantNumbers
 
 # surface points under a converged panel that are shaded at once: some 0.1 s, the longest that Ctrl-C waits
 CONVERGED_AT_ONCE = 1 << 13
@@ -65,31 +65,22 @@ Levels = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurfaceVariants:
-    """What each point of a surface is tried as, t ways.
+    """What each point of a surface is tried as, t ways."""
 
-    lean: Components of each variant's normal along the point's normal, its reference direction and the direction
-        across, which with the first two makes a right-handed frame; shape (t, 3)
-    R_d, R_s, sigma: Of each, shape (t,)
-    reflectance: Of the surface as it is
-    """
-
+    # components of each variant's normal along the point's normal, its reference direction and the direction across,
+    # which with the first two makes a right-handed frame; shape (t, 3)
     lean: Float64
-    R_d: Float64
-    R_s: Float64
-    sigma: Float64
-    reflectance: Reflectance
+    R_d: Float64  # of each, shape (t,)
+    R_s: Float64  # of each, shape (t,)
+    sigma: Float64  # of each, shape (t,)
+    reflectance: Reflectance  # of the surface as it is
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class VariantLevels:
-    """Light of a panel from k surface points [grey level].
+class VariantLevels(NamedTuple):
+    """Light of a panel from k surface points [grey level]."""
 
-    good: Of the surface as it is, from the same points or cells of the panel, shape (k,)
-    varied: Of the variants, shape (t, k); of the type that was wanted
-    """
-
-    good: Float64
-    varied: Levels
+    good: Float64  # of the surface as it is, from the same points or cells of the panel, shape (k,)
+    varied: Levels  # of the variants, shape (t, k); of the type that was wanted
 
 
 def surface_variants(
@@ -121,50 +112,6 @@ def surface_variants(
 def shade_variants(
     surface: SurfacePoints,
     references: Float64,
-    panel: PanelLight | ConvergedPanel,
-    variants: SurfaceVariants,
-    *,
-    caster: RayCaster | None,
-    dtype: type[np.floating[Any]] = np.float64,
-) -> VariantLevels:
-    """The light of a panel on a surface and on its variants.
-
-    A few points stand for a converged panel where they resolve the lobe.
-
-    surface: k points of one material that the camera sees from the front, none of them another's neighbour; part frame
-    references: Unit vectors in the tangent planes that directions count from, shape (k, 3)
-    panel: Part frame: as point lights, or converged
-    dtype: Of the variants' levels
-    """
-
-    def shade(start: int, end: int) -> VariantLevels:
-        end_if_stopped()
-        some, own = surface.take(slice(start, end)), references[start:end]
-        if isinstance(panel, ConvergedPanel):
-            return _converged_variants(some, own, panel, variants, caster, dtype)
-        return _point_variants(some, own, panel, variants, caster, dtype)
-
-    if isinstance(panel, ConvergedPanel) and (points := panel.points_for(float(variants.sigma.min()))):
-        panel = replace(panel.light, points=points, normalisation="mean")
-    if isinstance(panel, SurfaceLight):
-        return _variants_together(surface, references, [panel], variants, caster, dtype, threads=1)[0]
-    if isinstance(panel, ConvergedPanel):
-        step = CONVERGED_AT_ONCE
-    else:
-        assert panel.points != "auto"
-        step = max(1, PAIRS_AT_ONCE // panel.points)
-    chunks = [shade(start, min(start + step, len(surface))) for start in range(0, max(1, len(surface)), step)]
-    if len(chunks) == 1:
-        return chunks[0]
-    return VariantLevels(
-        good=np.concatenate([chunk.good for chunk in chunks]),
-        varied=np.concatenate([chunk.varied for chunk in chunks], axis=1),
-    )
-
-
-def shade_variants_together(
-    surface: SurfacePoints,
-    references: Float64,
     panels: Sequence[PanelLight | ConvergedPanel],
     variants: Sequence[SurfaceVariants],
     *,
@@ -172,24 +119,34 @@ def shade_variants_together(
     dtype: type[np.floating[Any]] = np.float64,
     threads: int = 1,
 ) -> list[VariantLevels]:
-    """As :func:`shade_variants` for each of some lights, of which channels of one light are worked out together.
+    """The light of each of some lights on a surface and on its variants.
 
-    surface: May have several materials
+    A few points stand for a converged panel where they resolve the lobe; channels of one light are worked out together.
+
+    surface: k points that the camera sees from the front, none of them another's neighbour; part frame
+    references: Unit vectors in the tangent planes that directions count from, shape (k, 3)
+    panels: Part frame, as from :func:`lightopt.rendering.panel_to_shade`
     variants: Of each material
-    threads: That work on the points of such a light
+    dtype: Of the variants' levels
+    threads: That work on the points of lights that are no panels
     """
+    groups = [[panels[i] for i in group] for group in channel_groups(panels)]
+
+    def levels(some: SurfacePoints, own_references: Float64, own: SurfaceVariants) -> list[VariantLevels]:
+        of_groups = (_group_variants(some, own_references, group, own, caster, dtype, threads) for group in groups)
+        return list(itertools.chain.from_iterable(of_groups))
+
     if surface.material is None:
-        return _variants_together(surface, references, panels, variants[0], caster, dtype, threads)
-    good = [np.empty(len(surface)) for _ in panels]
-    varied = [np.empty((len(variants[0].lean), len(surface)), dtype) for _ in panels]
+        return levels(surface, references, variants[0])
+    shape = len(variants[0].lean), len(surface)
+    merged = [VariantLevels(np.empty(len(surface)), np.empty(shape, dtype)) for _ in panels]
     for index, some, own in surface.by_material(variants):
-        found = _variants_together(some, references[index], panels, own, caster, dtype, threads)
-        for i, levels in enumerate(found):
-            good[i][index], varied[i][:, index] = levels.good, levels.varied
-    return [VariantLevels(good=g, varied=v) for g, v in zip(good, varied, strict=True)]
+        for whole, found in zip(merged, levels(some, references[index], own), strict=True):
+            whole.good[index], whole.varied[:, index] = found
+    return merged
 
 
-def _variants_together(
+def _group_variants(
     surface: SurfacePoints,
     references: Float64,
     panels: Sequence[PanelLight | ConvergedPanel],
@@ -198,21 +155,27 @@ def _variants_together(
     dtype: type[np.floating[Any]],
     threads: int,
 ) -> list[VariantLevels]:
-    found: dict[int, VariantLevels] = {}
-    for group in channel_groups(panels):
-        own = [panel for i in group if isinstance(panel := panels[i], SurfaceLight)]
-        if own:
-            numbers = _with_plain(variants, own[0].total_weight)
-            levels = surface_light_variants(surface, references, own, numbers, caster, threads)
-            found |= {
-                i: VariantLevels(good=one[0], varied=one[1:].astype(dtype))
-                for i, one in zip(group, levels, strict=True)
-            }
-        else:
-            found |= {
-                i: shade_variants(surface, references, panels[i], variants, caster=caster, dtype=dtype) for i in group
-            }
-    return [found[i] for i in range(len(panels))]
+    channels = [panel for panel in panels if isinstance(panel, SurfaceLight)]
+    if channels:
+        numbers = _with_plain(variants, channels[0].total_weight)
+        found = surface_light_variants(surface, references, channels, numbers, caster, threads)
+        return [VariantLevels(one[0], one[1:].astype(dtype)) for one in found]
+    (panel,) = panels
+    if isinstance(panel, ConvergedPanel) and (points := panel.points_for(float(variants.sigma.min()))):
+        panel = replace(panel.light, points=points, normalisation="mean")
+
+    def shade(start: int) -> VariantLevels:
+        end_if_stopped()
+        some, own = surface.take(slice(start, start + step)), references[start : start + step]
+        if isinstance(panel, ConvergedPanel):
+            return _converged_variants(some, own, panel, variants, caster, dtype)
+        return _point_variants(some, own, panel, variants, caster, dtype)
+
+    step = CONVERGED_AT_ONCE if isinstance(panel, ConvergedPanel) else max(1, PAIRS_AT_ONCE // int(panel.points))
+    good, varied = zip(*map(shade, range(0, max(1, len(surface)), step)), strict=True)
+    if len(good) == 1:
+        return [VariantLevels(good[0], varied[0])]
+    return [VariantLevels(np.concatenate(good), np.concatenate(varied, axis=1))]
 
 
 def _point_variants(
@@ -232,41 +195,21 @@ def _point_variants(
     else:
         # towards every light that the facet faces, whatever the normals
         clear = clear_targets(replace(surface, normals=surface.facets), grid, caster, geometric=False)
-    numbers, weight = panel_numbers(light), light.total_weight / light.points
-    diffuse, specular = add_points(
-        surface.points,
-        surface.frames,
-        surface.views,
-        grid,
-        clear,
-        numbers,
-        weight,
+    numbers, weight, rows = panel_numbers(light), light.total_weight / light.points, surface.rows
+    diffuse, specular = add_points(rows, grid, clear, numbers, weight, reflectance.lobe, reflectance.diffuse)
+    # large arrays that NumPy makes have large pages
+    varied = np.empty((len(variants.lean), len(surface)), dtype)
+    own = VariantNumbers(
+        variants.lean,
+        variants.R_d,
+        variants.R_s,
+        0.5 / variants.sigma**2,
+        _most_exponents(variants.R_s, light.total_weight, MIN_COS_VIEW),
         reflectance.lobe,
         reflectance.diffuse,
     )
-    # large arrays that NumPy makes have large pages
-    varied = np.empty((len(variants.lean), len(surface)), dtype)
-    _point_kernel(
-        surface.points,
-        surface.frames,
-        references,
-        surface.views,
-        grid,
-        clear,
-        numbers,
-        weight,
-        VariantNumbers(
-            variants.lean,
-            variants.R_d,
-            variants.R_s,
-            0.5 / variants.sigma**2,
-            _most_exponents(variants.R_s, light.total_weight, MIN_COS_VIEW),
-            reflectance.lobe,
-            reflectance.diffuse,
-        ),
-        varied,
-    )
-    return VariantLevels(good=reflectance.R_d * diffuse + reflectance.R_s * specular, varied=varied)
+    _point_kernel(rows, references, grid, clear, numbers, weight, own, varied)
+    return VariantLevels(reflectance.R_d * diffuse + reflectance.R_s * specular, varied)
 
 
 def _most_exponents(R_s: Float64, weight: float, least_cosine: float) -> Float64:
@@ -297,23 +240,15 @@ def _converged_variants(
     caster: RayCaster | None,
     dtype: type[np.floating[Any]],
 ) -> VariantLevels:
-    targets = probe_targets(converged.light)
-    if caster is None:
-        clear = np.ones((len(surface), len(targets)), np.bool_)
-    else:
-        clear = panel_probes(surface, targets, caster)
     numbers = _with_plain(variants, converged.light.total_weight)
-    levels = panel_variants(surface, references, converged, clear, caster, numbers)
-    good, varied = levels[:, 0], np.ascontiguousarray(levels[:, 1:].T, dtype)
-    return VariantLevels(good=good, varied=varied)
+    levels = panel_variants(surface, references, converged, caster, numbers)
+    return VariantLevels(levels[:, 0], np.ascontiguousarray(levels[:, 1:].T, dtype))
 
 
 @kernel
 def _point_kernel(
-    points: Float64,
-    surface_frames: Float64,
+    rows: PointRows,
     references: Float64,
-    views: Float64,
     grid: Float64,
     clear: Bool,
     panel: PanelNumbers,
@@ -322,7 +257,7 @@ def _point_kernel(
     varied: Levels,
 ) -> None:
     # levels of the variants, shape (t, k)
-    count, lights = len(points), len(grid)
+    count, lights = len(references), len(grid)
     lean, R_d, R_s, inverse, most, form, diffuse = variants  # taken from a tuple, an array's references are counted
     frames, sums, towards = np.zeros(21 * _AT_ONCE), np.zeros(4 * _AT_ONCE), np.zeros(3 * _AT_ONCE)
     rays, boxes, lit = np.zeros((lights, 8 * _AT_ONCE)), np.zeros((lights + 1, 2, 3)), np.zeros(lights, np.bool_)
@@ -333,7 +268,7 @@ def _point_kernel(
             lit[k] = clear[k, first : first + number].any()
             some |= lit[k]
         if some:
-            _fill_frames(points, surface_frames, references, views, form, first, number, frames)
+            _fill_frames(rows, references, form, first, number, frames)
             towards[:], boxes[lights, 0], boxes[lights, 1] = 0.0, np.inf, -np.inf
             for k in range(lights):
                 if lit[k]:
@@ -389,18 +324,10 @@ def _lobe_in_frame(lobe: Lobe, frames: Float64, j: int, normal: Vector) -> Lobe:
 
 
 @kernel
-def _fill_frames(
-    points: Float64,
-    surface_frames: Float64,
-    references: Float64,
-    views: Float64,
-    form: Lobe,
-    first: int,
-    number: int,
-    frames: Float64,
-) -> None:
+def _fill_frames(rows: PointRows, references: Float64, form: Lobe, first: int, number: int, frames: Float64) -> None:
     # three rows each: points, normals n, references r, n × r, views, and in the frames (n, r, n × r) the views and what
     # a lobe has across the brushing
+    points, surface_frames, views, _, _ = rows
     for j in range(number):
         for axis in range(3):
             frames[axis * _AT_ONCE + j] = points[first + j, axis]

@@ -6,18 +6,9 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import column_at, dot, length, minus, scaled, vector_at
-from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
-from lightopt.optics import (
-    MAX_LOBE_EXPONENT,
-    DiffuseForm,
-    Lobe,
-    is_lambert,
-    lambert,
-    lobe_at,
-    specular_divisor,
-    square_across,
-)
+from lightopt.core.vectors import column_at, dot, length, minus, scaled
+from lightopt.lights import attenuated, half_diagonal, panel_point
+from lightopt.optics import MAX_LOBE_EXPONENT, is_lambert, lambert, lobe_at, specular_divisor, square_across
 from lightopt.rendering._panel_quadrature import (
     NODES,
     TAIL_ERROR,
@@ -29,8 +20,9 @@ from lightopt.rendering._panel_quadrature import (
     rectangle_specular,
     smooth_nodes,
 )
-from lightopt.rendering._penumbra_cells import ConvergedLight
-from lightopt.rendering._point_lights import lobe_towards, point_terms
+from lightopt.rendering._penumbra import ConvergedLight
+from lightopt.rendering._point_lights import diffuse_only, lobe_towards, point_terms
+from lightopt.rendering._surface import PointRows, point_at, surface_point
 
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
 _STEP_S, _STEP_T = 0.6287067210378087, 0.5385972572236101  # 1/g³ and 1/g⁴ of g⁵ = g + 1
@@ -39,15 +31,13 @@ _MOST_EVEN = 6  # nodes a side up to which a lobe is smooth all over the panel
 
 
 @kernel
-def whole_panel(
-    points: Float64, frames: Float64, views: Float64, index: Int32, light: ConvergedLight, terms: Float64
-) -> None:
+def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Float64) -> None:
     """Set the diffuse and specular light, per unit of R_d and R_s, of a panel of weight 1 at some points.
 
-    points, frames, views: Of a :class:`lightopt.rendering.SurfacePoints`
     index: Of the points, shape (j,)
     terms: Shape (k, 2)
     """
+    points, frames, views, _, _ = rows
     panel, lobe, form, nodes = light.panel, light.lobe, light.form, light.nodes
     plain = is_lambert(form)
     # the processor works on several points at once in loops without branches over numbers that lie side by side
@@ -61,10 +51,10 @@ def whole_panel(
             for axis in range(3):
                 p[axis, j], n[axis, j], v[axis, j] = points[i, axis], frames[i, axis], views[i, axis]
         for j in range(count):
-            normal = column_at(n, j)
-            reach = 0.5 * (abs(dot(normal, panel.across)) + abs(dot(normal, panel.along)))
-            above[j] = dot(normal, minus(panel.centre, column_at(p, j))) > reach
-            near[j] = not out_of_reach(column_at(p, j), normal, column_at(v, j), panel, lobe)
+            at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
+            reach = 0.5 * (abs(dot(at.n, panel.across)) + abs(dot(at.n, panel.along)))
+            above[j] = dot(at.n, minus(panel.centre, at.p)) > reach
+            near[j] = not out_of_reach(at, panel, lobe)
             specular[j] = 0.0
             diffuse[j] = 0.0
         for a in range(nodes if plain else 0):
@@ -79,44 +69,37 @@ def whole_panel(
                     diffuse[j] += attenuated(term, panel, r2, dot(panel.outward, towards))
         if lobe.ggx or lobe.wider > 0:
             own = index[first : first + count]
-            _add_smooth(p, n, v, frames, own, above[:count], near, panel, lobe, nodes, work, specular)
+            _add_smooth((p, n, v), frames, own, above[:count], near, light, work, specular)
         for j in range(count):
             i = index[first + j]
-            point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
+            at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
             if not (plain and above[j]):
-                diffuse[j] = rectangle_diffuse(point, normal, view, panel, WHOLE_PANEL, form, nodes)
+                diffuse[j] = rectangle_diffuse(at, panel, WHOLE_PANEL, form, nodes)
             terms[i, 0], terms[i, 1] = diffuse[j], specular[j]
             if near[j]:
-                turned = lobe_at(lobe, frames, i)
-                terms[i, 1] = rectangle_specular(
-                    point, normal, view, dot(normal, view), panel, WHOLE_PANEL, turned, nodes
-                )
+                terms[i, 1] = rectangle_specular(at, panel, WHOLE_PANEL, lobe_at(lobe, frames, i), nodes)
 
 
 @kernel
 def _add_smooth(
-    p: Float64,
-    n: Float64,
-    v: Float64,
+    columns: tuple[Float64, Float64, Float64],
     frames: Float64,
     index: Int32,
     above: Bool,
     near: Bool,
-    panel: PanelNumbers,
-    lobe: Lobe,
-    panel_nodes: int,
+    light: ConvergedLight,
     work: Float64,
     specular: Float64,
 ) -> None:
     # where the tails of a lobe, or the wider of two, are smooth all over the panel: sets the light of these points,
     # which are no longer `near`. The points that take as many nodes are worked out together
+    (p, n, v), panel, lobe = columns, light.panel, light.lobe
     wanted, place = np.zeros(len(above), np.int64), np.empty(len(above), np.int64)
     for j in range(len(above)):
-        point, normal, view = column_at(p, j), column_at(n, j), column_at(v, j)
-        if near[j] and above[j] and dot(normal, view) > 0.0:
+        at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
+        if near[j] and above[j] and at.n_dot_v > 0.0:
             turned = lobe_at(lobe, frames, index[j])
-            few = smooth_nodes(point, normal, view, panel.centre, half_diagonal(panel), turned, TAIL_ERROR)
-            wanted[j] = max(few, panel_nodes)
+            wanted[j] = max(smooth_nodes(at, panel.centre, half_diagonal(panel), turned, TAIL_ERROR), light.nodes)
     for few in range(2, _MOST_EVEN + 1):
         number = 0
         for j in range(len(above)):
@@ -149,17 +132,7 @@ def _add_smooth(
 
 
 @kernel
-def add_spread_points(
-    points: Float64,
-    frames: Float64,
-    views: Float64,
-    clear: Bool,
-    panel: PanelNumbers,
-    cells: int,
-    lobe: Lobe,
-    form: DiffuseForm,
-    terms: Float64,
-) -> None:
+def add_spread_points(rows: PointRows, clear: Bool, cells: int, light: ConvergedLight, terms: Float64) -> None:
     """Add the light of a panel of weight 1 to the clear points, by a place in each of cells × cells of the panel.
 
     Places follow the last numbers of the R₄ sequence (Roberts 2018) from point to point, so that they do not go with
@@ -167,23 +140,25 @@ def add_spread_points(
 
     terms: Diffuse and specular light per unit of R_d and R_s, shape (k, 2)
     """
+    points, frames, views, _, _ = rows
+    panel, lobe, form = light.panel, light.lobe, light.form
     reach, share = half_diagonal(panel), 1.0 / (cells * cells)
     for i in range(len(points)):
         if not clear[i]:
             continue
-        p, n, v = vector_at(points, i), vector_at(frames, i), vector_at(views, i)
+        at = point_at(points, frames, views, i)
         s, t = _STEP_S * i, _STEP_T * i
         s, t = s - math.floor(s), t - math.floor(t)
-        half, spread = half_vector_cone(p, v, panel.centre, reach)
-        nearest = max(0.0, length(minus(n, half)) - spread)
+        half, spread = half_vector_cone(at, panel.centre, reach)
+        nearest = max(0.0, length(minus(at.n, half)) - spread)
         if spread < math.pi and nearest * nearest * lobe.inverse > FAR_SHARE * lobe.farthest:
             # diffuse light is as even as one place shows it
-            terms[i, 0] += point_terms(p, n, v, 0.0, panel_point(panel, s - 0.5, t - 0.5), panel, lobe, form)[0]
+            terms[i, 0] += point_terms(diffuse_only(at), panel_point(panel, s - 0.5, t - 0.5), panel, lobe, form)[0]
             continue
-        n_dot_v, turned = dot(n, v), lobe_at(lobe, frames, i)
+        turned = lobe_at(lobe, frames, i)
         for a in range(cells):
             for b in range(cells):
                 q = panel_point(panel, (a + s) / cells - 0.5, (b + t) / cells - 0.5)
-                diffuse, specular = point_terms(p, n, v, n_dot_v, q, panel, turned, form)
+                diffuse, specular = point_terms(at, q, panel, turned, form)
                 terms[i, 0] += share * diffuse
                 terms[i, 1] += share * specular

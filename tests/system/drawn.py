@@ -13,7 +13,7 @@ from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import UNLIT, trace_pixels
-from lightopt.rendering._pixels import panel_visibility
+from lightopt.rendering._pixels import visibility_of_lights
 from lightopt.scene import Scene
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)  # along each side of a panel, from −1 to 1
@@ -47,7 +47,7 @@ def draw_images(
                 directions = surface.normals, surface.views, towards
                 value = R_d * form(*directions) + R_s * lobe(*directions)
                 total += 0.25 * of_s * of_t * value
-            lit = panel_visibility(pixels, panel, caster) != UNLIT
+            lit = visibility_of_lights(pixels, [panel], caster)[0] != UNLIT
             level = np.zeros(pixels.shape, np.float32)
             level[pixels.row, pixels.column] = np.where(lit, panel.gain * total, 0.0)
             for e, exposure in enumerate(exposures):

@@ -162,10 +162,10 @@ def test_converged_panels_on_leaning_patches(tmp_path):
         near = converged_panel(light, centre=caster.centre, radius=caster.radius)
         assert near.points_for(scene.reflectance.sigma) == 16
         assert near.points_for(0.003) is None
-        few_points = shade_variants(surface, references, near, variants, caster=caster)
+        (few_points,) = shade_variants(surface, references, [near], [variants], caster=caster)
         # as if it were so near that a few points would not do
         panel = replace(near, least_distance=0.0)
-        found = shade_variants(surface, references, panel, variants, caster=caster)
+        (found,) = shade_variants(surface, references, [panel], [variants], caster=caster)
         for t, (slope, direction, R_d_factor, sigma_factor) in enumerate(few):
             changed = scene.reflectance.changed(R_d_factor=R_d_factor, sigma_factor=sigma_factor)
             turned = replace(surface, normals=leaning(surface.normals, axes, slope, direction))

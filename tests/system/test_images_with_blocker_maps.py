@@ -12,7 +12,7 @@ from lightopt.core.transforms import Posture
 from lightopt.design.responses._image_evaluator import luminance_matrix
 from lightopt.geometry import _blocker_maps as maps
 from lightopt.rendering import build_patches, cast_rays_at, render_posture, trace_pixels
-from lightopt.rendering._pixels import panel_visibility
+from lightopt.rendering._pixels import visibility_of_lights
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 POSTURE = Posture(-30.0, 50.0)
@@ -61,7 +61,7 @@ def test_luminance_matrices_and_verdicts_are_the_same(monkeypatch, part):
             scene, table, scene.postures[0], [[light] for light in scene.lights], caster=caster, threads=2
         )
         pixels = trace_pixels(scene, POSTURE, caster)
-        verdicts = [panel_visibility(pixels, light, caster, threads=2) for light in pixels.view.lights]
+        verdicts = [visibility_of_lights(pixels, [light], caster, threads=2)[0] for light in pixels.view.lights]
         return (*matrix.levels, *verdicts), caster.rays_cast - begun
 
     (mapped, few), (plain, many) = both_ways(monkeypatch, work)

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from lightopt.core.interrupts import interrupt
@@ -240,13 +241,15 @@ def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(share
     shadow_rays: list[int] = []  # of the pieces that begin from the request on
     armed = threading.Event()
 
-    def tell(query: str, origins: Any, _directions: Any) -> None:
-        if query == "OCCLUDED" and armed.is_set():
-            shadow_rays.append(len(origins))
-            if len(shadow_rays) == 1:
-                signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+    class Interrupting(RayCaster):
+        def visible(self, *geometry: Any, candidates: Any, **how: Any) -> Any:
+            if armed.is_set():
+                shadow_rays.append(int(np.count_nonzero(candidates)))
+                if len(shadow_rays) == 1:
+                    signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+            return super().visible(*geometry, candidates=candidates, **how)
 
-    caster = RayCaster(scene.mesh.vertices, scene.mesh.faces, recorder=tell)
+    caster = Interrupting(scene.mesh.vertices, scene.mesh.faces)
     table = build_patches(scene, caster=caster, budget=8000)
     inspection = DetectionModel(catalogue=planned_catalogue(BUILT_IN_CATALOGUE), sensor=scene.sensor, full_scale=255.0)
 

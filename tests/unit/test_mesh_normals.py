@@ -9,8 +9,7 @@ import trimesh
 from hypothesis import given, strategies as st
 
 from lightopt.geometry import face_normals, load_mesh
-from lightopt.geometry._load_mesh import LoadedMesh
-from lightopt.geometry._normals import smooth_normals
+from lightopt.geometry._load_mesh import LoadedMesh, smooth_normals
 from lightopt.geometry._topology import edge_pairs, merge_rows
 
 

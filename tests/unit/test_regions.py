@@ -39,11 +39,10 @@ from lightopt.rendering import (
     panel_to_shade,
     render_posture,
     shade_isolated,
-    shade_variants_together,
+    shade_variants,
     surface_variants,
     trace_pixels,
 )
-from lightopt.rendering._surface_variants import shade_variants
 from lightopt.scene import scene_of_region
 from lightopt.scene._scene import PartRegion
 
@@ -354,9 +353,9 @@ def test_levels_and_variants_are_those_of_each_region(bench):
     references = np.cross(surface.normals, [0.3, 0.9, 0.1])
     references /= np.linalg.norm(references, axis=1)[:, None]
     sources = [panel_to_shade(panel, caster) for panel in panels]
-    together = shade_variants_together(surface, references, sources, variants, caster=caster)
+    together = shade_variants(surface, references, sources, variants, caster=caster)
     for i, source in enumerate(sources):
-        single = [shade_variants(plain, references, source, one, caster=caster) for one in variants]
+        single = [shade_variants(plain, references, [source], [one], caster=caster)[0] for one in variants]
         assert np.array_equal(together[i].good, np.where(material == 1, single[1].good, single[0].good))
         assert np.array_equal(together[i].varied, np.where(material == 1, single[1].varied, single[0].varied))
 

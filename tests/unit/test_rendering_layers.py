@@ -12,7 +12,7 @@ from lightopt import build_scene, render
 from lightopt.config import load_rig
 from lightopt.optics import LAMBERT, Reflectance
 from lightopt.rendering import UNLIT, WHOLE, cast_rays_at, light_layer, mask_pixels, specular_of_layers, trace_pixels
-from lightopt.rendering._pixels import LEFT_OUT, panel_visibility
+from lightopt.rendering._pixels import LEFT_OUT, visibility_of_lights
 from lightopt.rendering._surface import GRAZING_COSINE
 from lightopt.scene import build_lights, pixel_directions
 
@@ -30,7 +30,7 @@ def test_layers_are_the_renderers(shared_bench, points, sigma):
     for images in render(scene, layers=True):
         pixels = trace_pixels(scene, images.posture, caster)
         for panel, image in zip(pixels.view.lights, images.lights, strict=True):
-            visibility = panel_visibility(pixels, panel, caster)
+            visibility = visibility_of_lights(pixels, [panel], caster)[0]
             whole = np.flatnonzero(visibility == WHOLE)
             layer = light_layer(pixels.surface.take(whole), panel, caster, form=LAMBERT)
             place = pixels.row[whole], pixels.column[whole]
@@ -60,7 +60,7 @@ def test_pixels_of_penumbrae_and_silhouettes_are_left_out(shared_bench):
     near[:, :-1] |= misses[:, 1:]
     assert not (clean & near).any()
     assert clean.sum() > 0.8 * hit.sum()
-    visibility = panel_visibility(pixels, pixels.view.lights[0], caster)
+    visibility = visibility_of_lights(pixels, [pixels.view.lights[0]], caster)[0]
     assert (visibility == LEFT_OUT).any()
 
 
@@ -71,7 +71,7 @@ def test_threads_do_not_matter(shared_bench):
     for threads in (1, 2):
         pixels = trace_pixels(scene, scene.postures[1], caster, threads=threads)
         panel = pixels.view.lights[1]
-        whole = np.flatnonzero(panel_visibility(pixels, panel, caster, threads=threads) == WHOLE)
+        whole = np.flatnonzero(visibility_of_lights(pixels, [panel], caster, threads=threads)[0] == WHOLE)
         layer = light_layer(pixels.surface.take(whole), panel, caster, form=LAMBERT, threads=threads)
         layers.append((layer.diffuse, layer.specular(of_width(0.05), threads=threads)))
     assert all(np.array_equal(a, b) for a, b in zip(*layers, strict=True))
@@ -83,7 +83,7 @@ def test_the_deflection_is_never_more_than_that_of_a_point_of_the_panel(shared_b
     caster = cast_rays_at(scene)
     pixels = trace_pixels(scene, scene.postures[0], caster)
     panel = pixels.view.lights[0]
-    whole = np.flatnonzero(panel_visibility(pixels, panel, caster) == WHOLE)
+    whole = np.flatnonzero(visibility_of_lights(pixels, [panel], caster)[0] == WHOLE)
     layer = light_layer(pixels.surface.take(whole), panel, caster, form=LAMBERT)
     sigma = 0.05
     bound = np.exp(-0.5 * (layer.deflection / sigma) ** 2) / 0.1

@@ -10,10 +10,10 @@ from reference import diffuse, specular
 from lightopt.config import RigConfig
 from lightopt.lights import PanelLight
 from lightopt.optics import LAMBERT, DiffuseForm, Reflectance, SpecularModel
-from lightopt.rendering import SurfacePoints, shade_variants_together, surface_variants
+from lightopt.rendering import SurfacePoints, shade_variants, surface_variants
 from lightopt.rendering._converged_panel import converged_panel, shade_converged
 from lightopt.rendering._surface_light import shade_surface_lights
-from lightopt.rendering._surface_variants import NEGLIGIBLE_LEVEL, shade_variants
+from lightopt.rendering._surface_variants import NEGLIGIBLE_LEVEL
 from lightopt.scene import build_lights
 
 MODELS = {
@@ -105,7 +105,7 @@ def test_levels_are_those_of_the_equations(model, sigma, further):
     )
     for elevation, azimuth in ((1.0, 0.4), (0.5, 3.5)):
         panel = panel_at(elevation, azimuth, **further)
-        found = shade_variants(surface, references, panel, variants, caster=None)
+        (found,) = shade_variants(surface, references, [panel], [variants], caster=None)
         assert found.varied.shape == (len(SLOPES), POINTS)
         for t, (slope, direction) in enumerate(zip(SLOPES, DIRECTIONS, strict=True)):
             changed = reflectance.changed(R_d_factor=float(R_D_FACTOR[t]), sigma_factor=float(SIGMA_FACTOR[t]))
@@ -123,7 +123,7 @@ def test_no_points_have_no_levels():
     )
     none = slice(0, 0)
     panel = panel_at(1.0, 0.4)
-    found = shade_variants(surface.take(none), references[none], panel, variants, caster=None)
+    (found,) = shade_variants(surface.take(none), references[none], [panel], [variants], caster=None)
     assert found.varied.shape == (len(SLOPES), 0)
     assert len(found.good) == 0
 
@@ -153,7 +153,7 @@ def test_variants_of_whole_lights_are_the_light_on_other_surfaces(kind, model, s
     variants = surface_variants(
         slope=slope, direction=direction, R_d_factor=np.ones(4), sigma_factor=np.ones(4), reflectances=[reflectance]
     )
-    (found,) = shade_variants_together(surface, references, [light], variants, caster=None)
+    (found,) = shade_variants(surface, references, [light], variants, caster=None)
     across = np.cross(surface.normals, references)
     for t in range(4):
         towards = math.cos(direction[t]) * references + math.sin(direction[t]) * across

@@ -47,7 +47,7 @@ from lightopt.rendering import (
     SurfacePoints,
     panel_to_shade,
     shade_isolated,
-    shade_variants_together,
+    shade_variants,
     surface_variants,
 )
 from lightopt.scene import Scene, project, surface_footprint, surface_share, typical_blur, view_from_part
@@ -303,7 +303,7 @@ class PatchEvidence:
         panels: Part frame; channels of a light are worked out together
         Yields levels at exposure 1 [grey level], shape (p,), and per exposure flags of shape (units, p, words).
         """
-        found = shade_variants_together(
+        found = shade_variants(
             self._surface,
             self._references,
             [panel_to_shade(panel, caster) for panel in panels],

@@ -141,9 +141,7 @@ def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int
 
     def spread(panel: PanelLight) -> Float32:
         source = rendering.panel_to_shade(panel, caster)
-        (shaded,) = rendering.shade_variants_together(
-            surface, references, [source], variants, caster=caster, dtype=np.float32
-        )
+        (shaded,) = rendering.shade_variants(surface, references, [source], variants, caster=caster, dtype=np.float32)
         image = np.zeros(pixels.shape, np.float32)
         image[pixels.row, pixels.column] = np.hypot(*(one - shaded.good for one in shaded.varied)) * passed
         return image

@@ -39,7 +39,7 @@ from lightopt.rendering import (
     SurfacePoints,
     channel_groups,
     panel_to_shade,
-    shade_variants_together,
+    shade_variants,
     surface_variants,
     trace_pixels,
 )
@@ -275,7 +275,7 @@ def _set_changes(
         place = surface.pixels.row[some], surface.pixels.column[some]
         share = lens_share(scene.camera, place[1] + 0.5, place[0] + 0.5)
         passed = 1.0 if share is None else share[:, None]
-        found = shade_variants_together(points, references, own, variants, caster=caster)
+        found = shade_variants(points, references, own, variants, caster=caster)
         for i, levels in zip(group, found, strict=True):
             good, limit = (a[i][place].astype(np.float64)[:, None] for a in (view.predicted, view.limit))
             change_of_level = passed * (levels.varied.T - levels.good[:, None])
