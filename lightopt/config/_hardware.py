@@ -2,7 +2,7 @@
 
 import re
 import string
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal, get_args
 
@@ -10,15 +10,7 @@ from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo, f
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
-from lightopt.config._display import (
-    DISPLAY_DRIVERS,
-    Command as DisplayCommand,
-    Monitor,
-    PictureConfig,
-    check_key,
-    display_misfits,
-)
-from lightopt.config._fields import Complaint, Frozen, complaint, expecting
+from lightopt.config._fields import LIST, Complaint, Frozen, complaint, expecting
 from lightopt.config._light import LightConfig
 
 _Baud = Annotated[int, Field(ge=300, le=4000000), expecting("a baud rate, from 300 to 4000000")]
@@ -127,8 +119,62 @@ class TemplateConfig(Frozen):
         return reply
 
 
+DISPLAY_DRIVERS = ("screen", "command")
+MOST_SQUARE = 1.05  # ratio of a screen pixel's sides that is taken for a rounded size_mm
+
+_ScreenPixels = Annotated[int, Field(ge=1, le=16384)]
+_Arguments = Annotated[tuple[fields.Text, ...], Field(strict=False, min_length=1, max_length=50)]
+
+
+def _with_file(arguments: tuple[str, ...]) -> tuple[str, ...]:
+    if not any("{file}" in argument for argument in arguments):
+        raise complaint('no entry has the field {file}, the path of the picture; add "{file}"')
+    return arguments
+
+
+_Monitor = Annotated[int, Field(ge=1, le=16), expecting("the number of a monitor, from 1 to 16")]
+_Program = Annotated[
+    _Arguments, AfterValidator(_with_file), expecting('a program and its arguments, such as [show-picture, "{file}"]')
+]
+
+
+class PictureConfig(Frozen):
+    """The screen of a display, for driver: screen and driver: command."""
+
+    resolution_px: Annotated[
+        tuple[_ScreenPixels, _ScreenPixels], LIST, expecting("[width, height], two whole numbers from 1 to 16384")
+    ]
+    """Width and height of the screen as the computer has it, whose visible area is the light's size_mm [pixels]."""
+    gamma: Annotated[float, Field(ge=0.5, le=5), expecting("a number from 0.5 to 5")] = 2.2
+    """Response of the screen: its radiance is (level / 255)^gamma of the full one."""
+    turn_deg: Annotated[Literal[0, 90, 180, 270], expecting("0, 90, 180 or 270")] = 0
+    """How the screen is mounted, seen from the part: where its own upper edge is, turned clockwise from above [deg]."""
+    mirrored: bool = False
+    """Whether the part sees the screen's left and right swapped, as in a mirror or on a screen lit from behind."""
+    settle_ms: Annotated[float, Field(ge=0, le=1000), expecting("milliseconds, from 0 to 1000")] = 50.0
+    """From showing a picture until it is on the screen [ms]; timing.light_ms is waited for in addition."""
+
+    @property
+    def seen_px(self) -> tuple[int, int]:
+        """Columns and rows as seen from the part, along u and v."""
+        width, height = self.resolution_px
+        return (height, width) if self.turn_deg % 180 else (width, height)
+
+
 class ControllerConfig(Frozen):
     """A light controller."""
+
+    variants = fields.Variants(
+        "driver",
+        {
+            "ccs": (("port",), ("baud", "dialect")),
+            "sa": (("port",), ("baud",)),
+            "template": (("port", "template"), ("baud",)),
+            "screen": (("monitor", "picture"), ()),
+            "command": (("command", "picture"), ()),
+        },
+        usual={"port": "virtual", "dialect": "lan"},
+    )
 
     driver: Annotated[
         Literal["ccs", "sa", "template", "screen", "command"],
@@ -136,9 +182,7 @@ class ControllerConfig(Frozen):
     ]
     """Protocol: ccs (@ frames), sa (SA0255# family), or template. A display, each channel of which is a picture: screen
     (a monitor of this computer), or command (a program that shows the picture)."""
-    port: fields.Text | None = Field(
-        default=None, validate_default=True, description=f"{_PORT} Of a display: virtual, or absent."
-    )
+    port: fields.Text | None = Field(default=None, description=f"{_PORT} Of a display: virtual, or absent.")
     baud: _Baud | None = None
     """Baud rate; the protocol's usual one if absent."""
     channels: _Channel = 4
@@ -147,23 +191,23 @@ class ControllerConfig(Frozen):
     """Highest intensity of the controller."""
     dialect: Literal["lan", "serial"] = "lan"
     """ccs: frames without (lan) or with (serial) a unit number."""
-    template: TemplateConfig | None = Field(default=None, validate_default=True)
+    template: TemplateConfig | None = None
     """Commands, for driver: template."""
-    monitor: Monitor | None = Field(default=None, validate_default=True)
+    monitor: _Monitor | None = None
     """screen: number of the monitor as the desktop counts them, from 1."""
-    command: DisplayCommand | None = Field(default=None, validate_default=True)
+    command: _Program | None = None
     """command: a program and its arguments, run in this file's folder; {file} is the path of the picture, a PNG."""
-    picture: PictureConfig | None = Field(default=None, validate_default=True)
+    picture: PictureConfig | None = None
     """screen, command: the screen that pictures are made for."""
     timeout_s: fields.Positive = 1.0
     """Longest wait for a reply, or for a command to end [s]."""
 
-    @field_validator("port", "baud", "monitor", "command", "picture")
     @classmethod
-    def _of_displays(cls, value: Any, info: ValidationInfo) -> Any:
-        if info.field_name == "port" and value is None and info.data.get("driver") not in (None, *DISPLAY_DRIVERS):
-            raise fields.absent(f'missing key "port": {_PORT}', "port")
-        return check_key(value, info)
+    def misfits(cls, raw: Mapping[str, Any]) -> Iterator[Complaint]:
+        """As of every configuration; a display with a virtual port needs neither monitor nor command."""
+        for loc, found, error in super().misfits(raw):
+            if error.type == "complaint" or loc not in (("monitor",), ("command",)) or raw.get("port") != "virtual":
+                yield loc, found, error
 
     @field_validator("channels", "top_level")
     @classmethod
@@ -173,19 +217,6 @@ class ControllerConfig(Frozen):
         if most is not None and number > most:
             raise complaint(f"expected at most {most}, the most that {driver} can express, found {number}")
         return number
-
-    @field_validator("dialect")
-    @classmethod
-    def _of_ccs(cls, dialect: str, info: ValidationInfo) -> str:
-        if dialect != "lan" and info.data.get("driver") not in (None, "ccs"):
-            raise complaint(f"only ccs has dialects, and the driver is {info.data['driver']}; leave this out")
-        return dialect
-
-    @field_validator("template")
-    @classmethod
-    def _of_template(cls, template: TemplateConfig | None, info: ValidationInfo) -> TemplateConfig | None:
-        missing = 'missing key "template": commands and replies, for driver: template'
-        return fields.only_of_driver("template", template, info, missing=missing)
 
 
 class ChannelConfig(Frozen):
@@ -317,7 +348,7 @@ def misfits(
     controllers, channels = (fields.mapping(section.get(key)) for key in ("controllers", "lights"))
     if lights is not None and isinstance(section.get("lights"), Mapping):
         yield from _names(channels, tuple(light.name for light in lights))
-        yield from display_misfits(controllers, channels, lights)
+        yield from _display_misfits(controllers, channels, lights)
     if isinstance(section.get("controllers"), Mapping):
         for name, channel in channels.items():
             yield from _plug(name, fields.mapping(channel), controllers)
@@ -327,6 +358,43 @@ def misfits(
     if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
         reason = "the rig's camera has no exposure_us; add to it the exposure time [µs] that counts as exposure 1"
         yield ("camera",), device, complaint(reason)
+
+
+def _display_misfits(
+    controllers: Mapping[str, object], channels: Mapping[str, object], lights: Sequence[LightConfig]
+) -> Iterator[Complaint]:
+    """Lights that a display cannot show, and pixels of screens that are not square."""
+    known = {light.name: light for light in lights}
+    shown: dict[str, LightConfig] = {}
+    for name, entry in channels.items():
+        controller, light = fields.mapping(entry).get("controller"), known.get(name)
+        if light is None or not isinstance(controller, str):
+            continue
+        config = fields.mapping(controllers.get(controller))
+        if config.get("driver") not in DISPLAY_DRIVERS:
+            continue
+        where = ("lights", name, "controller")
+        if light.kind != "display":
+            yield where, controller, complaint(f"{controller} is a display, and this light is a {light.kind}")
+        elif shown.setdefault(controller, light).entry != light.entry:
+            reason = (
+                f"{controller} is the display {shown[controller].entry_name}; each display needs its own controller"
+            )
+            yield where, controller, complaint(reason)
+    for controller, light in shown.items():
+        picture = fields.mapping(fields.mapping(controllers[controller]).get("picture"))
+        width, height = (light.size_mm or (1.0, 1.0))[:: -1 if picture.get("turn_deg") in (90, 270) else 1]
+        pixels = fields.entries(picture.get("resolution_px"))
+        if len(pixels) != 2 or not all(isinstance(one, int) and one > 0 for one in pixels):
+            continue
+        sides = width / pixels[0], height / pixels[1]  # type: ignore[operator]
+        if max(sides) > MOST_SQUARE * min(sides):
+            reason = (
+                f"on the {width:g} × {height:g} mm of {light.entry_name} a pixel of the screen would have "
+                f"{sides[0]:.4g} × {sides[1]:.4g} mm; expected square ones: correct this, turn_deg, or the light's "
+                "size_mm, which is the visible area"
+            )
+            yield ("controllers", controller, "picture", "resolution_px"), list(pixels), complaint(reason)
 
 
 def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[Complaint]:

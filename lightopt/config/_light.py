@@ -35,21 +35,6 @@ LightKind = Literal[
     "backlight",
 ]
 
-# keys of each kind but panel, beside those of where it stands: needed ones, and others
-_KEYS_OF_KIND: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "bar": (("size_mm",), ()),
-    "ring": (("inner_radius_mm", "outer_radius_mm"), ("ring_tilt_deg", "segments")),
-    "low_angle_ring": (("radius_mm", "height_mm"), ("segments",)),
-    "dome": (("radius_mm",), ("camera_hole_mm", "lower_elevation_deg", "leak", "segments", "pattern")),
-    "flat_dome": (("size_mm",), ("camera_hole_mm",)),
-    "tunnel": (("radius_mm", "length_mm"), ("slot_mm",)),
-    "coaxial": (("size_mm",), ("transmission", "reflection")),
-    "spot": (("half_angle_deg",), ()),
-    "led_array": (("size_mm", "rows", "columns", "led_mm"), ()),
-    "display": (("size_mm",), ("pattern",)),
-    "backlight": (("size_mm",), ("pattern", "direct_level")),
-}
-_PLACE_KEYS = ("name", "kind", "distance_mm", "elevation_deg", "azimuth_deg", "gain")
 RANGE_KEYS = ("elevation_range_deg", "azimuth_range_deg", "distance_range_mm", "distance_step_mm")
 """Keys that say where a light can be moved to."""
 
@@ -68,51 +53,35 @@ _Exponent = Annotated[float, Field(ge=0, le=1000), fields.expecting("a number fr
 _AUTO_SUM = "sum cannot be used with points: auto, a continuous panel; use mean"
 
 
-def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
-    """Complaints about keys that a kind of light lacks, does not have, or that exclude each other."""
-    needed, others = _KEYS_OF_KIND[kind]
-    for key in needed:
-        if raw.get(key) is None:
-            yield (key,), raw, fields.absent(f'missing key "{key}", which a light of kind {kind} needs', key)
-    known = set(LightConfig.model_fields)
-    for key in raw:
-        if key in known and raw[key] is not None and key not in (*_PLACE_KEYS, *RANGE_KEYS, *needed, *others):
-            yield (key,), raw[key], fields.complaint(f"a light of kind {kind} has no such key; leave it out")
+def _wrong_shapes(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
+    """Complaints about the sizes of a kind of light that exclude each other."""
     numbers = {key: value for key, value in raw.items() if isinstance(value, (int, float))}
     if numbers.get("rows", 1) * numbers.get("columns", 1) > MOST_CHANNELS:
         yield ("rows",), raw["rows"], fields.complaint(f"expected at most {MOST_CHANNELS} LEDs in all")
     if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
         yield ("inner_radius_mm",), raw["inner_radius_mm"], fields.complaint("expected less than outer_radius_mm")
-    yield from pattern_misfits(kind, raw)
     size = [side for side in fields.entries(raw.get("size_mm")) if isinstance(side, (int, float))]
+    hole = numbers.get("camera_hole_mm", 0.0)
     widest = {"dome": numbers.get("radius_mm"), "flat_dome": min(size, default=None)}.get(kind)
-    if widest is not None and numbers.get("camera_hole_mm", 0.0) >= widest:
-        yield ("camera_hole_mm",), raw["camera_hole_mm"], fields.complaint(f"expected less than {widest:g}")
+    if widest is not None and hole >= widest:
+        yield ("camera_hole_mm",), hole, fields.complaint(f"expected less than {widest:g}")
+    elif kind == "dome" and widest:
+        upper, lower = math.degrees(math.acos(0.5 * max(0.0, hole) / widest)), numbers.get("lower_elevation_deg", 0.0)
+        if lower >= upper:
+            reason = f"expected less than {upper:.4g}, where the hole is"
+            yield ("lower_elevation_deg",), lower, fields.complaint(reason)
     if numbers.get("slot_mm", 0.0) >= 2.0 * numbers.get("radius_mm", 1e9):
         yield ("slot_mm",), raw["slot_mm"], fields.complaint("expected less than the tunnel's diameter")
-    yield from _at_origin(kind, raw)
-    if kind == "dome" and widest and numbers.get("camera_hole_mm", 0.0) < widest:
-        upper = math.degrees(math.acos(0.5 * max(0.0, numbers.get("camera_hole_mm", 0.0)) / widest))
-        if numbers.get("lower_elevation_deg", 0.0) >= upper:
-            lower = raw["lower_elevation_deg"]
-            yield (
-                ("lower_elevation_deg",),
-                lower,
-                fields.complaint(f"expected less than {upper:.4g}, where the hole is"),
-            )
     counts = numbers.get("columns", 0), numbers.get("rows", 0)
     if any(numbers.get("led_mm", 0.0) * count > side for side, count in zip(size, counts, strict=False)):
         yield ("led_mm",), raw["led_mm"], fields.complaint("the LEDs overlap; expected at most size_mm by their number")
-
-
-def _at_origin(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
-    lowest = {"distance_mm": raw.get("distance_mm")} | dict.fromkeys(
-        ["distance_range_mm"], next(iter(fields.entries(raw.get("distance_range_mm"))), None)
-    )
-    for key, value in lowest.items():
+    nearest = {
+        "distance_mm": raw.get("distance_mm"),
+        "distance_range_mm": [*fields.entries(raw.get("distance_range_mm")), 1][0],
+    }
+    for key, value in nearest.items():
         if value == 0 and kind not in _AROUND_PART:
-            what = "a panel" if kind == "panel" else f"a light of kind {kind}"
-            yield (key,), raw[key], fields.complaint(f"{what} cannot stand at the origin")
+            yield (key,), raw[key], fields.complaint(f"a light of kind {kind} cannot stand at the origin")
 
 
 class LightSourceConfig(fields.Frozen):
@@ -144,6 +113,24 @@ class LightSourceConfig(fields.Frozen):
 
 class LightConfig(fields.Frozen):
     """One light, which faces the origin or has a measured pose; a panel may have any key of light_source, too."""
+
+    variants = fields.Variants(
+        "kind",
+        {
+            "panel": ((), ("pose", *LightSourceConfig.model_fields)),
+            "bar": (("size_mm",), ()),
+            "ring": (("inner_radius_mm", "outer_radius_mm"), ("ring_tilt_deg", "segments")),
+            "low_angle_ring": (("radius_mm", "height_mm"), ("segments",)),
+            "dome": (("radius_mm",), ("camera_hole_mm", "lower_elevation_deg", "leak", "segments", "pattern")),
+            "flat_dome": (("size_mm",), ("camera_hole_mm",)),
+            "tunnel": (("radius_mm", "length_mm"), ("slot_mm",)),
+            "coaxial": (("size_mm",), ("transmission", "reflection")),
+            "spot": (("half_angle_deg",), ()),
+            "led_array": (("size_mm", "rows", "columns", "led_mm"), ()),
+            "display": (("size_mm",), ("pattern",)),
+            "backlight": (("size_mm",), ("pattern", "direct_level")),
+        },
+    )
 
     name: fields.FileName
     """Name of the light; it becomes a file name and differs from the others. Lights of several channels are named
@@ -293,21 +280,19 @@ class LightConfig(fields.Frozen):
     def _placed(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
         raw = {key: one for key, one in fields.mapping(value).items() if one is not None}
         kind = raw.get("kind", "panel")
-        if isinstance(kind, str) and kind in _KEYS_OF_KIND:
-            filled = {"elevation_deg": -90.0 if kind == "backlight" else 90.0, "azimuth_deg": 270.0}
-            if kind == "dome":
-                filled["distance_mm"] = 0.0
-            shaped = {**raw, **{key: v for key, v in filled.items() if key not in raw}}
-            return fields.with_complaints(shaped, handler, _wrong_keys(kind, raw))
-        of_others = {key for keys in _KEYS_OF_KIND.values() for key in (*keys[0], *keys[1])} - {"size_mm"}
-        complaints: list[fields.Complaint] = [
-            ((key,), raw[key], fields.complaint("a panel has no such key; give the kind of light that has it"))
-            for key in sorted(of_others & {key for key, given in raw.items() if given is not None})
-        ]
-        complaints += _at_origin("panel", raw)
-        if complaints:
-            return fields.with_complaints(value, handler, complaints)
-        return with_pose(value, handler, point="centre_mm", what="the panel's centre")
+        if kind == "panel" or not isinstance(kind, str) or kind not in cls.variants.kinds:
+            return with_pose(value, handler, point="centre_mm", what="the panel's centre")
+        filled = {"elevation_deg": -90.0 if kind == "backlight" else 90.0, "azimuth_deg": 270.0}
+        return handler(filled | ({"distance_mm": 0.0} if kind == "dome" else {}) | raw)
+
+    @classmethod
+    def misfits(cls, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
+        """As of every configuration; shapes and patterns that no light can have."""
+        yield from super().misfits(raw)
+        kind = raw.get("kind") or "panel"
+        if isinstance(kind, str) and kind in cls.variants.kinds:
+            yield from _wrong_shapes(kind, raw)
+            yield from pattern_misfits(kind, raw)
 
     @field_validator("elevation_deg")
     @classmethod

@@ -84,7 +84,7 @@ class RangesConfig(fields.FileConfig):
     """Number of defects of such a sample, of the part's defect_catalogue or the built-in one."""
     pose: PoseRangeConfig = PoseRangeConfig()
     """Placement of the part, of each pose."""
-    fit: fields.Text | None = None
+    fit: Annotated[fields.Text, fields.file_of()] | None = None
     """A fit.json of fit-specular or fit-diffuse, relative to this file: R_d, R_s, lobe and gains are drawn from its
     95 % intervals, where it has them, instead of the ranges below."""
     R_d: _Factors = (0.95, 1.05)
@@ -99,10 +99,3 @@ class RangesConfig(fields.FileConfig):
     """Particles, of each sample."""
     split: SplitConfig = SplitConfig()
     """How samples are divided; those of a pose stay together."""
-
-    @field_validator("fit")
-    @classmethod
-    def _exists(cls, fit: str | None, info: ValidationInfo) -> str | None:
-        if fit is not None and info.context is not None:
-            fields.require_file(info.context["folder"], fit)
-        return fit

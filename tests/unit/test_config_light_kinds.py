@@ -52,7 +52,7 @@ def test_channels_are_lights(light: str, names: list[str], tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("light", "key", "message"),
     [
-        ("kind: bar, distance_mm: 9", "", 'missing key "size_mm", which a light of kind bar needs'),
+        ("kind: bar, distance_mm: 9", "", 'missing key "size_mm": Size along azimuth'),
         ("kind: ring, outer_radius_mm: 9, distance_mm: 9", "", 'missing key "inner_radius_mm"'),
         ("kind: low_angle_ring, radius_mm: 9, distance_mm: 9", "", 'missing key "height_mm"'),
         ("kind: dome", "", 'missing key "radius_mm"'),
@@ -60,12 +60,20 @@ def test_channels_are_lights(light: str, names: list[str], tmp_path: Path) -> No
         ("kind: spot, distance_mm: 9", "", 'missing key "half_angle_deg"'),
         ("LEDS, rows: 2, columns: 2, distance_mm: 9", "", 'missing key "led_mm"'),
         ("kind: bar, size_mm: [9, 9]", "", 'missing key "distance_mm"'),
-        ("kind: bar, size_mm: [9, 9], distance_mm: 9, points: 4", "points", "a light of kind bar has no such key"),
-        ("kind: dome, radius_mm: 9, falloff: none", "falloff", "a light of kind dome has no such key"),
-        ("kind: spot, half_angle_deg: 3, distance_mm: 9, pose: {}", "pose", "a light of kind spot has no such key"),
+        ("kind: bar, size_mm: [9, 9], distance_mm: 9, points: 4", "points", "kind bar has no such key"),
+        ("kind: dome, radius_mm: 9, falloff: none", "falloff", "kind dome has no such key"),
+        ("kind: spot, half_angle_deg: 3, distance_mm: 9, pose: {}", "pose", "kind spot has no such key"),
         ("kind: lamp, distance_mm: 9", "kind", 'or backlight, found "lamp"'),
-        ("distance_mm: 9, elevation_deg: 9, azimuth_deg: 9, segments: 2", "segments", "a panel has no such key"),
-        ("distance_mm: 0, elevation_deg: 9, azimuth_deg: 9", "distance_mm", "a panel cannot stand at the origin"),
+        (
+            "distance_mm: 9, elevation_deg: 9, azimuth_deg: 9, segments: 2",
+            "segments",
+            "kind panel has no such key; it belongs to ring, low_angle_ring, dome",
+        ),
+        (
+            "distance_mm: 0, elevation_deg: 9, azimuth_deg: 9",
+            "distance_mm",
+            "a light of kind panel cannot stand at the origin",
+        ),
         ("LEDS, rows: 20, columns: 20, led_mm: 1, distance_mm: 9", "rows", "at most 256 LEDs"),
         ("LEDS, rows: 1, columns: 3, led_mm: 4, distance_mm: 9", "led_mm", "the LEDs overlap"),
         (
@@ -104,12 +112,8 @@ def test_channels_are_lights(light: str, names: list[str], tmp_path: Path) -> No
             "expected a number from 0 to 1, found -1",
         ),
         ("DISPLAY, pattern: {period_mm: 4, phases: 2}", "pattern.phases", "fewer give no phase, found 2"),
-        (
-            "DISPLAY, pattern: {kind: bars, period_mm: 4, phases: 4}",
-            "pattern.phases",
-            "a pattern of kind bars has no such key",
-        ),
-        ("DISPLAY, pattern: {period_mm: 4, duty: 0.3}", "pattern.duty", "a pattern of kind sine has no such key"),
+        ("DISPLAY, pattern: {kind: bars, period_mm: 4, phases: 4}", "pattern.phases", "kind bars has no such key"),
+        ("DISPLAY, pattern: {period_mm: 4, duty: 0.3}", "pattern.duty", "kind sine has no such key"),
         (
             "DISPLAY, pattern: {kind: bars, period_mm: 4, duty: 1}",
             "pattern.duty",
@@ -121,7 +125,7 @@ def test_channels_are_lights(light: str, names: list[str], tmp_path: Path) -> No
         ("DISPLAY, pattern: {phases: 4}", "pattern", 'missing key "period_mm"'),
         ("DISPLAY, pattern: {period_mm: 4, period_deg: 90}", "pattern.period_deg", "a display has period_mm"),
         ("DISPLAY, pattern: {kind: bitmap}", "pattern", 'missing key "files"'),
-        ("DISPLAY, pattern: {kind: bitmap, files: [a.jpg]}", "pattern.files", "files ending in .png"),
+        ("DISPLAY, pattern: {kind: bitmap, files: [a.jpg]}", "pattern.files", "a file ending in .png"),
         ("DISPLAY, pattern: {kind: bitmap, files: [a.png]}", "pattern.files", "no such file"),
         ("DISPLAY, pattern: {kind: bitmap, files: [a.png], phases: 4}", "pattern.phases", "bitmap has no such key"),
         ("kind: dome, radius_mm: 9, pattern: {period_mm: 4}", "pattern", 'missing key "period_deg"'),
