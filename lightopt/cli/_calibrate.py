@@ -24,7 +24,6 @@ def calibrate(
     report: common.Report = True,
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
 ) -> None:
     """Measure camera, stage, panels and sensor of RIG from images of targets on its stage.
 
@@ -39,21 +38,19 @@ def calibrate(
 
     loaded = load_rig(rig)
     if plan:
-        _plan(loaded, folder, force=force, quiet=quiet)
+        _plan(loaded, folder, force=force)
         return
     from lightopt.estimate.rig_calibration import REPORT_NAME, calibrate_rig, figures, write_calibration
     from lightopt.images import write_text_atomic
     from lightopt.report import calibration_lines, calibration_report
 
-    with run_context(quiet=quiet, threads=threads) as run:
+    with run_context(threads) as run:
         found = calibrate_rig(loaded, folder, run=run)
     run.warn(*found.warnings)
     written = [*write_calibration(found, force=force)]
     if report:
         write_text_atomic(folder / REPORT_NAME, calibration_report(found, figures(found)), overwrite=force)
         written.append(folder / REPORT_NAME)
-    if quiet:
-        return
     for what, text in calibration_lines(found):
         echo(f"{what}: {text}")
     if found.unobservable:
@@ -61,10 +58,10 @@ def calibrate(
     if found.board is not None and found.board.next_posture is not None:
         gain = found.board.next_posture
         echo(f"a view at {gain.posture} would help most: {found.board.predicted_rms:.2g} → {gain.predicted_rms:.2g} px")
-    echo_paths(written)
+    echo_paths(*written)
 
 
-def _plan(loaded: RigConfig, folder: Path, *, force: bool, quiet: bool) -> None:
+def _plan(loaded: RigConfig, folder: Path, *, force: bool) -> None:
     from lightopt.estimate.rig_calibration import plan_calibration
     from lightopt.report import board_sheet
 
@@ -72,8 +69,6 @@ def _plan(loaded: RigConfig, folder: Path, *, force: bool, quiet: bool) -> None:
     if planned.board is not None:
         for suffix in (".pdf", ".png"):
             board_sheet(planned.board, folder / f"board{suffix}")
-    if quiet:
-        return
     echo(f"{planned.images} images to capture, and two sets of one posture for the sensor")
     for number, text in enumerate((*planned.targets, "capture and calibrate:"), start=1):
         echo(f"{number}. {text}")

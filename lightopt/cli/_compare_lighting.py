@@ -7,7 +7,7 @@ import typer
 
 from lightopt.cli import _common as common
 from lightopt.cli._common import output_option
-from lightopt.cli._terminal import echo, echo_paths, echo_warning, run_context, show_page_table
+from lightopt.cli._terminal import VERBOSE, echo, echo_paths, echo_warning, run_context, show_page_table
 from lightopt.core.errors import InputError
 
 system_option = partial(typer.Option, rich_help_panel="Adjustment of each system")
@@ -41,8 +41,6 @@ def compare_lighting(
     report: bool = output_option(True, "--report/--no-report", help="Write a report for each system as well."),
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Compare lighting systems by the defects that they show on PART.
 
@@ -78,16 +76,14 @@ def compare_lighting(
         report=report,
     )
     plan = PlanOptions(choose_postures=choose_postures, exposures=chosen_exposures)
-    with run_context(quiet=quiet, threads=threads) as run:
+    with run_context(threads) as run:
         found = comparison.compare_lighting(
             files, part, out, options=options, plan=plan, tolerances=tolerances, force=force, run=run
         )
-    if quiet:
-        return
     echo(comparison.answer_text(found))
     show_page_table(comparison.systems_table(found))
     for one in found.unusable:
         echo_warning(f"{one.name} cannot be used: {'; '.join(one.messages)}")
-    if verbose:
+    if VERBOSE.get():
         echo(comparison.systems_table(found).caption)
-    echo_paths(found.paths)
+    echo_paths(*found.paths)

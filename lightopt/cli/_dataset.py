@@ -27,8 +27,6 @@ def dataset(
     stacks: bool = output_option(False, "--stacks", help="Also write the images of each pose as HDF5 (needs h5py)."),
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    _verbose: common.Verbose = False,
 ) -> None:
     """Render a labelled training set for defect detectors: good and defective pieces of PART under the lights of RIG.
 
@@ -53,11 +51,9 @@ def dataset(
     )
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     chosen = None if ranges is None else load_ranges(ranges)
-    with run_context(quiet=quiet, threads=threads) as run:
+    with run_context(threads) as run:
         done = make_dataset(loaded_rig, loaded_part, out, options=options, ranges=chosen, force=force, run=run)
-    if quiet:
-        return
     resumed = f" ({done.resumed} of them existed already)" if done.resumed else ""
     echo(f"{counted(done.samples, 'sample')}, {counted(done.images, 'image')}, {counted(done.poses, 'pose')}{resumed}")
     echo(f"{counted(done.defects, 'defect')}, {done.visible} of them visible in the images of their sample")
-    echo_paths(done.files)
+    echo_paths(*done.files)

@@ -40,7 +40,6 @@ def import_(
         None, metavar="N", help="Bits of the camera, if 16-bit files have fewer: 10, 12, 14."
     ),
     force: common.Force = False,
-    quiet: common.Quiet = False,
 ) -> None:
     """Make rig.yaml, part.yaml and an image set from photographs, a table of lights and a camera calibration.
 
@@ -64,10 +63,8 @@ def import_(
         gamma=gamma,
         bits=bits,
     )
-    with run_context(quiet=quiet) as run:
+    with run_context() as run:
         done = import_photographs(images, lights, out, options=options, force=force, run=run)
-    if quiet:
-        return
     entries, rig, part = done.manifest.images, out / "rig.yaml", out / "part.yaml"
     echo(
         f"{counted(len(entries), 'photograph')} of {done.size[0]} × {done.size[1]} px, {done.manifest.bit_depth} bits, "

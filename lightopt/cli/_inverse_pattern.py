@@ -25,14 +25,9 @@ def inverse_pattern(
     ),
     pixels: str = common.model_option("64x48", metavar="WxH", help="Columns and rows of the picture."),
     period: float = common.model_option(
-        16.0,
-        "--period-px",
-        metavar="N",
-        min=0.0,
-        help="Period of the regular pattern in the camera's image [px]; 0 for a flat one, which hides slopes.",
+        16.0, "--period-px", metavar="N", min=0.0, help="Period of the pattern in the image [px]; 0: flat."
     ),
     force: common.Force = False,
-    quiet: common.Quiet = False,
 ) -> None:
     """Compute the picture on a display whose reflection in a good part is a regular pattern of known levels.
 
@@ -56,15 +51,13 @@ def inverse_pattern(
     loaded_rig = loaded_rig.without_programme()
     scene = build_scene(loaded_rig, loaded_part, postures=chosen)
     display = series.display_of(loaded_rig, scene, light)
-    with run_context(quiet=quiet) as run:
+    with run_context() as run:
         run.warn(*scene.warnings)
         found = series.inverse_pattern(scene, display, pixels=(columns, rows), period_px=period or None)
         tilts = series.tilt_residuals(scene, found, [math.radians(tilt) for tilt in TILTS_DEG])
         shown = series.defects_shown(scene, found)
     facts = {"light": light, "posture": scene.postures[0].as_dict(), "period_px": period, "residual": found.residual}
     write_png(out, found.levels, metadata=facts, overwrite=force)
-    if quiet:
-        return
     mean = float(found.target.mean())
     echo(f"{counted(len(found.row), 'camera pixel')} of the part; mean level {mean:.4g} at exposure 1")
     echo(f"rendered reflection less the pattern: {100.0 * found.residual:.2g} % of the mean level (root mean square)")

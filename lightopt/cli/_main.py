@@ -51,6 +51,9 @@ _COMMANDS = {
 }
 
 
+_FOR_A_START = ("init", "schema")  # what they print is what they are called for
+
+
 class _Commands(typer.core.TyperGroup):
     """The commands, made when they are called and not where they are only listed."""
 
@@ -71,14 +74,15 @@ class _Commands(typer.core.TyperGroup):
 
 class _MadeOnDemand(UserDict[str, Any]):
     def __missing__(self, name: str) -> Any:
-        from lightopt.cli._common import PLAIN, HeadedCommand
+        from lightopt.cli._common import PLAIN, HeadedCommand, with_output_options
 
         module, text = _COMMANDS[name]
         function = f"{name}_" if keyword.iskeyword(name) else re.sub(r"\W+", "_", name)
         found = getattr(importlib.import_module(f"lightopt.cli.{module}"), function)
         if not isinstance(found, typer.Typer):
             alone = typer.Typer(**PLAIN)
-            alone.command(name, short_help=text, cls=HeadedCommand)(found)
+            shown = found if name in _FOR_A_START else with_output_options(found)
+            alone.command(name, short_help=text, cls=HeadedCommand)(shown)
             found = alone
         self[name] = typer.main.get_command(found)
         return self[name]

@@ -9,9 +9,8 @@ import typer
 from lightopt.cli import _common as common
 from lightopt.cli._common import output_option
 from lightopt.cli._optimize_tables import show_commands, show_design, show_plan
-from lightopt.cli._terminal import echo, echo_warning, show_progress, show_table
+from lightopt.cli._terminal import echo, run_context, show_table
 from lightopt.core.errors import CheckFailed, refuse
-from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
@@ -41,10 +40,7 @@ def optimize(
         "postures; or other positions for each posture, so that the lights have to be moved between postures.",
     ),
     max_combinations: int | None = light_option(
-        None,
-        metavar="N",
-        help="Stop after about N combinations and report a bound. Each branching step counts as 20000.",
-        show_default="200000000",
+        None, metavar="N", help="Stop after about N combinations and report a bound.", show_default="200000000"
     ),
     objective: list[str] | None = objective_option(
         None,
@@ -60,16 +56,10 @@ def optimize(
         None, metavar="K", min=1, help="detectability: number of images that must show a defect.", show_default="2"
     ),
     false_alarms: float | None = objective_option(
-        None,
-        metavar="N",
-        help="detectability: expected false alarms per posture that the inspection may have, from 1e-9 to 1.",
-        show_default="0.05",
+        None, metavar="N", help="detectability: false alarms per posture, from 1e-9 to 1.", show_default="0.05"
     ),
     calibration: Path | None = objective_option(
-        None,
-        metavar="FILE",
-        help="detectability: calibration.json of inspect --calibrate for RIG as it stands; defects count from its "
-        "threshold on, and its false-alarm rate becomes the default.",
+        None, metavar="FILE", help="detectability: threshold and false-alarm rate of this calibration.json of inspect."
     ),
     choose_postures: int | None = posture_option(
         None, metavar="N", help="Choose the N postures with the best joint detectability. With --target: at most N."
@@ -81,35 +71,22 @@ def optimize(
         None, metavar="DEG", help="Step of the candidate postures.", show_default="22.5"
     ),
     allow_outside: float | None = posture_option(
-        None,
-        metavar="PX",
-        help="Number of pixels by which the part may extend beyond the image in a candidate posture.",
-        show_default="10",
+        None, metavar="PX", help="Pixels of the part beyond the image in a candidate posture.", show_default="10"
     ),
     exposures: str | None = exposure_option(
         None, metavar="X,…", help="Candidate relative exposure times in addition to 1, such as 1/16,1/4,4,16."
     ),
     exposure_gain: float | None = exposure_option(
-        None,
-        metavar="POINTS",
-        help="Minimum increase of detectability for each exposure that is added [percentage points].",
-        show_default="1",
+        None, metavar="POINTS", help="Least gain of an exposure [percentage points of detectability].", show_default="1"
     ),
     light_tolerance: float | None = tolerance_option(
-        None,
-        metavar="DEG",
-        help="Report the loss of score if the elevation and azimuth of each light are off by up to this angle.",
+        None, metavar="DEG", help="Report the loss of score if elevation and azimuth of each light are off by this."
     ),
     pose_tolerance: float | None = tolerance_option(
-        None,
-        metavar="DEG",
-        help="Report the loss of score if the tilt and rotation of the part are off by up to this angle.",
+        None, metavar="DEG", help="Report the loss of score if tilt and rotation of the part are off by this."
     ),
     tolerance_target: str | None = tolerance_option(
-        None,
-        metavar="SHARE",
-        help="Report the widest tolerances that keep this share of the score.",
-        show_default="0.95",
+        None, metavar="SHARE", help="Report the tolerances that keep this share.", show_default="0.95"
     ),
     points: common.Points = None,
     shadows: common.Shadows = True,
@@ -122,8 +99,6 @@ def optimize(
     ranking_rows: int = output_option(100, metavar="N", help="Rows of ranking.csv per posture and objective."),
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Find the best positions of RIG's lights for PART by exact search.
 
@@ -211,19 +186,16 @@ def optimize(
         **_given(min_images=min_images, false_alarms=false_alarms, patch_budget=patches, limit=max_combinations),
     )
     try:
-        with show_progress(quiet=quiet) as progress:
-            run = RunContext(threads=threads, progress=progress, inform=echo if verbose else None, warn=echo_warning)
+        with run_context(threads) as run:
             result = design.optimize(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
             output = design.write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
             design.finish_design(output, design_report(output) if options.report else None)
     except design.TargetNotReached as error:
-        if not quiet:
-            _show_reachable(error)
+        _show_reachable(error)
         raise
-    if not quiet:
-        show_plan(result.plan, verbose=verbose)
-        show_design(output, verbose=verbose)
-        show_commands(result.plan, out, verbose=verbose)
+    show_plan(result.plan)
+    show_design(output)
+    show_commands(result.plan, out)
     messages = [
         f"{', '.join(map(str, one.postures))}: objective {answer.objective.name}: {answer.nothing}"
         for one in result.results

@@ -24,11 +24,7 @@ def optimize_from_images(
     sets: Sets,
     out: common.Out,
     region: Path | None = sample_option(
-        None,
-        "--region",
-        metavar="PNG",
-        help="Picture that is not 0 where the part is to be inspected.",
-        show_default="where the part is seen",
+        None, "--region", metavar="PNG", help="Where to inspect: not 0.", show_default="where the part is seen"
     ),
     images: int = choice_option(4, "--images", "-k", metavar="N", min=1, help="Number of images to take of a part."),
     mix: bool = choice_option(False, "--mix", help="Show several lights in an image, each with a weight."),
@@ -42,16 +38,11 @@ def optimize_from_images(
         None, "--rig", metavar="RIG", help="Rig file of the lights; written with the programme as rig.optimized.yaml."
     ),
     compare: Path | None = output_option(
-        None,
-        "--compare",
-        metavar="SET",
-        help="Image set captured with this programme; it is compared with the synthesised images.",
+        None, "--compare", metavar="SET", help="Set captured with the programme, to compare with what is synthesised."
     ),
     report: common.Report = True,
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Choose lights from images of samples, without a CAD model.
 
@@ -82,17 +73,15 @@ def optimize_from_images(
             "that is to take the programme)"
         )
     options = FromImagesOptions(images=images, mix=mix, false_alarms=false_alarms, limit=max_combinations)
-    with run_context(quiet=quiet, threads=threads) as run:
+    with run_context(threads) as run:
         result = choose(sets, options=options, region=region, rig=rig, captured=compare, run=run)
         output = write_from_images(result, out, force=force, run=run)
         page = from_images_report(result) if report else None
         paths = finish_from_images(output, result, page)
-    if quiet:
-        return
     echo(" ".join(from_images_answer(result)))
     for table in (chosen_table(result), scores_table(result)):
         show_page_table(table)
-    show_page_table(defects_table(result), most=None if verbose else MOST_DEFECTS)
+    show_page_table(defects_table(result), most=MOST_DEFECTS)
     if result.agreement is not None:
         echo(agreement_text(*result.agreement))
-    echo_paths(paths)
+    echo_paths(*paths)

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightopt.cli._terminal import echo, echo_paths, show_page_table, show_table
+from lightopt.cli._terminal import VERBOSE, echo, echo_paths, show_page_table, show_table
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
@@ -19,19 +19,19 @@ Section = Mapping[str, Any]  # of result.json, as the report has it
 SUMMED_UP_FILES = 3  # so many files beside the main ones, or more, are counted and not listed
 
 
-def show_design(output: design.DesignOutput, *, verbose: bool) -> None:
-    """The best sets with every objective's score, and the main files; with `verbose` all tables and files."""
+def show_design(output: design.DesignOutput) -> None:
+    """The best sets with every objective's score, and the main files; of a verbose command all tables and files."""
     from lightopt import design
     from lightopt.report.design import blind_tables, capture_text, defect_tables
 
     result = output.result
-    _show_best(result, verbose=verbose)
+    _show_best(result)
     for one in result.results:
         if (gain := one.gain_text) is not None:
             echo(gain if len(result.results) == 1 else f"posture {one.postures[0]}: {gain}")
     if any(one.answers[0].nothing is None for one in result.results):
         echo(f"capture: {capture_text(result)}")
-    if verbose:
+    if VERBOSE.get():
         for out in result.all_candidates.left_out:
             named = zip(design.AXES, design.place_text(out.place).split(", "), strict=False)
             echo(f"left out: {out.light} at {', '.join(map(' '.join, named))}: it {out.reason}")
@@ -51,22 +51,22 @@ def show_design(output: design.DesignOutput, *, verbose: bool) -> None:
         shares = sorted(chosen.by_reason().items())
         reasons = "; ".join(f"{design.blind_text(code, result.blind.lights)} {text(share)}" for code, share in shares)
         echo(f"seen {text(chosen.seen)} of {design.BLIND_SHARES_OF}; {reasons}")
-    _show_paths(output, verbose=verbose)
+    _show_paths(output)
 
 
-def _show_paths(output: design.DesignOutput, *, verbose: bool) -> None:
+def _show_paths(output: design.DesignOutput) -> None:
     main = {"report.html", "result.json", "part.planned.yaml"}
     shown = [path for path in output.paths if path.name in main or path.name.startswith("rig.")]
     rest = len(output.paths) - len(shown)
-    if verbose or rest < SUMMED_UP_FILES:
+    if VERBOSE.get() or rest < SUMMED_UP_FILES:
         shown, rest = [*output.paths], 0
-    echo_paths(shown)
+    echo_paths(*shown)
     if rest:
         echo(f"and {rest} more files in {output.result.folder}; --verbose lists them")
 
 
-def _show_best(found: design.DesignResult, *, verbose: bool) -> None:
-    # with `verbose` also what the columns are, and what the shares of scores are shares of
+def _show_best(found: design.DesignResult) -> None:
+    # of a verbose command also what the columns are, and what the shares of scores are shares of
     from lightopt.design import LEFT_OUT_MEANING, near_meaning, shares_of
 
     names = [answer.objective.name for answer in found.results[0].answers]
@@ -79,7 +79,7 @@ def _show_best(found: design.DesignResult, *, verbose: bool) -> None:
             rows.append([posture, answer.objective.name, *_cells(answer, result, found)])
             posture = ""
     show_table(header, rows, numbers_from=2)
-    if not verbose:
+    if not VERBOSE.get():
         return
     objectives = [answer.objective for answer in found.results[0].answers]
     for surface, surface_names in shares_of(objectives).items():
@@ -113,24 +113,24 @@ def show_overlaps(overlaps: Sequence[Overlap]) -> None:
     show_table(["posture", "exposure", "saturated px", "in two or more", "overlaps"], rows, numbers_from=9)
 
 
-def show_plan(result: design.PlanResult, *, verbose: bool) -> None:
-    """What a plan shows; with `verbose` also its tables, what the figures mean and how far they hold."""
+def show_plan(result: design.PlanResult) -> None:
+    """What a plan shows; of a verbose command also its tables, what the figures mean and how far they hold."""
     from lightopt.design import plan_document
     from lightopt.report.design import exposure_note, exposure_table, tolerance_table
 
     document = plan_document(result)
     if "chosen_postures" in document:
-        _show_postures(document, verbose=verbose)
+        _show_postures(document)
     if "exposures" in document:
         planned = document["exposures"]
-        if verbose:
+        if VERBOSE.get():
             show_page_table(exposure_table(planned))
         echo(exposure_note(planned))
-        if verbose and "chosen_postures" not in document:
+        if VERBOSE.get() and "chosen_postures" not in document:
             echo(f"shares of exposures: of {planned['shares_of']}")
     if "tolerances" in document:
         table = tolerance_table(document["tolerances"])
-        if verbose:
+        if VERBOSE.get():
             show_page_table(table)
         else:
             worst, most = (row[-1] for row in table.rows[:2])
@@ -140,8 +140,8 @@ def show_plan(result: design.PlanResult, *, verbose: bool) -> None:
             )
 
 
-def show_commands(result: design.PlanResult, folder: Path, *, verbose: bool) -> None:
-    """The commands that carry a plan out; with `verbose` the travel of the stage as well."""
+def show_commands(result: design.PlanResult, folder: Path) -> None:
+    """The commands that carry a plan out; of a verbose command the travel of the stage as well."""
     from lightopt.design import plan_document
 
     document = plan_document(result)
@@ -149,7 +149,7 @@ def show_commands(result: design.PlanResult, folder: Path, *, verbose: bool) -> 
         echo(f"commands to carry out the plan, to be run in {folder}:")
         for command in document["commands"]:
             echo(f"  {command}")
-        if verbose and len(document["rounds"]) > 1:
+        if VERBOSE.get() and len(document["rounds"]) > 1:
             from lightopt.core.transforms import Posture
 
             for number, one in enumerate(document["rounds"], start=1):
@@ -159,7 +159,7 @@ def show_commands(result: design.PlanResult, folder: Path, *, verbose: bool) -> 
             echo(f"total travel {total:.1f} s, without the returns to (0°, 0°)")
 
 
-def _show_postures(document: Section, *, verbose: bool) -> None:
+def _show_postures(document: Section) -> None:
     from lightopt.core.transforms import Posture
     from lightopt.design import finding_text, share_text
     from lightopt.report.design import plan_proof, posture_facts, posture_table
@@ -173,7 +173,7 @@ def _show_postures(document: Section, *, verbose: bool) -> None:
     show_page_table(table)
     _show_spare(chosen, text)
     proof = plan_proof(chosen)
-    if not verbose:
+    if not VERBOSE.get():
         echo(proof.partition(". ")[0].removesuffix("."))
         return
     echo(proof)

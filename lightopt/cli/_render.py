@@ -25,8 +25,6 @@ def render(
     derived: common.Derived = False,
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    _verbose: common.Verbose = False,
 ) -> None:
     """Render the images that the camera of RIG would take of PART, for each light and posture.
 
@@ -52,18 +50,17 @@ def render(
         patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
     )
     loaded_rig, loaded_part = common.load_inputs(rig, part)
-    with run_context(quiet=quiet, threads=threads) as run:
+    with run_context(threads) as run:
         done = render_image_set(loaded_rig, loaded_part, out, options=options, force=force, run=run)
-    if not quiet:
-        resumed = f" ({done.resumed} of them existed already)" if done.resumed else ""
-        echo(f"{counted(done.images, 'image')}{resumed}, {done.rays / 1e6:.1f} million rays")
-        if done.replaced:
-            echo(f"replaced the existing image set ({counted(done.replaced, 'file')})")
-        if done.patches is not None:
-            echo(done.patches)
-        echo(f"{done.folder / 'manifest.json'}")
+    resumed = f" ({done.resumed} of them existed already)" if done.resumed else ""
+    echo(f"{counted(done.images, 'image')}{resumed}, {done.rays / 1e6:.1f} million rays")
+    if done.replaced:
+        echo(f"replaced the existing image set ({counted(done.replaced, 'file')})")
+    if done.patches is not None:
+        echo(done.patches)
+    echo(f"{done.folder / 'manifest.json'}")
     if sheet:
         title = f"{loaded_part.name} on {loaded_rig.name}"
-        common.add_sheets(out, loaded_rig, exposures=options.exposures, title=title, force=force, quiet=quiet)
+        common.add_sheets(out, loaded_rig, exposures=options.exposures, title=title, force=force)
     if derived:
-        common.add_derived(loaded_rig, loaded_part, out, out, force=force, quiet=quiet)
+        common.add_derived(loaded_rig, loaded_part, out, out, force=force)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from lightopt.cli import _common as common
 from lightopt.cli._common import model_option
-from lightopt.cli._terminal import echo, echo_paths, run_context, show_page_table
+from lightopt.cli._terminal import VERBOSE, echo, echo_paths, run_context, show_page_table
 from lightopt.core.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
@@ -24,9 +24,7 @@ def verify(
         None, metavar="SET", help="Known good image set of the same part: report what has changed since."
     ),
     plan: Path | None = model_option(
-        None,
-        metavar="FILE",
-        help="result.json of optimize --light-tolerance or --pose-tolerance: its tolerances are limits.",
+        None, metavar="FILE", help="result.json of optimize with tolerances, which become the limits."
     ),
     limit: list[str] | None = model_option(
         None,
@@ -43,8 +41,6 @@ def verify(
     report: common.Report = True,
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Compare captured IMAGES with the prediction and name what has changed on the rig.
 
@@ -66,13 +62,12 @@ def verify(
     folder = verification.verify_folder(
         out, loaded_rig, loaded_part, image_set, baseline=good, limits=limits, register=register, force=force
     )
-    with run_context(quiet=quiet, threads=threads) as run:
+    with run_context(threads) as run:
         result = verification.verify_set(
             loaded_rig, loaded_part, image_set, baseline=good, limits=limits, register=register, run=run
         )
     run.warn(*result.warnings)
-    if not quiet:
-        _show(result, verbose=verbose)
+    _show(result)
     written: list[Path] = []
     if report:
         page = verification_report(result, part=loaded_part.name, rig=loaded_rig.name, provenance=folder.made_from)
@@ -82,7 +77,7 @@ def verify(
         name = image_set.folder.resolve().name
         rows = verification.append_history(history, result, name=name, when=datetime.now(timezone.utc))
         written += [history / verification.HISTORY_NAME, history_chart(rows, history / "history.png")]
-    echo_paths(written, quiet=quiet)
+    echo_paths(*written)
     if not result.within_tolerances:
         raise CheckFailed(result.answer)
 
@@ -107,16 +102,15 @@ def _limits(given: list[str]) -> dict[str, float]:
     return values
 
 
-def _show(result: Verification, *, verbose: bool) -> None:
+def _show(result: Verification) -> None:
     from lightopt.report import findings_table, lights_table
 
     echo(result.answer if result.within_tolerances else "the rig has left its tolerances")
-    most = None if verbose else MOST_ROWS
     if result.findings:
-        show_page_table(findings_table(result), most=most)
-    for finding in result.findings[:most]:
+        show_page_table(findings_table(result), most=MOST_ROWS)
+    for finding in result.findings[: None if VERBOSE.get() else MOST_ROWS]:
         if finding.remedy:
             echo(f"to tell {finding.cause}: {finding.remedy}")
-    show_page_table(lights_table(result), most=most)
-    if not verbose and max(len(result.findings), len(result.lights)) > MOST_ROWS:
+    show_page_table(lights_table(result), most=MOST_ROWS)
+    if not VERBOSE.get() and max(len(result.findings), len(result.lights)) > MOST_ROWS:
         echo("--verbose shows all rows")

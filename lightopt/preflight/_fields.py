@@ -1,4 +1,4 @@
-"""Bright field and dark field of each light, and the camera hole that the part mirrors."""
+"""What the surface in view mirrors: lights (bright field and dark field), their camera holes, the part itself."""
 
 import itertools
 import math
@@ -22,6 +22,8 @@ _SHARES_ACROSS = (0.25, 0.5, 0.75)  # of the tilt across the brushing, that are 
 
 _HOLE_SHARE = 0.01  # of the surface in view, above which a mirrored camera hole is worth a note
 
+NOTED_SHARE, WARNED_SHARE = 0.01, 0.05  # of the surface in view
+
 
 def check_fields(checked: CheckedScene) -> Iterator[Finding]:
     """How much of the surface in view has each light in bright field, in dark field, or not at all."""
@@ -37,11 +39,9 @@ def check_fields(checked: CheckedScene) -> Iterator[Finding]:
         above = np.einsum("ik,jk->ji", some.normals, targets) > np.einsum("ik,ik->i", some.normals, some.points)
         lit = np.any(checked.caster.visible(some.points, some.facets, targets, candidates=above), axis=0)
         shares = [float(np.mean(a)) for a in (bright, lit & ~bright, ~lit & ~bright)]
-        text = (
-            f"posture {sample.posture}: of the surface in view {name} has {percent(shares[0])} in bright field (it is "
-            f"mirrored to the camera, within {LOBE_SIGMAS:g}σ), {percent(shares[1])} in dark field, and "
-            f"{percent(shares[2])} gets no light of it"
-        )
+        text = f"posture {sample.posture}: of the surface in view {name} has {percent(shares[0])} in bright field "
+        text += f"(mirrored to the camera, within {LOBE_SIGMAS:g}σ) and {percent(shares[1])} in dark field; "
+        text += f"{percent(shares[2])} is unlit"
         values = {"light": name, "posture": sample.posture.as_dict(), **dict(zip(names, shares, strict=True))}
         yield Finding("ok", "bright field", text, checked.rig.source.at("lights", channels[0]), values)
 
@@ -61,13 +61,33 @@ def check_camera_hole(checked: CheckedScene) -> Iterator[Finding]:
             own = _distinct([sample.view.lights[i] for i in channels])
             whole = filled.moved(sample.view.rotation.T, -sample.view.rotation.T @ sample.view.translation)
             share = float(np.mean(_meets([whole], some, ends)[0] & ~_meets(own, some, ends)[0]))
-            text = (
-                f"posture {sample.posture}: {percent(share)} of the surface in view mirrors the opening of {name} that "
-                "the camera looks through, which is a dark spot on a glossy part"
-            )
+            text = f"posture {sample.posture}: {percent(share)} of the surface in view mirrors the opening of {name} "
+            text += "that the camera looks through, which is a dark spot on a glossy part"
             values = {"light": name, "posture": sample.posture.as_dict(), "share": share}
             where = checked.rig.source.at("lights", channels[0])
             yield Finding("note" if share > _HOLE_SHARE else "ok", "camera hole", text, where, values)
+
+
+def check_mirrored_part(checked: CheckedScene) -> Iterator[Finding]:
+    """Share of the surface in view that mirrors the part, in place of the lights and the dark box; none if it is 0."""
+    if all(one.R_s == 0.0 for one in checked.scene.shown):
+        return
+    for sample in checked.samples:
+        front = np.flatnonzero(sample.surface.front)
+        if not len(front):
+            continue
+        some = sample.surface.take(front[:: max(1, len(front) // POINTS)])
+        mirrored = 2.0 * np.einsum("ik,ik->i", some.normals, some.views)[:, None] * some.normals - some.views
+        meets = checked.caster.next_hit(some.points, some.facets, mirrored) >= 0
+        share = float(np.mean(checked.glossy(some) & meets & (np.einsum("ik,ik->i", mirrored, some.facets) > 0.0)))
+        if share == 0.0:
+            continue
+        text = f"{percent(share)} of the surface in view mirrors the part itself"
+        if share > NOTED_SHARE:
+            text += ". Images without its light are too dark there: use render --bounces 1, virtual_bench.bounces and "
+            text += "inspection.bounces. Fits and plans leave this light out"
+        level = "warning" if share > WARNED_SHARE else "note" if share > NOTED_SHARE else "ok"
+        yield checked.of_posture(sample, level, "mirrored part", text, share=share)
 
 
 def light_entries(lights: Sequence[LightConfig]) -> Iterator[tuple[str, list[int]]]:

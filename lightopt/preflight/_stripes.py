@@ -33,11 +33,8 @@ def check_stripes(checked: CheckedScene) -> Iterator[Finding]:
             if not len(cycles):
                 continue
             share, least = float(np.mean(cycles > 1.0 / LEAST_PERIOD_PX)), 1.0 / float(cycles.max())
-            text = (
-                f"posture {sample.posture}: stripes of {name} have periods of at least {least:.3g} px, "
-                f"mirrored by the part; {percent(share)} of the surface that mirrors them shows them below "
-                f"{LEAST_PERIOD_PX:g} px"
-            )
+            text = f"posture {sample.posture}: mirrored stripes of {name} have periods of at least {least:.3g} px, "
+            text += f"below {LEAST_PERIOD_PX:g} px on {percent(share)} of the surface that mirrors them"
             if share > 0.0:
                 text += ", where the image is moiré and the phase is wrong: take a longer period or larger images"
             values = {"light": name, "posture": sample.posture.as_dict(), "share": share, "least_px": least}
