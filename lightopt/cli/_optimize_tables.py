@@ -22,10 +22,13 @@ SUMMED_UP_FILES = 3  # so many files beside the main ones, or more, are counted 
 def show_design(output: design.DesignOutput) -> None:
     """The best sets with every objective's score, and the main files; of a verbose command all tables and files."""
     from lightopt import design
-    from lightopt.report.design import blind_tables, capture_text, defect_tables
+    from lightopt.report.design import best_table, blind_tables, capture_text, defect_tables
 
-    result = output.result
-    _show_best(result)
+    result, best = output.result, best_table(output)
+    if best.rows:
+        show_page_table(best)
+    if VERBOSE.get():
+        echo(best.caption)
     for one in result.results:
         if (gain := one.gain_text) is not None:
             echo(gain if len(result.results) == 1 else f"posture {one.postures[0]}: {gain}")
@@ -63,44 +66,6 @@ def _show_paths(output: design.DesignOutput) -> None:
     echo_paths(*shown)
     if rest:
         echo(f"and {rest} more files in {output.result.folder}; --verbose lists them")
-
-
-def _show_best(found: design.DesignResult) -> None:
-    # of a verbose command also what the columns are, and what the shares of scores are shares of
-    from lightopt.design import LEFT_OUT_MEANING, near_meaning, shares_of
-
-    names = [answer.objective.name for answer in found.results[0].answers]
-    counts = ("left out", "runner-up", "ties", "near best", "combinations")
-    header = ["posture", "best for", *found.candidates.names, *names, *counts]
-    rows: list[list[str]] = []
-    for result in found.results:
-        posture = str(result.postures[0]) if len(result.postures) == 1 else f"all {len(result.postures)}"
-        for answer in result.answers:
-            rows.append([posture, answer.objective.name, *_cells(answer, result, found)])
-            posture = ""
-    show_table(header, rows, numbers_from=2)
-    if not VERBOSE.get():
-        return
-    objectives = [answer.objective for answer in found.results[0].answers]
-    for surface, surface_names in shares_of(objectives).items():
-        echo(f"shares of {' and '.join(surface_names)}: of {surface}")
-    echo(LEFT_OUT_MEANING)
-    echo(near_meaning(objectives))
-    echo("place of each light: elevation, azimuth about Z from +X, and the distance where it has a range")
-
-
-def _cells(answer: design.ObjectiveResult, result: design.SetResult, found: design.DesignResult) -> list[str]:
-    from lightopt import design
-
-    best, counted_text = answer.found, answer.combinations_text
-    if answer.nothing is not None:
-        blank = ["-"] * (len(found.candidates.names) + len(result.answers))
-        return [*blank, result.left_out_text, "-", "all 0", "all 0", counted_text]
-    places = [design.place_text(place) for place in design.places_of(found.candidates, best.best)]
-    objectives = {other.objective.name: other.objective for other in result.answers}
-    scores = [result.score_text(value, objectives[name]) for name, value in answer.scores.items()]
-    counts = [result.gap_text(answer), answer.ties_text, answer.near_text, counted_text]
-    return [*places, *scores, result.left_out_text, *counts]
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:

@@ -87,8 +87,9 @@ def version_wanted(wanted: bool) -> None:
 
 def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_from: int = 1) -> None:
     """A table on standard output; columns from `numbers_from` on are aligned to the right."""
-    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
-    for row in (header, *rows):
+    lines = [[cell.replace("\u00a0", " ") for cell in row] for row in (header, *rows)]
+    widths = [max(len(row[i]) for row in lines) for i in range(len(header))]
+    for row in lines:
         cells = [
             cell.rjust(width) if i >= numbers_from else cell.ljust(width)
             for i, (cell, width) in enumerate(zip(row, widths, strict=True))

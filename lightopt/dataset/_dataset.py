@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from lightopt.config import PartConfig, RangesConfig, RigConfig, input_hashes
-from lightopt.core.arrays import UInt8
 from lightopt.core.errors import counted, refuse
 from lightopt.core.provenance import file_sha256, provenance
 from lightopt.core.run_context import RunContext
@@ -21,7 +20,6 @@ from lightopt.dataset._masks import box_of, run_lengths
 from lightopt.dataset._pose import (
     FUSED,
     STACK,
-    Levels,
     PoseImages,
     PostureLimits,
     SampleImages,
@@ -42,12 +40,11 @@ TAKEN = (FUSED, STACK, "poses", "stacks")  # names that no light may have
 class DatasetResult:
     """What :func:`make_dataset` left on disk.
 
-    samples: With how many images under single lights
+    samples, images: Number of samples, and of images under single lights
     poses, resumed: Number of poses, and of those that a previous run had finished
-    defects: Number of defects, and of those that all images of their sample together can show
+    defects, visible: Number of defects, and of those that all images of their sample together can show
     """
 
-    folder: Path
     samples: int
     images: int
     poses: int
@@ -97,33 +94,29 @@ def make_dataset(
     out = DatasetFolder(
         folder, made_from, names=[*views, "poses", "stacks", "samples.csv", "datasheet.md"], force=force
     )
-    if (before := out.complete) is not None:
-        return _result(folder, before, resumed=int(before["poses"]))
+    if (complete := out.complete) is not None:
+        return _result(folder, complete, resumed=int(complete["poses"]))
     scene = build_scene(rig, part, defects=False, bounces=part.inspection.bounces)
     refuse_unusable_scene(scene, rig, part, cast_rays_at(scene))
     run.warn(*scene.warnings)
     poses = draw_poses(options, ranges, factors, scene.postures)
     splits = Counter(pose.split for pose in poses)
+    remedy = "more samples, or fewer samples per pose, help"
     if empty := [name for name in SPLITS if getattr(ranges.split, name) > 0.0 and not splits[name]]:
-        run.warn(
-            f"{counted(len(poses), 'pose')}: none is in the split {' or '.join(empty)}; more samples, or fewer samples "
-            "per pose, fill it"
-        )
+        run.warn(f"{counted(len(poses), 'pose')}: none is in the split {' or '.join(empty)}; {remedy}")
     shown = {pose.posture for pose in poses}
     if unshown := [str(posture) for posture in scene.postures if posture not in shown]:
-        run.warn(f"no sample is in posture {', '.join(unshown)}; more samples, or fewer samples per pose, show it")
+        run.warn(f"no sample is in posture {', '.join(unshown)}; {remedy}")
     out.begin(views)
     kinds = list(dict.fromkeys(entry.shape.kind for entry in catalogue))
     size = scene.camera.width, scene.camera.height
     work = _Work(rig, scene, catalogue, options, ranges, factors, views, kinds, size, out)
     limits: dict[Any, PostureLimits] = {}
+    before = {pose.number: record for pose in poses if (record := out.record(pose.number)) is not None}
     records: list[dict[str, Any]] = []
-    resumed = 0
     stage = run.stage("rendering poses")
     for pose in poses:
-        if (record := out.record(pose.number)) is not None:
-            resumed += 1
-        else:
+        if (record := before.get(pose.number)) is None:
             if pose.posture not in limits:
                 limits[pose.posture] = posture_limits(rig, scene, pose.posture, catalogue, options, run.threads)
             record = work.make_pose(pose, limits[pose.posture], run.threads)
@@ -131,16 +124,10 @@ def make_dataset(
         stage((pose.number + 1) / len(poses))
     samples = [sample for record in records for sample in record["samples"]]
     if cut_off := [record["pose"] for record in records if record["leaves_view"]]:
-        run.warn(
-            f"the part leaves the view in {counted(len(cut_off), 'pose')} of {len(poses)}, as in pose {cut_off[0]}; "
-            "lower shift_mm of the ranges' pose, or let the camera see more"
-        )
-    omitted = sum(record["omitted"] for record in records)
-    if omitted:
-        run.warn(
-            f"{counted(omitted, 'defect')} left out: no place was found where the image shows the whole defect; give "
-            "the part a defect_catalogue with smaller ones"
-        )
+        where = f"{counted(len(cut_off), 'pose')} of {len(poses)}, as in pose {cut_off[0]}"
+        run.warn(f"the part leaves the view in {where}; lower shift_mm of the ranges, or let the camera see more")
+    if omitted := sum(record["omitted"] for record in records):
+        run.warn(f"{counted(omitted, 'defect')} left out: no image shows all of it; use a catalogue of smaller ones")
     files = write_formats(out, samples, views, kinds, size)
     out.write_text("datasheet.md", datasheet(rig, part, options, ranges, factors, samples, views, omitted))
     defects = [one for sample in samples for one in sample["defects"]]
@@ -155,13 +142,13 @@ def make_dataset(
         "files": [*files, "datasheet.md"],
     }
     out.finish(found)
-    return _result(folder, found, resumed=resumed)
+    return _result(folder, found, resumed=len(before))
 
 
 def _result(folder: Path, found: Mapping[str, Any], *, resumed: int) -> DatasetResult:
     numbers = {name: int(found[name]) for name in ("samples", "images", "poses", "defects", "visible")}
     files = tuple(folder / name for name in (MANIFEST, "datasheet.md", "samples.csv"))
-    return DatasetResult(folder=folder, resumed=resumed, files=files, **numbers)
+    return DatasetResult(resumed=resumed, files=files, **numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +192,13 @@ class _Work:
 
         found = in_threads(make, list(draw.samples), threads)
         files = [f"poses/pose-{draw.number:06}.exr", *(name for _, names, _ in found for name in names)]
-        write_exr(self.out.path(files[0]), _channels(pose), metadata=draw.as_dict())
+        geometry = pose.actual.geometry
+        channels = {
+            **{f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")},
+            **{f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")},
+            **{f"{image.light}.Y": image.level for image in pose.view.prediction.images.lights},
+        }
+        write_exr(self.out.path(files[0]), channels, metadata=draw.as_dict())
         samples = [facts for facts, _, _ in found]
         if self.options.stacks:
             files.append(f"stacks/pose-{draw.number:06}.h5")
@@ -233,8 +226,11 @@ class _Work:
 
     def _write_sample(self, facts: Mapping[str, Any], images: SampleImages) -> list[str]:
         files: list[str] = []
-        pictures = [*(self._as_8_bits(one) for one in images.levels), *([] if images.fused is None else [images.fused])]
-        for view, picture in zip(self.views, pictures, strict=True):
+        shift = max(0, int(self.nominal.sensor.bit_depth) - 8)  # readers of datasets expect 8 bits
+        pictures = [(levels >> shift).astype(np.uint8) for levels in images.levels]
+        for view, picture in zip(
+            self.views, [*pictures, *([] if images.fused is None else [images.fused])], strict=True
+        ):
             image = facts["files"][view]
             metadata = {"sample": facts["sample"], "view": view}
             write_png(self.out.path(image), picture, metadata=metadata)
@@ -246,10 +242,6 @@ class _Work:
                 self.out.write_text(labels, yolo_text(facts["defects"], view, self.kinds, *self.size))
                 files.append(labels)
         return files
-
-    def _as_8_bits(self, levels: Levels) -> UInt8:
-        # readers of datasets expect 8 bits
-        return (levels >> max(0, int(self.nominal.sensor.bit_depth) - 8)).astype(np.uint8)
 
     def _write_stack(
         self, name: str, pose: PoseImages, samples: Sequence[dict[str, Any]], images: Sequence[SampleImages]
@@ -271,14 +263,3 @@ class _Work:
             arrays["fused"] = np.stack([one.fused for one in images if one.fused is not None])
         lights = [light.name for light in self.nominal.lights]
         write_stack(self.out.path(name), arrays, lights=lights, facts=samples)
-
-
-def _channels(pose: PoseImages) -> dict[str, Any]:
-    # what a pose's pixels look at, and the good part's images
-    geometry = pose.actual.geometry
-    images = pose.view.prediction.images.lights
-    return {
-        **{f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")},
-        **{f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")},
-        **{f"{image.light}.Y": image.level for image in images},
-    }

@@ -139,7 +139,7 @@ def datasheet(
     surface, sensor = part.surface, rig.camera.sensor
     waviness = "none" if surface is None else f"{surface.waviness_deg:g}°, {surface.waviness_mm:g} mm"
     electrons = f", {sensor.electrons_per_level:g} electrons per level" if sensor.electrons_per_level else ""
-    dusty = f"{dust.particles[0]} to {dust.particles[1]} particles of {limits(dust.size_mm)} mm"
+    particles = f"{dust.particles[0]} to {dust.particles[1]} particles of {limits(dust.size_mm)} mm"
     randomised = [
         ("placement of the part", "pose", f"± {reach.shift_mm:g} mm along X and Y, ± {reach.rotation_deg:g}°{tilt}"),
         ("waviness of the surface", "pose", waviness),
@@ -149,7 +149,7 @@ def datasheet(
         ("gains", "sample", f"× {gains}"),
         ("share of samples with defects", "sample", f"{ranges.defective:g}"),
         ("defects", "sample", f"{ranges.defects[0]} to {ranges.defects[1]}; place, direction, size and slope of each"),
-        ("dust", "sample", f"{dusty}, R_d {limits(dust.R_d)}"),
+        ("dust", "sample", f"{particles}, R_d {limits(dust.R_d)}"),
         ("noise", "image", f"read noise of {sensor.read_noise_levels:g} levels{electrons}"),
     ]
     by_split = Counter((one["split"], bool(one["defects"])) for one in samples)
