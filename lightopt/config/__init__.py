@@ -39,7 +39,6 @@ from lightopt.config._load import (
     load_rig as load_rig,
     load_targets as load_targets,
 )
-from lightopt.config._opencv_file import read_opencv_file as read_opencv_file
 from lightopt.config._part import (
     MOST_ACROSS as MOST_ACROSS,
     InspectionConfig as InspectionConfig,
@@ -51,5 +50,6 @@ from lightopt.config._part import (
 from lightopt.config._pose import standing_at as standing_at
 from lightopt.config._ranges import RangesConfig as RangesConfig
 from lightopt.config._rig import LightConfig as LightConfig, RigConfig as RigConfig
-from lightopt.config._source_file import Source as Source
+from lightopt.config._strict_yaml import Source as Source
 from lightopt.config._targets import BoardTargetConfig as BoardTargetConfig, TargetsConfig as TargetsConfig
+from lightopt.config._yaml_file import read_opencv_file as read_opencv_file

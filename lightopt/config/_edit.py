@@ -13,8 +13,7 @@ import yaml
 
 from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
-from lightopt.config._source_file import Keys, dotted
-from lightopt.config._strict_yaml import YamlError, parse
+from lightopt.config._strict_yaml import Keys, YamlError, dotted, parse
 from lightopt.core.errors import InputError
 
 _SCHEMA = re.compile(r"^(#\s*yaml-language-server:.*\$schema=)(\S+)", re.MULTILINE)

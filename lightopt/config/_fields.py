@@ -4,7 +4,6 @@ import contextlib
 import math
 import os.path
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path, PurePath
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
@@ -24,7 +23,8 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from lightopt.config._source_file import Source
+from lightopt.config._strict_yaml import Source
+from lightopt.core.errors import did_you_mean
 
 MOST_POINTS = 65_536
 
@@ -289,17 +289,13 @@ def file_of(*suffixes: str) -> AfterValidator:
 
 def _require_file(folder: Path, file: str) -> None:
     """Raise unless a file exists, with its full path and a file of similar name."""
-    path = folder / file
-    is_folder, near = False, list[str]()
+    path, hint, is_folder = folder / file, "", False
     with contextlib.suppress(OSError, ValueError):
         if path.is_file():
             return
         is_folder = path.is_dir()
-        near = get_close_matches(path.name, sorted(p.name for p in path.parent.iterdir()), n=1, cutoff=0.5)
-    full_path = os.path.normpath(folder.resolve() / file)
-    if is_folder:
-        raise complaint(f"{full_path} is a folder; expected a file")
-    hint = f'; did you mean "{(PurePath(file).parent / near[0]).as_posix()}"?' if near else ""
+        hint = did_you_mean(path.name, sorted(p.name for p in path.parent.iterdir()), cutoff=0.5)
     if "\\" in file and os.sep == "/":
         hint = "; separate folders with / , which works everywhere"
-    raise complaint(f"no such file: {full_path}{hint}")
+    full_path = os.path.normpath(folder.resolve() / file)
+    raise complaint(f"{full_path} is a folder; expected a file" if is_folder else f"no such file: {full_path}{hint}")

@@ -2,8 +2,7 @@
 
 import re
 import string
-from collections.abc import Iterator, Mapping, Sequence
-from difflib import get_close_matches
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo, field_validator
@@ -12,6 +11,7 @@ from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
 from lightopt.config._fields import LIST, Complaint, Frozen, complaint, expecting
 from lightopt.config._light import LightConfig
+from lightopt.core.errors import did_you_mean
 
 _Baud = Annotated[int, Field(ge=300, le=4000000), expecting("a baud rate, from 300 to 4000000")]
 _Channel = Annotated[int, Field(ge=1, le=256), expecting("a channel number as on the device, from 1 to 256")]
@@ -345,16 +345,19 @@ def misfits(
 ) -> Iterator[Complaint]:
     """What does not fit together, by the path under ``hardware``; None and parts that are wrong are passed over."""
     section = fields.mapping(hardware)
-    controllers, channels = (fields.mapping(section.get(key)) for key in ("controllers", "lights"))
+    controllers, channels, stage, device = (
+        fields.mapping(section.get(key)) for key in ("controllers", "lights", "stage", "camera")
+    )
     if lights is not None and isinstance(section.get("lights"), Mapping):
-        yield from _names(channels, tuple(light.name for light in lights))
+        yield from _names(channels, [light.name for light in lights])
         yield from _display_misfits(controllers, channels, lights)
     if isinstance(section.get("controllers"), Mapping):
         for name, channel in channels.items():
             yield from _plug(name, fields.mapping(channel), controllers)
-        yield from _shared(channels)
-    yield from _same_port(controllers, fields.mapping(section.get("stage")))
-    device = fields.mapping(section.get("camera"))
+        yield from _same("channel", {("lights", name): (entry, _place(entry)) for name, entry in channels.items()})
+    devices = {("controllers", name): entry for name, entry in controllers.items()} | {("stage",): stage}
+    for key, of in (("port", _port), ("monitor", _monitor)):
+        yield from _same(key, {path: (entry, of(entry)) for path, entry in devices.items()})
     if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
         reason = "the rig's camera has no exposure_us; add to it the exposure time [µs] that counts as exposure 1"
         yield ("camera",), device, complaint(reason)
@@ -377,10 +380,8 @@ def _display_misfits(
         if light.kind != "display":
             yield where, controller, complaint(f"{controller} is a display, and this light is a {light.kind}")
         elif shown.setdefault(controller, light).entry != light.entry:
-            reason = (
-                f"{controller} is the display {shown[controller].entry_name}; each display needs its own controller"
-            )
-            yield where, controller, complaint(reason)
+            other = shown[controller].entry_name
+            yield where, controller, complaint(f"{controller} is the display {other}; each display needs its own")
     for controller, light in shown.items():
         picture = fields.mapping(fields.mapping(controllers[controller]).get("picture"))
         width, height = (light.size_mm or (1.0, 1.0))[:: -1 if picture.get("turn_deg") in (90, 270) else 1]
@@ -389,15 +390,12 @@ def _display_misfits(
             continue
         sides = width / pixels[0], height / pixels[1]  # type: ignore[operator]
         if max(sides) > MOST_SQUARE * min(sides):
-            reason = (
-                f"on the {width:g} × {height:g} mm of {light.entry_name} a pixel of the screen would have "
-                f"{sides[0]:.4g} × {sides[1]:.4g} mm; expected square ones: correct this, turn_deg, or the light's "
-                "size_mm, which is the visible area"
-            )
+            pixel = f"{sides[0]:.4g} × {sides[1]:.4g} mm; expected square: correct this, turn_deg, or the size_mm"
+            reason = f"on the {width:g} × {height:g} mm of {light.entry_name} a pixel would have {pixel}"
             yield ("controllers", controller, "picture", "resolution_px"), list(pixels), complaint(reason)
 
 
-def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[Complaint]:
+def _names(channels: Mapping[str, object], lights: Sequence[str]) -> Iterator[Complaint]:
     for name in lights:
         if name not in channels:
             entry = f"{name}: {{controller: ..., channel: ..., level: ...}}"
@@ -405,66 +403,56 @@ def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[
             yield ("lights",), dict(channels), complaint(reason)
     for name, channel in channels.items():
         if name not in lights:
-            near = get_close_matches(name, lights, n=1)
-            meant = f'; did you mean "{near[0]}"?' if near else f"; its lights are {', '.join(lights)}"
+            meant = did_you_mean(name, lights) or f"; its lights are {', '.join(lights)}"
             yield ("lights", name), channel, complaint(f'the rig has no light "{name}"{meant}')
 
 
 def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, object]) -> Iterator[Complaint]:
     """What is wrong with where one light is plugged in."""
-    wanted, number = channel.get("controller"), _whole(channel.get("channel"))
-    level, most = _whole(channel.get("level")), _whole(channel.get("max_level"))
+    number, level, most = (_whole(channel.get(key)) for key in ("channel", "level", "max_level"))
     if level is not None and most is not None and level > most:
-        yield (("lights", name, "level"), level, complaint(f"expected at most max_level, {most}, found {level}"))
+        yield ("lights", name, "level"), level, complaint(f"expected at most max_level, {most}, found {level}")
+    wanted = channel.get("controller")
     if not isinstance(wanted, str):
         return
     if wanted not in controllers:
-        there = ", ".join(controllers) or "none"
-        reason = f'no controller is called "{wanted}"; there is {there}'
+        reason = f'no controller is called "{wanted}"; there is {", ".join(controllers) or "none"}'
         yield ("lights", name, "controller"), wanted, complaint(reason)
         return
     controller = fields.mapping(controllers[wanted])
-    defaults = ControllerConfig.model_fields
-    count = _whole(controller.get("channels", defaults["channels"].default))
-    if count is not None and number is not None and number > count:
-        reason = f"expected a channel from 1 to {count}, which {wanted} has, found {number}"
-        yield ("lights", name, "channel"), number, complaint(reason)
-    top = _whole(controller.get("top_level", defaults["top_level"].default))
-    for key, value in (("level", level), ("max_level", most)):
-        if top is not None and value is not None and value > top:
-            reason = f"expected at most {top}, the top_level of {wanted}, found {value}"
+    limited = (("channel", number, "channels"), ("level", level, "top_level"), ("max_level", most, "top_level"))
+    for key, value, limit in limited:
+        highest = _whole(controller.get(limit, ControllerConfig.model_fields[limit].default))
+        if value is not None and highest is not None and value > highest:
+            reason = f"expected at most {highest}, the {limit} of {wanted}, found {value}"
             yield ("lights", name, key), value, complaint(reason)
 
 
-def _shared(channels: Mapping[str, object]) -> Iterator[Complaint]:
-    """Lights on the channel of another light."""
-    names, entries = list(channels), [fields.mapping(entry) for entry in channels.values()]
-    places = [(entry.get("controller"), _whole(entry.get("channel"))) for entry in entries]
-    for i, first in fields.repeated(p if isinstance(p[0], str) and p[1] is not None else None for p in places):
-        controller, number = places[i]
-        reason = f'channel {number} of {controller} is already that of light "{names[first]}"'
-        yield ("lights", names[i], "channel"), number, complaint(reason)
+def _same(key: str, places: Mapping[tuple[str, ...], tuple[object, Hashable | None]]) -> Iterator[Complaint]:
+    """Complaints about what has the same port, monitor or channel as something before it."""
+    paths = list(places)
+    for i, first in fields.repeated(what for _, what in places.values()):
+        found = fields.mapping(places[paths[i]][0])[key]
+        reason = f'{key} "{found}" is already that of {".".join(paths[first])}; each has its own'
+        yield (*paths[i], key), found, complaint(reason)
 
 
-def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -> Iterator[Complaint]:
-    """Devices at the port of another device."""
-    paths: list[tuple[str, ...]] = [*(("controllers", name) for name in controllers), ("stage",)]
-    ports = [fields.mapping(entry).get("port") for entry in (*controllers.values(), stage)]
-    for i, first in fields.repeated(map(_port_key, ports)):
-        reason = f'port "{ports[i]}" is already that of {".".join(paths[first])}; each device has its own'
-        yield (*paths[i], "port"), ports[i], complaint(reason)
-    monitors = [_whole(fields.mapping(entry).get("monitor")) for entry in controllers.values()]
-    for i, first in fields.repeated(monitors):
-        reason = f"monitor {monitors[i]} is already that of {'.'.join(paths[first])}; each display has its own"
-        yield (*paths[i], "monitor"), monitors[i], complaint(reason)
+def _place(entry: object) -> tuple[str, int] | None:
+    controller, number = fields.mapping(entry).get("controller"), _whole(fields.mapping(entry).get("channel"))
+    return (controller, number) if isinstance(controller, str) and number is not None else None
 
 
-def _port_key(port: object) -> str | None:
-    """The same for names of the same port; None where it is none, or virtual."""
+def _port(entry: object) -> str | None:
+    # the same for names of the same port; None where it is none, or virtual
+    port = fields.mapping(entry).get("port")
     if not isinstance(port, str) or port == "virtual":
         return None
     return port.upper() if re.fullmatch(r"COM\d+", port, re.IGNORECASE) else port
 
 
+def _monitor(entry: object) -> int | None:
+    return _whole(fields.mapping(entry).get("monitor"))
+
+
 def _whole(value: object) -> int | None:
-    return value if isinstance(value, int) and not isinstance(value, bool) else None
+    return value if type(value) is int else None

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import (
     Field,
@@ -280,7 +280,7 @@ class LightConfig(fields.Frozen):
     def _placed(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
         raw = {key: one for key, one in fields.mapping(value).items() if one is not None}
         kind = raw.get("kind", "panel")
-        if kind == "panel" or not isinstance(kind, str) or kind not in cls.variants.kinds:
+        if kind == "panel" or not isinstance(kind, str) or kind not in get_args(LightKind):
             return with_pose(value, handler, point="centre_mm", what="the panel's centre")
         filled = {"elevation_deg": -90.0 if kind == "backlight" else 90.0, "azimuth_deg": 270.0}
         return handler(filled | ({"distance_mm": 0.0} if kind == "dome" else {}) | raw)
@@ -290,7 +290,7 @@ class LightConfig(fields.Frozen):
         """As of every configuration; shapes and patterns that no light can have."""
         yield from super().misfits(raw)
         kind = raw.get("kind") or "panel"
-        if isinstance(kind, str) and kind in cls.variants.kinds:
+        if isinstance(kind, str) and kind in get_args(LightKind):
             yield from _wrong_shapes(kind, raw)
             yield from pattern_misfits(kind, raw)
 

@@ -8,8 +8,8 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from lightopt.config._source_file import Keys
-from lightopt.config._strict_yaml import INVALID, Document, Problem, is_number
+from lightopt.config._strict_yaml import INVALID, Document, Keys, Problem, is_number
+from lightopt.core.errors import did_you_mean
 
 _LONGEST = 60
 _EXPECTED = ("expected", "literal_error")  # kinds of errors that name what is expected
@@ -78,8 +78,8 @@ def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, s
     if kind == "tuple_type":
         return f"expected a list, {found}"
     if kind == "too_short":
-        least, there = context["min_length"], len(error["input"])
-        return f"expected at least {'one entry' if least == 1 else f'{least} entries'}, found {there or 'none'}"
+        least = "one entry" if context["min_length"] == 1 else f"{context['min_length']} entries"
+        return f"expected at least {least}, found {len(error['input']) or 'none'}"
     if kind == "too_long":
         return f"expected at most {context['max_length']} entries, found {context['actual_length']}"
     return f"this value cannot be used here: {found}"
@@ -87,14 +87,11 @@ def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, s
 
 def _meant_word(model: type[BaseModel], error: ErrorDetails) -> str:
     """Word that is probably meant, where only some may stand."""
-    *path, key = error["loc"] or ("",)
-    parent = _model_at(model, tuple(path))
-    field = None if parent is None else parent.model_fields.get(str(key))
+    parent = _model_at(model, error["loc"][:-1])
+    field = parent.model_fields.get(str(error["loc"][-1])) if parent is not None and error["loc"] else None
     if field is None or not isinstance(error["input"], str):
         return ""
-    words = [word for word in _literals(field.annotation) if isinstance(word, str)]
-    near = get_close_matches(error["input"].lower(), words, n=1, cutoff=0.6)
-    return f'; did you mean "{near[0]}"?' if near else ""
+    return did_you_mean(error["input"].lower(), (w for w in _literals(field.annotation) if isinstance(w, str)))
 
 
 def _literals(annotation: Any) -> tuple[Any, ...]:

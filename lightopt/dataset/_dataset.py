@@ -1,5 +1,7 @@
-"""Make a dataset: draw it, render it pose by pose, write it; a run that was stopped is continued."""
+"""Make a dataset: draw it, render it pose by pose, write it; a run that was stopped is continued. Home of h5py."""
 
+import io
+import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -7,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RangesConfig, RigConfig, input_hashes
-from lightopt.core.errors import counted, refuse
+from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.provenance import file_sha256, provenance
 from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
@@ -27,9 +30,8 @@ from lightopt.dataset._pose import (
     render_pose,
     sample_images,
 )
-from lightopt.dataset._stack import require_h5py, write_stack
 from lightopt.defects import CatalogueEntry
-from lightopt.images import write_exr, write_png
+from lightopt.images import write_bytes_atomic, write_exr, write_png
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
 from lightopt.scene import Scene, build_catalogue, build_scene, defect_facts, frame_part
 
@@ -263,3 +265,35 @@ class _Work:
             arrays["fused"] = np.stack([one.fused for one in images if one.fused is not None])
         lights = [light.name for light in self.nominal.lights]
         write_stack(self.out.path(name), arrays, lights=lights, facts=samples)
+
+
+def require_h5py() -> None:
+    """Raise an InputError where the package that writes HDF5 is missing."""
+    try:
+        import h5py  # noqa: F401  # pyright: ignore[reportMissingImports, reportUnusedImport]
+    except ImportError:
+        raise InputError(
+            "option 'stacks': needs the package h5py; install it with: pip install lightopt[hdf5]; or leave the option "
+            "out"
+        ) from None
+
+
+def write_stack(path: Path, arrays: Mapping[str, NDArray[Any]], *, lights: Sequence[str], facts: object) -> None:
+    """Write the arrays of a pose, whole or not at all, the same input the same bytes.
+
+    arrays: Compressed image by image
+    lights: Names of the lights, in the order of the arrays
+    facts: JSON-able facts of the samples
+    """
+    import h5py  # pyright: ignore[reportMissingImports]
+
+    memory = io.BytesIO()
+    with h5py.File(memory, "w") as file:
+        file.attrs["lights"] = list(lights)
+        file.attrs["samples"] = json.dumps(facts)
+        for name, values in arrays.items():
+            chunk = (*np.ones(values.ndim - 2, np.intp).tolist(), *values.shape[-2:])
+            file.create_dataset(
+                name, data=values, chunks=chunk, compression="gzip", compression_opts=1, track_times=False
+            )
+    write_bytes_atomic(path, memory.getvalue())

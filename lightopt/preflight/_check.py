@@ -9,7 +9,7 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
-from lightopt.preflight import _camera, _fields, _highlights, _lights, _part, _stripes
+from lightopt.preflight import _camera, _fields, _highlights, _lights, _part
 from lightopt.preflight._findings import CheckedRig, CheckedScene, CheckResult, Finding, PostureSamples
 from lightopt.rendering import cast_rays_at, trace_samples
 from lightopt.scene import Scene, build_camera, build_lights, build_scene, frame_part, screen_window, view_from_part
@@ -42,7 +42,7 @@ SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
     _fields.check_fields,
     _fields.check_camera_hole,
     _fields.check_mirrored_part,
-    _stripes.check_stripes,
+    _fields.check_stripes,
     _highlights.check_points,
     _highlights.check_levels,
     _highlights.check_facets,

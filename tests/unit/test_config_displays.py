@@ -98,7 +98,7 @@ def test_what_does_not_fit(tmp_path, old, new, keys, says):
 
 def test_two_displays_on_one_monitor(tmp_path):
     text = RIG.replace('command: [tool, show.txt, "{file}"]', "monitor: 2").replace("driver: command", "driver: screen")
-    with pytest.raises(InputError, match=r"monitor 2 is already that of .*monitor; each display has its own"):
+    with pytest.raises(InputError, match=r'monitor "2" is already that of controllers.monitor'):
         load_rig(write(tmp_path, text))
 
 
