@@ -98,9 +98,7 @@ def published(task: Task) -> Outcome | None:
         record = _Record(**found)
     except FileNotFoundError:
         if task.folder.exists() and any(task.folder.iterdir()):
-            raise InputError(
-                f"{task.folder}: exists, and is not a result of a batch; choose another output folder, or move it away"
-            ) from None
+            raise InputError(f"{task.folder}: exists, and is not a result of a batch; move it away") from None
         return None
     except (OSError, ValueError, TypeError):
         return None
@@ -119,10 +117,8 @@ def _require_own_files(folder: Path, record: _Record) -> None:
     own = {RECORD_NAME, *record.files}
     names = (path.relative_to(folder).as_posix() for path in sorted(folder.rglob("*")) if path.is_file())
     if other := [name for name in names if name not in own]:
-        raise InputError(
-            f"{folder}: would be replaced, and has files that the batch did not write ({', '.join(other[:3])}); move "
-            "them away"
-        )
+        names = ", ".join(other[:3])
+        raise InputError(f"{folder}: has files that the batch did not write ({names}); move them away")
 
 
 def run_task(task: Task, run_command: RunCommand, *needed: Outcome) -> Outcome:

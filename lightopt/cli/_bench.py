@@ -156,7 +156,7 @@ def snap(
     from lightopt.rig import capture
 
     relative = common.parse_exposure(exposure)
-    loaded, loaded_part = common.load_inputs(rig, part)
+    loaded, loaded_part = common.load_rig_and_maybe_part(rig, part)
     wiring = capture.wiring_of(loaded)
     if wiring.camera_is_virtual and loaded_part is None:
         raise InputError("--part: required with the virtual camera, which renders the part")
@@ -198,11 +198,9 @@ def list_devices(
     cameras = _show_cameras(None if producer is None else loaded.source.resolve(producer))
 
     def port_state(port: str | None) -> str:
-        if port is None:  # a display
-            return "not tried"
         if port == "virtual":
             return "simulated"
-        if "://" in port:
+        if port is None or "://" in port:  # a display, another computer
             return "not tried"
         problem = port_problem(port)
         return "present, not opened" if problem is None else f"NO: {problem.partition('; ')[0]}"

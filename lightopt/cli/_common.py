@@ -10,7 +10,7 @@ from fractions import Fraction
 from functools import partial, wraps
 from inspect import Parameter, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 import typer.core
@@ -152,24 +152,26 @@ def parse_points(text: str | None) -> int | Literal["auto"] | None:
         raise InputError(f'--points: expected a square (1, 4, 9, 16, …) or auto, found "{text}"') from None
 
 
-@overload
-def load_inputs(rig: Path, part: Path) -> tuple[RigConfig, PartConfig]: ...
-@overload
-def load_inputs(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | None]: ...
-def load_inputs(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | None]:
-    """Read a rig file and, where there is one, a part file, and report all errors of both at once."""
+def load_inputs(rig: Path, part: Path) -> tuple[RigConfig, PartConfig]:
+    """Read a rig file and a part file, and report all errors of both at once."""
     from lightopt.config import load_part, load_rig
 
     try:
         loaded = load_rig(rig)
     except InputError as error:
         try:
-            if part is not None:
-                load_part(part)
+            load_part(part)
         except InputError as more:
             raise InputError(*error.messages, *more.messages) from None
         raise
-    return loaded, None if part is None else load_part(part)
+    return loaded, load_part(part)
+
+
+def load_rig_and_maybe_part(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | None]:
+    """The same where a part file may be left out."""
+    from lightopt.config import load_rig
+
+    return (load_rig(rig), None) if part is None else load_inputs(rig, part)
 
 
 def add_sheets(folder: Path, rig: RigConfig, *, exposures: tuple[float, ...], title: str, force: bool) -> None:

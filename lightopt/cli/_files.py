@@ -97,7 +97,7 @@ def check(
 
     if drawing is not None and part is None:
         raise InputError("--drawing: expected a part file as well")
-    loaded_rig, loaded_part = common.load_inputs(rig, part)
+    loaded_rig, loaded_part = common.load_rig_and_maybe_part(rig, part)
     report = check_rig(loaded_rig) if loaded_part is None else check_scene(loaded_rig, loaded_part)
     levels = Counter(finding.level for finding in report.findings)
     named = [counted(levels[level], level) for level in ("error", "warning", "note") if levels[level]]

@@ -74,10 +74,9 @@ def compare(
     """Compare a new image or image set B with a golden one A; exit status 1 if they differ too much.
 
     Prints per channel the maximum and rms difference, the 99th percentile, the share of differing pixels, and the
-    intersection over union (IoU) of the saturated areas. Pixels that are background in both images (level 0 or the
-    black level, rays that miss the part) do not count, so the result does not depend on the size of the background. In
-    a PNG with noise all pixels count. A file that is missing in B is a failure; a file that is missing in A is a note.
-    Exit status 2 if A or B is neither an image nor an image set.
+    intersection over union (IoU) of the saturated areas. Pixels that are background in both images do not count, except
+    in a PNG with noise. A file that is missing in B is a failure; a file that is missing in A is a note. Exit status 2
+    if A or B is neither an image nor an image set.
 
     Example: lightopt compare golden/ out/ --diff differences/
     """

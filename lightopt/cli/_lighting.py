@@ -149,10 +149,7 @@ def optimize_from_images(
     from lightopt.report.design import chosen_table, defects_table, from_images_report, scores_table
 
     if files := [path.name for path in sets if path.suffix.lower() in (".yaml", ".yml")]:
-        raise InputError(
-            f"{', '.join(files)}: lights are chosen from image sets; give no rig and part file (--rig names the rig "
-            "that is to take the programme)"
-        )
+        raise InputError(f"{', '.join(files)}: lights are chosen from image sets; --rig names a rig file")
     options = FromImagesOptions(images=images, mix=mix, false_alarms=false_alarms, limit=max_combinations)
     with run_context(threads) as run:
         result = choose(sets, options=options, region=region, rig=rig, captured=compare, run=run)

@@ -34,10 +34,7 @@ def optimize(
         False, "--common-elevation", help="Use the same elevation for all lights that move in elevation."
     ),
     common_lights: bool = light_option(
-        True,
-        "--common-lights/--lights-per-posture",
-        help="Use the same light positions for all postures, those with the greatest sum of scores over the "
-        "postures; or other positions for each posture, so that the lights have to be moved between postures.",
+        True, "--common-lights/--lights-per-posture", help="One set of positions for all postures, or one for each."
     ),
     max_combinations: int | None = light_option(
         None, metavar="N", help="Stop after about N combinations and report a bound.", show_default="200000000"
@@ -46,7 +43,7 @@ def optimize(
         None,
         "--objective",
         metavar="coverage|paper|detectability",
-        help="Score of a combination of positions; repeatable. The first one determines the light positions.",
+        help="Score of a combination; repeatable. The first one determines the positions.",
         show_default="coverage, paper",
     ),
     shade_below: str = objective_option(
@@ -102,19 +99,15 @@ def optimize(
 ) -> None:
     """Find the best positions of RIG's lights for PART by exact search.
 
-    Scores every combination of positions within the lights' ranges by the levels that the camera would deliver. The
-    objectives are: coverage, the area that is usable (neither shaded nor saturated) in two images or more and saturated
-    in at most one; paper, the sum of each patch's usable levels without the highest and lowest level; detectability,
-    the share of surface × defects of the part's catalogue that the images show above the noise. detectability also
-    reports blind spots.
+    Scores every combination of positions within the lights' ranges by the levels that the camera would deliver.
+    Objectives: coverage, the area that is usable (neither shaded nor saturated) in two images or more and saturated in
+    at most one; paper, the sum of each patch's usable levels without the highest and lowest; detectability, the share
+    of surface × defects of the part's catalogue that the images show above the noise, with blind spots.
 
     Writes result.json, ranking.csv, rig.optimized.yaml (one per posture if they differ), images with the best light
     positions (images/), maps of overlapping saturated regions (overlap.png), and report.html. Exit status 1 if no
-    combination makes any surface usable.
-
-    --choose-postures and --target choose postures from the stage's range by detectability, with the same light
-    positions for all postures, and write them to part.planned.yaml. --exposures, --light-tolerance and
-    --pose-tolerance refer to the resulting lights and postures.
+    combination makes any surface usable. --choose-postures and --target choose postures from the stage's range, for one
+    set of lights, and write part.planned.yaml; exposures and tolerances refer to the resulting lights and postures.
 
     Without a CAD model, lights are chosen from images of samples: see lightopt optimize --from-images --help.
 
@@ -136,12 +129,8 @@ def optimize(
         ("--exposure-gain", exposure_gain, exposures is not None, "--exposures"),
         ("--tolerance-target", tolerance_target, tolerance, "--light-tolerance or --pose-tolerance"),
     )
-    problems = [
-        f"{option}: has no effect without {other}"
-        for option, value, used, other in dependent
-        if value is not None and not used
-    ]
-    refuse(problems)
+    unused = [(option, other) for option, value, used, other in dependent if value is not None and not used]
+    refuse(f"{option}: has no effect without {other}" for option, other in unused)
     chosen_exposures = () if exposures is None else common.parse_exposures(exposures)
     shown_share, kept_share = (
         None if text is None else common.parse_share(text, option=option, expected=f"{of}, such as 0.95")
@@ -221,10 +210,7 @@ def _show_reachable(error: TargetNotReached) -> None:
         for number, step in enumerate(error.steps, start=1)
     ]
     show_table(("postures", "posture added", "share shown at least", "at most with these lights"), rows)
-    echo(
-        "at least: share that these postures show, chosen one after the other for one set of lights; "
-        "--choose-postures N places the lights for N postures, and may choose others"
-    )
+    echo("at least: shown by these postures, chosen one after the other; --choose-postures N may choose others")
 
 
 def _calibrated(

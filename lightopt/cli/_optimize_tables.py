@@ -99,10 +99,8 @@ def show_plan(result: design.PlanResult) -> None:
             show_page_table(table)
         else:
             worst, most = (row[-1] for row in table.rows[:2])
-            echo(
-                f"angles off by the tolerances, {table.header[-1]}: the worst corner keeps {worst} of the score, 95 % "
-                f"of random draws keep {most}"
-            )
+            kept = f"the worst corner keeps {worst} of the score, 95 % of random draws keep {most}"
+            echo(f"angles off by the tolerances, {table.header[-1]}: {kept}")
 
 
 def show_commands(result: design.PlanResult, folder: Path) -> None:
@@ -157,7 +155,4 @@ def _show_spare(chosen: Section, text: partial[str]) -> None:
         echo(f"{counted(chosen['requested'], 'posture')} requested, {count} chosen: {why}")
     if sufficient < count:
         share = text(chosen["postures"][sufficient - 1]["share"])
-        echo(
-            f"the first {sufficient} chosen postures show {share}, the others add less than 0.1 points: "
-            f"--choose-postures {sufficient} is nearly as good"
-        )
+        echo(f"--choose-postures {sufficient} is nearly as good: these show {share}")

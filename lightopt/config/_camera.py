@@ -235,9 +235,7 @@ class CameraConfig(Frozen):
             raise complaint("only a lens with an aperture has this; give aperture (its f-number), too")
         focal = info.data.get("focal_length_mm")
         if value is not None and info.field_name == "focus_distance_mm" and focal is not None and value <= focal:
-            raise complaint(
-                f"expected more than focal_length_mm, {focal:g}, found {value:g}: a lens cannot focus there"
-            )
+            raise complaint(f"expected more than focal_length_mm, {focal:g}, found {value:g}: it cannot focus there")
         return value
 
 

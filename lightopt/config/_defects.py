@@ -79,10 +79,8 @@ class CatalogueEntryConfig(fields.Frozen):
     @classmethod
     def _longer_first(cls, size: float | tuple[float, float], info: ValidationInfo) -> float | tuple[float, float]:
         if isinstance(size, tuple) and size[0] < size[1]:
-            raise fields.complaint(
-                f"expected [length, width] with the length at least the width, found [{size[0]:g}, {size[1]:g}]; "
-                "direction_deg turns the length"
-            )
+            reason = f"expected [length, width] with the length at least the width, found [{size[0]:g}, {size[1]:g}]"
+            raise fields.complaint(f"{reason}; direction_deg turns it")
         if info.data.get("kind") == "scratch" and (not isinstance(size, tuple) or size[0] == size[1]):
             raise fields.complaint("expected [length, width] of a scratch, the length above the width")
         return size
@@ -95,11 +93,9 @@ class CatalogueEntryConfig(fields.Frozen):
             width = _extents(size)[1]
             slope_found = slope_of_depth(kind, width, depth)
             if slope_found > MAX_SLOPE:
-                raise fields.complaint(
-                    f"a {kind} {width:g} mm wide and {depth:g} mm deep has walls of "
-                    f"{math.degrees(slope_found):.0f} degrees; expected at most "
-                    f"{depth_of_slope(kind, width, MAX_SLOPE):.3g} mm, which is 60 degrees"
-                )
+                most = f"expected at most {depth_of_slope(kind, width, MAX_SLOPE):.3g} mm, which is 60 degrees"
+                walls = f"has walls of {math.degrees(slope_found):.0f} degrees"
+                raise fields.complaint(f"a {kind} {width:g} mm wide and {depth:g} mm deep {walls}; {most}")
         return depth
 
     @field_validator("R_d_factor", "sigma_factor")

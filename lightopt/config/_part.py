@@ -73,11 +73,8 @@ class MeshConfig(Frozen):
         file: str = info.data["file"]
         suffix = PurePath(file).suffix.lower()
         if suffix in _UNITLESS and units is None:
-            raise fields.absent(
-                f'missing key "units": {suffix} files carry no unit; give the unit that '
-                f"{PurePath(file).name} was exported in (um, mm, cm, m, inch or ft)",
-                "units",
-            )
+            unit = f"give the unit that {PurePath(file).name} was exported in (um, mm, cm, m, inch or ft)"
+            raise fields.absent(f'missing key "units": {suffix} files carry no unit; {unit}', "units")
         if suffix == ".glb" and units not in (None, "m"):
             raise complaint(f"expected m or nothing (.glb is in metres by its specification), found {units}")
         if suffix in _STEP and units is not None and info.context is not None:

@@ -162,7 +162,7 @@ def check_part_in_view(checked: CheckedScene) -> Iterator[Finding]:
             side = min(margins, key=lambda name: margins[name])
             width, height = framing.right - framing.left, framing.bottom - framing.top
             share, along = max((width / camera.width, "width"), (height / camera.height, "height"))
-            text = f"the part is inside the view, least margin {texts[side]}; it fills {percent(share)} of its {along}"
+            text = f"inside the view, by {texts[side]} at least; the part fills {percent(share)} of the image's {along}"
             values["least_margin_px"] = margins[side]
         yield checked.of_posture(sample, "warning" if leaves else "ok", "view", text, **values)
 

@@ -152,10 +152,9 @@ def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, see
         white_level=white,
     )
     if seen and white is not None and white < (least := least_white_level(reflectance)):
-        raise InputError(
-            f"{part.source.at('reflectance', 'white_level')}: expected at least {least:.4g}, found {white:g}: with the "
-            f"coefficients of {part.source.at(*keys)} the part would reflect more light than it gets"
-        )
+        why = f"with the coefficients of {part.source.at(*keys)} the part would reflect more light than it gets"
+        where = part.source.at("reflectance", "white_level")
+        raise InputError(f"{where}: expected at least {least:.4g}, found {white:g}: {why}")
     return reflectance
 
 
@@ -219,10 +218,8 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
         camera = pose_camera(position=np.array(c.pose.position_mm, np.float64), rotation=rotation, **image)
     columns, rows = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     if not np.isfinite(pixel_directions(camera, columns.ravel(), rows.ravel())).all():
-        raise InputError(
-            f"{rig.source.at('camera', 'distortion')}: this lens model folds the image over inside the frame, so that "
-            "some pixels look nowhere; expected coefficients of a calibration that covered the whole image"
-        )
+        why = "this lens model folds the image over; expected a calibration that covered the whole image"
+        raise InputError(f"{rig.source.at('camera', 'distortion')}: {why}")
     return camera
 
 
@@ -339,11 +336,8 @@ def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ..
     for posture in scene.postures:
         camera = view_from_part(scene, posture).camera
         if points_inside(camera.position[None], scene.mesh)[0]:
-            raise InputError(
-                f"{where}: the camera, {rig.camera.distance_mm:g} mm from the origin, is inside the part, which "
-                f"measures {size} mm; check the mesh's units and the part's placement",
-                *hint,
-            )
+            text = f"the camera, {rig.camera.distance_mm:g} mm from the origin, is inside the part, {size} mm large"
+            raise InputError(f"{where}: {text}; check the mesh's units and the part's placement", *hint)
         framing = frame_part(camera, scene.mesh)
         if framing.outside:
             view = f"{camera.width} × {camera.height} px"

@@ -139,10 +139,8 @@ class _Search:
         most = min(SNAP_MM, SNAP_SHARE * float(np.max(np.subtract(*mesh.bounds[::-1]))))
         if distance > most:
             near = ", ".join(f"{x:.4g}" for x in placement.to_file(place.point))
-            raise InputError(
-                f"{where}: expected a place on the part's surface, within {most:.3g} mm; the nearest, [{near}], is "
-                f"{distance:.3g} mm away; positions are in the coordinates of {self.part.mesh.file}, in mm"
-            )
+            text = f"the nearest, [{near}], is {distance:.3g} mm away; coordinates are those of {self.part.mesh.file}"
+            raise InputError(f"{where}: expected a place on the part's surface, within {most:.3g} mm; {text}")
         return place
 
     def seen(self, where: str, at: PixelPlaceConfig) -> SurfacePlace:

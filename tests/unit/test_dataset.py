@@ -413,7 +413,7 @@ def test_a_folder_with_files_of_others_is_refused(made, tmp_path, cli):
     (tmp_path / "light1").mkdir()
     ran = cli(*command(made, tmp_path), "--force")
     assert ran.status == 2
-    assert ran.err == (f"error: {tmp_path} has light1, which no dataset lists; remove it, or choose another folder\n")
+    assert ran.err == (f"error: {tmp_path} has light1, which no dataset lists; choose another folder\n")
 
 
 # --- what is wrong
