@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 def capture(
     rig: common.RigFile,
     part: common.PartFile,
-    out: Path | None = typer.Option(
-        None, "--out", "-o", metavar="DIR", help="Output folder; created if missing. Optional with --dry-run."
-    ),
+    out: Path | None = typer.Option(None, "--out", "-o", metavar="DIR", help="Output folder; optional with --dry-run."),
     light: common.Lights = None,
     posture: common.Postures = None,
     exposures: common.Exposures = "1",
@@ -30,9 +28,7 @@ def capture(
     ),
     dark: bool = selection_option(False, "--dark", help="Also capture dark frames, and subtract them in the EXR."),
     home: bool = hardware_option(False, "--home", help="Home the stage first."),
-    check_lights: bool = hardware_option(
-        True, "--check-lights/--no-check-lights", help="Verify that each image is lit by its own light."
-    ),
+    check_lights: bool = hardware_option(True, "--check-lights/--no-check-lights", help="Verify each image's light."),
     check_repeatability: bool = hardware_option(
         False, "--check-repeatability", help="Repeat the first image at the end, to detect lost steps of the stage."
     ),

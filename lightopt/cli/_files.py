@@ -80,9 +80,7 @@ def check(
     rig: common.RigFile,
     part: Path | None = Argument(None, metavar="PART", help="Part file (YAML); without it only the rig is checked."),
     json_file: common.JsonFile = None,
-    drawing: Path | None = output_option(
-        None, metavar="FILE", help="Draw rig and PART with coordinate frames and angles (PNG)."
-    ),
+    drawing: Path | None = output_option(None, metavar="FILE", help="Draw rig and PART with frames and angles (PNG)."),
     force: common.Force = False,
 ) -> None:
     """Validate RIG and PART and summarise the set-up, before anything is rendered.
@@ -129,9 +127,7 @@ def check(
 def defects(
     rig: common.RigFile,
     part: common.PartFile,
-    out: Path = Option(
-        ..., "--out", "-o", metavar="FILE", help="Part file to write; its folder is created if missing."
-    ),
+    out: Path = Option(..., "--out", "-o", metavar="FILE", help="Part file to write; its folder is made if missing."),
     seed: int = Option(..., metavar="N", help="Random seed; the same seed gives the same defects."),
     count: int = Option(..., metavar="K", help="Number of defects, 1 to 500."),
     force: common.Force = False,

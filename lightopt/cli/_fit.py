@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._common import AS_PART, AS_RIG
+from lightopt.cli._common import AS_PART, AS_RIG, model_option, output_option
 from lightopt.cli._terminal import VERBOSE, echo, echo_paths, flag, run_context, show_table
 from lightopt.core.errors import CheckFailed, refuse
 
@@ -24,12 +24,12 @@ paper_option = partial(typer.Option, rich_help_panel="The paper's procedure (--m
 _METHOD_HELP = "Maximum likelihood, or the procedure of the paper (docs/how-to/fitting.md)."
 Method = Annotated[Literal["likelihood", "paper"], typer.Option(metavar="likelihood|paper", help=_METHOD_HELP)]
 _FREE_HELP = "Also fit the gain of each light, or the dark level; repeatable."
-Free = Annotated[list[str] | None, common.model_option("--free", metavar="gain|dark", help=_FREE_HELP)]
-Pixels = Annotated[int, common.model_option(metavar="N", min=1000, help="Target number of pixels, over all images.")]
+Free = Annotated[list[str] | None, model_option("--free", metavar="gain|dark", help=_FREE_HELP)]
+Pixels = Annotated[int, model_option(metavar="N", min=1000, help="Target number of pixels, over all images.")]
 _NOISE_HELP = "Write the noise measured in the images to rig.fitted.yaml."
-WriteNoise = Annotated[bool, common.output_option("--write-noise", help=_NOISE_HELP)]
+WriteNoise = Annotated[bool, output_option("--write-noise", help=_NOISE_HELP)]
 _UNCONVERGED_HELP = "Exit with status 0 even if the fit did not converge."
-AllowUnconverged = Annotated[bool, common.output_option("--allow-unconverged", help=_UNCONVERGED_HELP)]
+AllowUnconverged = Annotated[bool, output_option("--allow-unconverged", help=_UNCONVERGED_HELP)]
 Model = Literal["torrance-sparrow", "ggx", "two-lobe", "auto"]
 Diffuse = Literal["lambert", "exponent", "oren-nayar"]
 
@@ -75,22 +75,20 @@ def fit_specular(
     images: common.Images,
     out: common.Out,
     method: Method = "likelihood",
-    joint: bool = common.model_option(False, "--joint", help="Fit R_d as well, instead of taking it from PART."),
+    joint: bool = model_option(False, "--joint", help="Fit R_d as well, instead of taking it from PART."),
     register: common.Register = False,
     free: Free = None,
-    points: str | None = common.model_option(
+    points: str | None = model_option(
         None, metavar="M,…", help=f"{common.POINTS_HELP} A list, such as 1,4,9: select the best.", show_default=AS_RIG
     ),
     pixels: Pixels = 1_500_000,
-    model: Model | None = common.model_option(
+    model: Model | None = model_option(
         None, metavar="|".join(get_args(Model)), help="Form of the lobe; auto: the best.", show_default=AS_PART
     ),
-    diffuse: Diffuse | None = common.model_option(
+    diffuse: Diffuse | None = model_option(
         None, metavar="|".join(get_args(Diffuse)), help="Form of the diffuse component.", show_default=AS_PART
     ),
-    validate: bool = common.model_option(
-        True, "--validate/--no-validate", help="Cross-validate: predict each light from the other lights."
-    ),
+    validate: bool = model_option(True, "--validate/--no-validate", help="Cross-validate: each light from the others."),
     lambda_s1: float = paper_option(0.005, metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels."),
     lambda_s2: float = paper_option(0.05, metavar="SHARE", help="λ_s2: tolerance of the total specular brightness."),
     start_rs: float = paper_option(255.0, metavar="LEVEL", help="Starting value of R_s."),

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._optimize_tables import show_overlaps
+from lightopt.cli._common import output_option
+from lightopt.cli._optimize import show_overlaps
 from lightopt.cli._terminal import VERBOSE, echo, echo_paths, show_table
 from lightopt.core.errors import CheckFailed, InputError, counted
 
@@ -49,23 +50,17 @@ def overlap(
 def compare(
     golden: Path = typer.Argument(..., metavar="A", help="Golden EXR, PNG or image set (folder or manifest.json)."),
     new: Path = typer.Argument(..., metavar="B", help="New EXR, PNG or image set."),
-    absolute: float = threshold_option(
-        0.05, metavar="LEVEL", help="Greatest difference, in addition to --relative times the level of A."
-    ),
+    absolute: float = threshold_option(0.05, metavar="LEVEL", help="Threshold, in addition to --relative times A."),
     relative: float = threshold_option(0.001, metavar="SHARE", help="Relative part of the threshold; see --absolute."),
-    max_share: float = threshold_option(
-        0.001, metavar="SHARE", help="Share that may differ of the pixels that show the part in A or B."
-    ),
-    geometry_absolute: float = threshold_option(
-        0.001, metavar="MM", help="Threshold for geometry images (normals: no unit) and patch tables."
-    ),
+    max_share: float = threshold_option(0.001, metavar="SHARE", help="Share of the part's pixels that may differ."),
+    geometry_absolute: float = threshold_option(0.001, metavar="MM", help="Threshold of geometry and patch tables."),
     min_iou: float | None = threshold_option(
         None, metavar="IOU", help="Minimum IoU of the saturated areas.", show_default="not checked"
     ),
     saturation: float | None = threshold_option(
         None, metavar="LEVEL", help="Level from which a pixel is saturated.", show_default="as the files say"
     ),
-    diff: Path | None = common.output_option(
+    diff: Path | None = output_option(
         None, metavar="PATH", help="Write a difference picture (PNG), or a folder of them. Red: B higher; blue: lower."
     ),
     json_file: common.JsonFile = None,

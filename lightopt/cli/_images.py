@@ -9,7 +9,7 @@ import typer
 from typer import Option
 
 from lightopt.cli import _common as common
-from lightopt.cli._common import model_option, output_option
+from lightopt.cli._common import model_option, output_option, selection_option
 from lightopt.cli._terminal import echo, echo_paths, run_context, show_table
 from lightopt.core.errors import InputError, counted
 
@@ -22,12 +22,10 @@ def render(
     posture: common.Postures = None,
     exposures: common.Exposures = "1",
     points: common.Points = None,
-    noise: int | None = common.model_option(
-        None, metavar="SEED", help="Add shot and read noise to the PNGs, with this random seed."
-    ),
+    noise: int | None = model_option(None, metavar="SEED", help="Add shot and read noise to the PNGs, by this seed."),
     shadows: common.Shadows = True,
-    defects: bool = common.model_option(True, "--defects/--no-defects", help="Render the defects listed in PART."),
-    supersample: int = common.model_option(1, metavar="N", min=1, help="Cast N × N rays per pixel."),
+    defects: bool = model_option(True, "--defects/--no-defects", help="Render the defects listed in PART."),
+    supersample: int = model_option(1, metavar="N", min=1, help="Cast N × N rays per pixel."),
     bounces: common.Bounces = 0,
     patches: common.Patches = None,
     layers: bool = output_option(False, "--layers", help="Also write the EXR channels diffuse.Y and specular.Y."),
@@ -86,12 +84,8 @@ def dataset(
         None, metavar="FILE", help="What is randomised, and within which limits (YAML).", show_default="see the how-to"
     ),
     exposure: str = model_option("1", metavar="X", help="Relative exposure time, such as 1/4."),
-    false_alarms: float = model_option(
-        0.05, metavar="N", help="False alarms per posture at which a defect counts as visible."
-    ),
-    fusion: str = output_option(
-        "paper", metavar="RULE", help="Rule of the fused image: paper, median, minimum, second-largest or none."
-    ),
+    false_alarms: float = model_option(0.05, metavar="N", help="False alarms per posture that visibility stands for."),
+    fusion: str = output_option("paper", metavar="RULE", help="Fusion: paper, median, minimum, second-largest, none."),
     stacks: bool = output_option(False, "--stacks", help="Also write the images of each pose as HDF5 (needs h5py)."),
     force: common.Force = False,
     threads: common.Threads = None,
@@ -131,9 +125,7 @@ def import_(
     images: Annotated[Path, typer.Argument(metavar="IMAGES", help="Folder of the photographs: PNG, JPEG, TIFF.")],
     lights: Annotated[Path, typer.Argument(metavar="LIGHTS", help="Table of photographs and their lights (CSV).")],
     out: common.Out,
-    camera: Path = model_option(
-        ..., metavar="FILE", help="Calibration: K, distortion, [R|t]; OpenCV's YAML or JSON, or K as text."
-    ),
+    camera: Path = model_option(..., metavar="FILE", help="K, distortion, [R|t]: OpenCV's YAML or JSON, or K as text."),
     pose: Path | None = model_option(None, metavar="FILE", help="File of [R|t], if the calibration file has none."),
     pose_units: Literal["mm", "cm", "m"] = model_option("mm", metavar="UNIT", help="Unit of t: mm, cm or m."),
     turn_world: Literal["x180", "x90", "x-90"] | None = model_option(
@@ -143,18 +135,12 @@ def import_(
     mesh_units: Literal["um", "mm", "cm", "m", "inch", "ft"] | None = model_option(
         None, metavar="UNIT", help="Unit of the mesh file: um, mm, cm, m, inch or ft."
     ),
-    sphere: float | None = model_option(
-        None, metavar="RADIUS", min=1e-3, help="The part is a sphere [mm], at the mask's disc."
-    ),
-    mask: Path | None = model_option(
-        None, metavar="FILE", help="Image of the part, white on black; the rest is blackened."
-    ),
+    sphere: float | None = model_option(None, metavar="RADIUS", min=1e-3, help="Sphere as the part [mm], at the mask."),
+    mask: Path | None = model_option(None, metavar="FILE", help="Picture of the part in white; the rest is blackened."),
     gamma: Literal["linear", "srgb"] | None = model_option(
         None, metavar="NAME", help="Encoding of the levels: linear or srgb.", show_default="linear"
     ),
-    bits: int | None = model_option(
-        None, metavar="N", help="Bits of the camera, if 16-bit files have fewer: 10, 12, 14."
-    ),
+    bits: int | None = model_option(None, metavar="N", help="Camera's bits, if 16-bit files have fewer: 10, 12, 14."),
     force: common.Force = False,
 ) -> None:
     """Make rig.yaml, part.yaml and an image set from photographs, a table of lights and a camera calibration.
@@ -200,14 +186,12 @@ def inverse_pattern(
     rig: common.RigFile,
     part: common.PartFile,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The picture (PNG).")],
-    light: str = common.selection_option(..., metavar="NAME", help="The display, by its name in RIG."),
-    posture: str | None = common.selection_option(
+    light: str = selection_option(..., metavar="NAME", help="The display, by its name in RIG."),
+    posture: str | None = selection_option(
         None, metavar="θ,φ", help="Tilt and rotation of the part [deg].", show_default="the first posture of PART"
     ),
-    pixels: str = common.model_option("64x48", metavar="WxH", help="Columns and rows of the picture."),
-    period: float = common.model_option(
-        16.0, "--period-px", metavar="N", min=0.0, help="Period of the pattern in the image [px]; 0: flat."
-    ),
+    pixels: str = model_option("64x48", metavar="WxH", help="Columns and rows of the picture."),
+    period: float = model_option(16.0, "--period-px", metavar="N", min=0.0, help="Period in the image [px]; 0: flat."),
     force: common.Force = False,
 ) -> None:
     """Compute the picture on a display whose reflection in a good part is a regular pattern of known levels.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from lightopt.cli import _common as common, _terminal as terminal
+from lightopt.cli._common import model_option, output_option
 from lightopt.cli._terminal import VERBOSE, echo, show_page_table, show_progress
 from lightopt.core.errors import CheckFailed, InputError, counted, percent, refuse
 from lightopt.core.run_context import RunContext, StageShare
@@ -32,18 +33,18 @@ def inspect(
         list[Path], typer.Argument(metavar="IMAGES", help="Image sets of one part each: folder or manifest.json.")
     ],
     out: common.Out,
-    detector: str = common.model_option(
+    detector: str = model_option(
         "catalogue", metavar="residual|catalogue|template", help="Score pixels, also whole shapes, or dots and lines."
     ),
-    reference: str = common.model_option(
+    reference: str = model_option(
         "model",
         metavar="model|good-parts|self",
         help="Compare with the model, good parts, or each place with its surroundings.",
     ),
-    fusion: str = common.model_option(
+    fusion: str = model_option(
         "paper", metavar="paper|median|minimum|second-largest|none", help="Rule of the image without highlights."
     ),
-    false_alarms: float | None = common.model_option(
+    false_alarms: float | None = model_option(
         None,
         metavar="N",
         help="Expected false alarms per posture; with a calibration the share of good parts with one, from 1e-9 to 1.",
@@ -51,16 +52,14 @@ def inspect(
     ),
     min_images: common.MinImages = 2,
     register: common.Register = True,
-    calibrate: bool = calibration_option(
-        False, "--calibrate", help="Write calibration.json from IMAGES of good parts; do not inspect them."
-    ),
+    calibrate: bool = calibration_option(False, "--calibrate", help="Write calibration.json of IMAGES of good parts."),
     calibration: Path | None = calibration_option(
         None, metavar="FILE", help="Use this calibration.json; its false-alarm rate becomes the default."
     ),
-    evaluate: bool = common.output_option(
+    evaluate: bool = output_option(
         False, "--evaluate", help="Compare with ground truth (labels, or defects of a set's part file): truth.json."
     ),
-    fail_on_defect: bool = common.output_option(False, "--fail-on-defect", help="Exit status 1 if a part is NG."),
+    fail_on_defect: bool = output_option(False, "--fail-on-defect", help="Exit status 1 if a part is NG."),
     report: common.Report = True,
     derived: common.Derived = False,
     force: common.Force = False,

@@ -113,9 +113,7 @@ app = typer.Typer(
 
 @app.callback()
 def _common(
-    version: bool = typer.Option(
-        False, "--version", callback=version_wanted, is_eager=True, help="Show the version and exit."
-    ),
+    version: bool = typer.Option(False, "--version", callback=version_wanted, is_eager=True, help="Show the version."),
     debug: bool = typer.Option(  # taken from the arguments before they are parsed
         False, "--debug", help="Show the traceback of an unexpected error; also LIGHTOPT_DEBUG=1."
     ),

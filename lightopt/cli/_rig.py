@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._common import model_option
+from lightopt.cli._common import model_option, output_option
 from lightopt.cli._terminal import VERBOSE, echo, echo_paths, run_context, show_page_table
 from lightopt.core.errors import CheckFailed, InputError
 
@@ -26,12 +26,8 @@ def verify(
     part: common.PartFile,
     images: common.Images,
     out: common.Out,
-    baseline: Path | None = model_option(
-        None, metavar="SET", help="Known good image set of the same part: report what has changed since."
-    ),
-    plan: Path | None = model_option(
-        None, metavar="FILE", help="result.json of optimize with tolerances, which become the limits."
-    ),
+    baseline: Path | None = model_option(None, metavar="SET", help="Known good image set: report changes since it."),
+    plan: Path | None = model_option(None, metavar="FILE", help="result.json of optimize: its tolerances as limits."),
     limit: list[str] | None = model_option(
         None,
         "--limit",
@@ -41,9 +37,7 @@ def verify(
         show_default="see docs/how-to/verify.md",
     ),
     register: common.Register = True,
-    history: Path | None = common.output_option(
-        None, metavar="DIR", help="Add a row for this run to history.csv in DIR, and draw history.png."
-    ),
+    history: Path | None = output_option(None, metavar="DIR", help="Add this run to history.csv in DIR; draw it (PNG)"),
     report: common.Report = True,
     force: common.Force = False,
     threads: common.Threads = None,
@@ -128,7 +122,7 @@ def calibrate(
         Path,
         typer.Argument(metavar="FOLDER", help="Calibration folder: targets.yaml and image sets.", show_default=False),
     ],
-    plan: bool = common.output_option(
+    plan: bool = output_option(
         False, "--plan", help="Write what to capture: targets.yaml, a board to print, parts with postures, commands."
     ),
     report: common.Report = True,

@@ -32,9 +32,7 @@ def _whole(value: object) -> object:
 
 
 _Point = Annotated[tuple[fields.Number, fields.Number], LIST, expecting("[column, row], two numbers of pixels")]
-_Focal = Annotated[
-    tuple[fields.Positive, fields.Positive], LIST, expecting("[in columns, in rows], two numbers of pixels above 0")
-]
+_Focal = Annotated[tuple[fields.Positive, fields.Positive], LIST, expecting("[columns, rows], two numbers above 0")]
 
 
 class DistortionConfig(Frozen):
@@ -184,9 +182,7 @@ class CameraConfig(Frozen):
     """Roll of the camera about its viewing axis [deg]."""
     pose: CameraPoseConfig | None = None
     """Measured pose, in place of distance_mm, elevation_deg, azimuth_deg and roll_deg."""
-    resolution_px: Annotated[
-        tuple[_Pixels, _Pixels], LIST, expecting("[width, height], two whole numbers from 1 to 65535")
-    ]
+    resolution_px: Annotated[tuple[_Pixels, _Pixels], LIST, expecting("[width, height], whole numbers up to 65535")]
     """Width and height of the image [pixels]."""
     pixel_size_um: Annotated[float, Field(ge=0.01, le=1000), expecting("a number from 0.01 to 1000")]
     """Edge of a square pixel on the sensor [µm]."""

@@ -205,24 +205,12 @@ Length = Annotated[float, Field(ge=1e-3, le=1e6), expecting("a length between 0.
 ABOVE_TABLE = "a number between 0 and 180 (degrees above the table, ends excluded)"
 Elevation = Annotated[float, Field(gt=0, lt=180), expecting(ABOVE_TABLE)]
 Azimuth = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 to 360 (degrees about Z)")]
-ElevationRange = Annotated[
-    tuple[Elevation, Elevation], LIST, ASCENDING, expecting("[low, high], two numbers between 0 and 180 (degrees)")
-]
-AzimuthRange = Annotated[
-    tuple[Azimuth, Azimuth], LIST, ASCENDING, expecting("[low, high], two numbers from -360 to 360 (degrees)")
-]
-Distance = Annotated[
-    float,
-    Field(ge=0, le=1e6),
-    expecting("a length between 0.001 and 1000000 (a number); a light around the part may be at 0"),
-]
-DistanceRange = Annotated[
-    tuple[Distance, Distance], LIST, ASCENDING, expecting("[low, high], two lengths from 0 to 1000000")
-]
+ElevationRange = Annotated[tuple[Elevation, Elevation], LIST, ASCENDING, expecting("[low, high] between 0 and 180 (°)")]
+AzimuthRange = Annotated[tuple[Azimuth, Azimuth], LIST, ASCENDING, expecting("[low, high] from -360 to 360 (°)")]
+Distance = Annotated[float, Field(ge=0, le=1e6), expecting("a length from 0 to 1000000 (a number)")]
+DistanceRange = Annotated[tuple[Distance, Distance], LIST, ASCENDING, expecting("[low, high] from 0 to 1000000")]
 Tilt = Annotated[float, Field(ge=-180, le=180), expecting("a number from -180 to 180 (degrees of tilt)")]
-TiltRange = Annotated[
-    tuple[Tilt, Tilt], LIST, ASCENDING, expecting("[low, high], two numbers from -180 to 180 (degrees)")
-]
+TiltRange = Annotated[tuple[Tilt, Tilt], LIST, ASCENDING, expecting("[low, high] from -180 to 180 (°)")]
 Coordinates = Annotated[tuple[Number, Number, Number], LIST, expecting("[x, y, z], three numbers up to 1000000")]
 
 
@@ -233,9 +221,7 @@ def _some_way(direction: tuple[float, float, float]) -> tuple[float, float, floa
 
 
 Direction = Annotated[Coordinates, AfterValidator(_some_way)]
-Size = Annotated[
-    tuple[Length, Length], LIST, expecting("[along azimuth, along elevation], two lengths between 0.001 and 1000000")
-]
+Size = Annotated[tuple[Length, Length], LIST, expecting("[along azimuth, along elevation], two lengths")]
 Points = Annotated[
     Annotated[int, Field(ge=1, le=MOST_POINTS)] | Literal["auto"],
     AfterValidator(_square),

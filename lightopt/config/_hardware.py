@@ -122,7 +122,7 @@ class TemplateConfig(Frozen):
 DISPLAY_DRIVERS = ("screen", "command")
 MOST_SQUARE = 1.05  # ratio of a screen pixel's sides that is taken for a rounded size_mm
 
-_ScreenPixels = Annotated[int, Field(ge=1, le=16384)]
+_Side = Annotated[int, Field(ge=1, le=16384)]
 _Arguments = Annotated[tuple[fields.Text, ...], Field(strict=False, min_length=1, max_length=50)]
 
 
@@ -133,17 +133,13 @@ def _with_file(arguments: tuple[str, ...]) -> tuple[str, ...]:
 
 
 _Monitor = Annotated[int, Field(ge=1, le=16), expecting("the number of a monitor, from 1 to 16")]
-_Program = Annotated[
-    _Arguments, AfterValidator(_with_file), expecting('a program and its arguments, such as [show-picture, "{file}"]')
-]
+_Program = Annotated[_Arguments, AfterValidator(_with_file), expecting('a program and arguments: [show, "{file}"]')]
 
 
 class PictureConfig(Frozen):
     """The screen of a display, for driver: screen and driver: command."""
 
-    resolution_px: Annotated[
-        tuple[_ScreenPixels, _ScreenPixels], LIST, expecting("[width, height], two whole numbers from 1 to 16384")
-    ]
+    resolution_px: Annotated[tuple[_Side, _Side], LIST, expecting("[width, height], whole numbers up to 16384")]
     """Width and height of the screen as the computer has it, whose visible area is the light's size_mm [pixels]."""
     gamma: Annotated[float, Field(ge=0.5, le=5), expecting("a number from 0.5 to 5")] = 2.2
     """Response of the screen: its radiance is (level / 255)^gamma of the full one."""

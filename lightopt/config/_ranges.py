@@ -10,22 +10,14 @@ from lightopt.config._fields import LIST, Frozen, complaint, expecting
 _Reach = Annotated[float, Field(ge=0, le=100), expecting("a length from 0 to 100 (mm)")]
 _Angle = Annotated[float, Field(ge=0, le=10), expecting("an angle from 0 to 10 (degrees)")]
 _FactorEnd = Annotated[float, Field(ge=0.1, le=10)]
-_Factors = Annotated[
-    tuple[_FactorEnd, _FactorEnd], LIST, fields.ASCENDING, expecting("[low, high], two factors from 0.1 to 10")
-]
+_Factors = Annotated[tuple[_FactorEnd, _FactorEnd], LIST, fields.ASCENDING, expecting("[low, high] from 0.1 to 10")]
 _CountEnd = Annotated[int, Field(ge=0, le=200)]
-_Counts = Annotated[
-    tuple[_CountEnd, _CountEnd], LIST, fields.ASCENDING, expecting("[least, most], two whole numbers from 0 to 200")
-]
+_Counts = Annotated[tuple[_CountEnd, _CountEnd], LIST, fields.ASCENDING, expecting("[least, most] from 0 to 200")]
 _DefectEnd = Annotated[int, Field(ge=1, le=50)]
-_Defects = Annotated[
-    tuple[_DefectEnd, _DefectEnd], LIST, fields.ASCENDING, expecting("[least, most], two whole numbers from 1 to 50")
-]
+_Defects = Annotated[tuple[_DefectEnd, _DefectEnd], LIST, fields.ASCENDING, expecting("[least, most] from 1 to 50")]
 _Share = Annotated[float, Field(ge=0, le=1), expecting("a share from 0 to 1")]
 _Sizes = Annotated[tuple[fields.Length, fields.Length], LIST, fields.ASCENDING, expecting("[low, high], two lengths")]
-_Levels = Annotated[
-    tuple[fields.Coefficient, fields.Coefficient], LIST, fields.ASCENDING, expecting("[low, high], two coefficients")
-]
+_Levels = Annotated[tuple[fields.Coefficient, fields.Coefficient], LIST, fields.ASCENDING, expecting("[low, high]")]
 
 
 class PoseRangeConfig(Frozen):

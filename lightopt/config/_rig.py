@@ -16,9 +16,16 @@ from pydantic import (
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig
 from lightopt.config._hardware import HardwareConfig, misfits
-from lightopt.config._light import LightConfig, LightSourceConfig, auto_sums, expanded
+from lightopt.config._light import (
+    LightConfig,
+    LightSourceConfig,
+    ProgrammeImageConfig,
+    auto_sums,
+    expanded,
+    programme_lights,
+    programme_misfits,
+)
 from lightopt.config._pose import CalibrationConfig, RotaryAxisConfig, TiltAxisConfig
-from lightopt.config._programme import ProgrammeImageConfig, programme_lights, programme_misfits
 
 
 class StageConfig(fields.Frozen):

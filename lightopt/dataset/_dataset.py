@@ -18,8 +18,17 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
 from lightopt.dataset._draws import SPLITS, DatasetOptions, Factors, PoseDraw, draw_poses, draw_sample, factors_of
 from lightopt.dataset._folder import MANIFEST, DatasetFolder
-from lightopt.dataset._formats import datasheet, image_name, mask_name, union, write_formats, yolo_name, yolo_text
-from lightopt.dataset._masks import box_of, run_lengths
+from lightopt.dataset._formats import (
+    box_of,
+    datasheet,
+    image_name,
+    mask_name,
+    run_lengths,
+    union,
+    write_formats,
+    yolo_name,
+    yolo_text,
+)
 from lightopt.dataset._pose import (
     FUSED,
     STACK,

@@ -13,7 +13,7 @@ import pytest
 from planned import CATALOGUE, FEW, LIGHTS, PLAN, made_once, prepared
 
 from lightopt.cli._main import run
-from lightopt.cli._optimize_tables import show_plan
+from lightopt.cli._optimize import show_plan
 from lightopt.cli._terminal import VERBOSE
 from lightopt.config import load_part, load_rig
 from lightopt.core.transforms import Posture
