@@ -101,8 +101,7 @@ class SensorConfig(Frozen):
     bit_depth: Annotated[Literal[8, 10, 12, 14, 16], BeforeValidator(_whole), expecting("8, 10, 12, 14 or 16")]
     """Bits per pixel: 8, 10, 12, 14 or 16. The full scale is 2^bits - 1 levels."""
     saturation_level: Annotated[int, Field(ge=1), expecting("a whole level above 0")] | None = None
-    """Level [levels] from which a pixel counts as saturated; the full scale unless given. Some 12-bit cameras stop at
-    4080."""
+    """Level [levels] from which a pixel is saturated; the full scale unless given. Some 12-bit cameras stop at 4080."""
     black_level: Annotated[float, Field(ge=0), expecting("a level from 0 up")] = 0.0
     """Level of an unlit pixel [levels of the sensor]."""
     read_noise_levels: Annotated[float, Field(ge=0, le=1e5), expecting("a number from 0 up")] = 0.0
@@ -194,8 +193,7 @@ class CameraConfig(Frozen):
     image_distance_mm: fields.Length | None = None
     """Distance from the pinhole to the image plane [mm]. Give this or focal_length_mm."""
     focal_length_mm: fields.Length | None = None
-    """Focal length of a lens that is focused at focus_distance_mm [mm]: 1/f = 1/a + 1/b. Give this or
-    image_distance_mm."""
+    """Focal length of a lens focused at focus_distance_mm [mm]: 1/f = 1/a + 1/b. Give this or image_distance_mm."""
     aperture: Annotated[float, Field(ge=0.5, le=1000), expecting("an f-number from 0.5 to 1000")] | None = None
     """F-number, focal length over diameter of the aperture. If absent, the camera is a pinhole: all is in focus."""
     focus_distance_mm: fields.Length | None = None
@@ -265,8 +263,7 @@ class CameraDeviceConfig(Frozen):
     pixel_format: fields.Text | None = None
     """aravis, genicam: pixel format, such as Mono12p; one that has the sensor's bit_depth if absent."""
     offset_px: _Offset | None = None
-    """aravis, genicam: where the image begins on the sensor, from the left and from the top [pixels]; centred if
-    absent."""
+    """aravis, genicam: where the image begins on the sensor, from left and top [pixels]; centred if absent."""
     gain: Annotated[float, Field(ge=-100, le=1000), expecting("a gain")] | None = None
     """aravis, genicam: gain in the camera's own units, mostly dB; as the camera has it if absent."""
     trigger: Literal["auto", "software", "none"] = "auto"

@@ -61,8 +61,7 @@ class CatalogueEntryConfig(fields.Frozen):
     name: fields.Text
     """Name of the defect, for people; no two in the list are the same."""
     kind: DefectKind
-    """scratch (a groove), dent, bump, pit (a steep cone), blister (flat-topped), stain (R_d changed) or haze (sigma
-    changed)."""
+    """scratch (a groove), dent, bump, pit (a steep cone), blister (flat-topped), stain (R_d) or haze (sigma)."""
     size_mm: _Size
     """Diameter, or [length, width] with the length along the direction, at least the width [mm]. A scratch has both."""
     slope_deg: _Slope | None = None
@@ -72,8 +71,7 @@ class CatalogueEntryConfig(fields.Frozen):
     R_d_factor: _Factor | None = None
     """Stains: factor on R_d; not 1."""
     sigma_factor: _WidthFactor | None = None
-    """Hazes: factor on sigma; not 1. R_s is divided by its square, so that the lobe reflects as much light as
-    before."""
+    """Hazes: factor on sigma; not 1. R_s is divided by its square: the lobe reflects as much light as before."""
 
     @field_validator("size_mm")
     @classmethod
@@ -128,8 +126,7 @@ class PlannedDefectConfig(CatalogueEntryConfig):
     size_range: _Range = (1.0, 1.0)
     """Least and greatest size, as multiples of size_mm; all of that size if absent."""
     slope_range: _Range = (1.0, 1.0)
-    """Least and greatest slope of the walls, as multiples of that of slope_deg or depth_mm; all of that slope if
-    absent. Shapes only."""
+    """Least and greatest slope of the walls, as multiples of slope_deg or depth_mm; that slope if absent."""
 
     @field_validator("slope_range")
     @classmethod

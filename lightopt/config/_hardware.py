@@ -100,8 +100,7 @@ class TemplateConfig(Frozen):
     read: Command | None = None
     """Command that queries the intensity, which is 0 when dark; none: it cannot be queried."""
     read_reply: Pattern | None = Field(default=None, validate_default=True)
-    """Regular expression of the reply to `read`, with the digits of the intensity in a group named level:
-    L1(?P<level>[0-9]+)."""
+    """Regular expression of the reply to `read`, with a group named level for the intensity: L1(?P<level>[0-9]+)."""
     end: End | None = None
     """Bytes that end a reply; silence ends it if absent."""
 

@@ -94,11 +94,9 @@ class LightSourceConfig(fields.Frozen):
     points: fields.Points
     """Point lights of the panel: a square number (1, 4, 9, 16, ...), or auto for the converged panel."""
     normalisation: _Normalisation = Field(default="mean", validate_default=True)
-    """mean: the points share the output of the panel; sum: each point counts in full, so brightness grows with the
-    number of points."""
+    """mean: the points share the panel's output; sum: each counts in full, so that more points are brighter."""
     falloff: _Falloff = "none"
-    """none: brightness does not depend on the distance; inverse_square: it does, and is unchanged at
-    reference_distance_mm."""
+    """none: brightness does not depend on the distance; inverse_square: unchanged at reference_distance_mm."""
     reference_distance_mm: fields.Length | None = None
     """inverse_square: distance at which brightness is unchanged [mm]; of the panel's centre to the origin if absent, so
     that a panel moved away is not dimmer there."""
@@ -135,13 +133,11 @@ class LightConfig(fields.Frozen):
     )
 
     name: fields.FileName
-    """Name of the light; it becomes a file name and differs from the others. Lights of several channels are named
-    name-1, name-2, ..."""
+    """Name of the light, a file name unlike those of others. Lights of several channels are name-1, name-2, ..."""
     kind: LightKind = "panel"
     """Kind of light. All kinds but panel shine by Lambert's law and fall off with the square of the distance."""
     distance_mm: fields.Distance
-    """Distance from the origin to the centre of the panel, ring, dome (of its sphere) or other light [mm]; 0 for a dome
-    if absent."""
+    """Distance from the origin to the centre of the panel, ring, dome's sphere or other light [mm]; 0 for a dome."""
     elevation_deg: _LightElevation
     """Elevation of the light's centre above the table plane [deg]; 90 is straight above, which lights other than panels
     have if absent. A backlight may be below the table, down to -90, which it has if absent."""

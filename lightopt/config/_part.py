@@ -49,8 +49,7 @@ class MeshConfig(Frozen):
     """Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and .obj, which contain none.
     For .glb (metres) and STEP, only the unit of the file itself."""
     normals: Literal["smooth", "facet"] = "smooth"
-    """smooth: normals vary over the facets, except across edges sharper than the crease angle; facet: each facet is
-    flat."""
+    """smooth: normals vary over the facets, except across edges sharper than the crease angle; facet: flat ones."""
     crease_angle_deg: Annotated[float, Field(gt=0, le=180), expecting("a number above 0, up to 180 (degrees)")] = 30.0
     """Edges where the facets' normals differ by more than this stay sharp [deg]."""
     chord_tolerance_mm: _ChordTolerance | None = None
@@ -306,8 +305,7 @@ class MaskConfig(Frozen):
     onto: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
     """Which surface it falls on: +z is what faces up, in the mesh file's coordinates."""
     corner_mm: _Corner
-    """Place of the lower left corner of the picture along the two axes across the projection, in the order X, Y, Z
-    [mm]."""
+    """Lower left corner of the picture along the two axes across the projection, in the order X, Y, Z [mm]."""
     pixel_mm: Annotated[float, Field(ge=1e-3, le=100), expecting("a number from 0.001 to 100 (mm)")]
     """Side of a pixel on the part [mm]."""
     depth_mm: _Depth | None = None

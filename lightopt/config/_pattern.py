@@ -29,8 +29,7 @@ class PatternConfig(fields.Frozen):
     period_mm: fields.Length | None = None
     """sine and bars of a display or backlight: length of a period [mm]."""
     period_deg: Annotated[float, Field(gt=0, le=360), fields.expecting("degrees above 0 up to 360")] | None = None
-    """sine of a dome: period of azimuth (u) and elevation (v), seen from the dome's centre; a whole number of them
-    makes 360 [deg]."""
+    """sine of a dome: period of azimuth (u) and elevation (v), from its centre; whole numbers make 360 [deg]."""
     second_period_mm: fields.Length | None = None
     """sine: length of the period of as many further images of each direction, longer than period_mm [mm]: both phases
     together give the place on the display; no such images if absent."""

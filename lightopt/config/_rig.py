@@ -54,8 +54,7 @@ class VirtualBenchConfig(fields.Frozen):
     """What the virtual bench has in place of what its files say; only lightopt capture reads it."""
 
     rig: fields.Text | None = None
-    """Rig file with the true camera, lights, stage and sensor, of the same light names and resolution; relative to this
-    file."""
+    """Rig file with the true camera, lights, stage and sensor, of the same light names and resolution."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1), fields.expecting("a whole number from 0 up")] = 1
     """Seed of the noise, and of the waviness of the part's surface."""
     rays: Annotated[int, Field(ge=1, le=8), fields.expecting("a whole number from 1 to 8")] = 1
