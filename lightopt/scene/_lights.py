@@ -11,7 +11,7 @@ import numpy as np
 
 from lightopt.config import LightConfig, RigConfig, points_problem, standing_at
 from lightopt.core.arrays import Float64
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import rotation_from_vector
 from lightopt.images import read_png
 from lightopt.lights import (
@@ -48,9 +48,8 @@ def build_lights(
     Raises InputError: A name that the rig does not have
     """
     known = [light.name for light in rig.lights]
-    unknown = [name for name in names or () if name not in known]
-    if unknown:
-        raise InputError(*(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown))
+    there = f"in {rig.source.path}; it has {', '.join(known)}"
+    refuse(f'no light "{name}" {there}' for name in names or () if name not in known)
     chosen = [light for light in rig.lights if names is None or light.name in names]
     return tuple(_light(rig, one, points) for one in chosen)
 
