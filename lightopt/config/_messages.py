@@ -3,13 +3,12 @@
 import json
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
 from lightopt.config._strict_yaml import INVALID, Document, Keys, Problem, is_number
-from lightopt.core.errors import did_you_mean
 
 _LONGEST = 60
 _EXPECTED = ("expected", "literal_error")  # kinds of errors that name what is expected
@@ -66,7 +65,7 @@ def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, s
         expected = context["expected"].replace("'", "")  # pydantic puts each word of a Literal in quotes
         if expected.startswith(("a name", "text")) and isinstance(error["input"], (int, float)):
             found += "; put it in quotes to make it text"
-        return f"expected {expected}, {found}{_meant_word(model, error)}"
+        return f"expected {expected}, {found}"
     if kind == "missing":
         parent = _model_at(model, loc[:-1])
         field = parent.model_fields[str(loc[-1])] if parent else None
@@ -83,22 +82,6 @@ def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, s
     if kind == "too_long":
         return f"expected at most {context['max_length']} entries, found {context['actual_length']}"
     return f"this value cannot be used here: {found}"
-
-
-def _meant_word(model: type[BaseModel], error: ErrorDetails) -> str:
-    """Word that is probably meant, where only some may stand."""
-    parent = _model_at(model, error["loc"][:-1])
-    field = parent.model_fields.get(str(error["loc"][-1])) if parent is not None and error["loc"] else None
-    if field is None or not isinstance(error["input"], str):
-        return ""
-    return did_you_mean(error["input"].lower(), (w for w in _literals(field.annotation) if isinstance(w, str)))
-
-
-def _literals(annotation: Any) -> tuple[Any, ...]:
-    """Values that a Literal names, be it one of several possibilities."""
-    if get_origin(annotation) is Literal:
-        return get_args(annotation)
-    return tuple(value for inner in get_args(annotation) for value in _literals(inner))
 
 
 def _unknown_key(model: type[BaseModel], loc: Keys, known: str | None) -> str:
