@@ -24,8 +24,9 @@ _Size = Annotated[
 ]
 _Slope = Annotated[float, Field(gt=0, le=60), fields.expecting("a number above 0, up to 60 (degrees)")]
 _Depth = Annotated[float, Field(gt=0, le=1e3), fields.expecting("a number above 0, up to 1000 (mm)")]
-_Factor = Annotated[float, Field(ge=0, le=100), fields.expecting("a number from 0 to 100")]
-_WidthFactor = Annotated[float, Field(ge=0.01, le=100), fields.expecting("a number from 0.01 to 100")]
+_NOT_1 = fields.that(lambda factor: factor != 1.0, "expected a number other than 1: with 1 there is no defect")
+_Factor = Annotated[float, Field(ge=0, le=100), _NOT_1, fields.expecting("a number from 0 to 100")]
+_WidthFactor = Annotated[float, Field(ge=0.01, le=100), _NOT_1, fields.expecting("a number from 0.01 to 100")]
 _Factor10 = Annotated[float, Field(ge=0.1, le=10)]
 _LEAST_GREATEST = "[least, greatest], two numbers from 0.1 to 10, such as [0.5, 2]"
 _Range = Annotated[tuple[_Factor10, _Factor10], fields.LIST, fields.ASCENDING, fields.expecting(_LEAST_GREATEST)]
@@ -95,13 +96,6 @@ class CatalogueEntryConfig(fields.Frozen):
                 walls = f"has walls of {math.degrees(slope_found):.0f} degrees"
                 raise fields.complaint(f"a {kind} {width:g} mm wide and {depth:g} mm deep {walls}; {most}")
         return depth
-
-    @field_validator("R_d_factor", "sigma_factor")
-    @classmethod
-    def _changes_something(cls, factor: float | None) -> float | None:
-        if factor == 1.0:
-            raise fields.complaint("expected a number other than 1: with 1 there is no defect")
-        return factor
 
     @classmethod
     def misfits(cls, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:

@@ -135,6 +135,17 @@ def expecting(what: str) -> WrapValidator:
     return WrapValidator(check)
 
 
+def that(holds: Callable[[Any], bool], reason: str) -> AfterValidator:
+    """Refuse values for which something does not hold."""
+
+    def check(value: object) -> object:
+        if not holds(value):
+            raise complaint(reason)
+        return value
+
+    return AfterValidator(check)
+
+
 def repeated(keys: Iterable[Hashable | None]) -> Iterator[tuple[int, int]]:
     """Indices of keys that came before, each with the index of the first; None is passed over."""
     first: dict[Hashable, int] = {}
@@ -214,13 +225,7 @@ TiltRange = Annotated[tuple[Tilt, Tilt], LIST, ASCENDING, expecting("[low, high]
 Coordinates = Annotated[tuple[Number, Number, Number], LIST, expecting("[x, y, z], three numbers up to 1000000")]
 
 
-def _some_way(direction: tuple[float, float, float]) -> tuple[float, float, float]:
-    if not any(direction):
-        raise complaint("expected [x, y, z], three numbers that are not all 0")
-    return direction
-
-
-Direction = Annotated[Coordinates, AfterValidator(_some_way)]
+Direction = Annotated[Coordinates, that(any, "expected [x, y, z], three numbers that are not all 0")]
 Size = Annotated[tuple[Length, Length], LIST, expecting("[along azimuth, along elevation], two lengths")]
 Points = Annotated[
     Annotated[int, Field(ge=1, le=MOST_POINTS)] | Literal["auto"],

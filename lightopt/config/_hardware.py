@@ -61,10 +61,8 @@ def _filled_in(text: str) -> str:
     return text
 
 
-def _needs_level(text: str) -> str:
-    if not any(name == "level" for _, name, _, _ in string.Formatter().parse(text)):
-        raise complaint("the field {level} is missing: the command would set no intensity")
-    return text
+def _has_level(text: str) -> bool:
+    return any(name == "level" for _, name, _, _ in string.Formatter().parse(text))
 
 
 def _compiled(text: str) -> str:
@@ -89,7 +87,7 @@ class TemplateConfig(Frozen):
     width: {level:03d}. In double quotes the escapes for carriage return, line feed and other bytes are understood.
     """
 
-    set: Annotated[Command, AfterValidator(_needs_level)]
+    set: Annotated[Command, fields.that(_has_level, "the field {level} is missing: the command would set no intensity")]
     """Command that sets an intensity and lights the channel; has the field {level}."""
     set_reply: Pattern | None = None
     """Regular expression that the whole reply matches, without its end; none: there is no reply."""
@@ -123,16 +121,12 @@ MOST_SQUARE = 1.05  # ratio of a screen pixel's sides that is taken for a rounde
 
 _Side = Annotated[int, Field(ge=1, le=16384)]
 _Arguments = Annotated[tuple[fields.Text, ...], Field(strict=False, min_length=1, max_length=50)]
-
-
-def _with_file(arguments: tuple[str, ...]) -> tuple[str, ...]:
-    if not any("{file}" in argument for argument in arguments):
-        raise complaint('no entry has the field {file}, the path of the picture; add "{file}"')
-    return arguments
-
-
 _Monitor = Annotated[int, Field(ge=1, le=16), expecting("the number of a monitor, from 1 to 16")]
-_Program = Annotated[_Arguments, AfterValidator(_with_file), expecting('a program and arguments: [show, "{file}"]')]
+_WITH_FILE = fields.that(
+    lambda words: any("{file}" in word for word in words),
+    'no entry has the field {file}, the path of the picture; add "{file}"',
+)
+_Program = Annotated[_Arguments, _WITH_FILE, expecting('a program and arguments: [show, "{file}"]')]
 
 
 class PictureConfig(Frozen):
@@ -237,12 +231,7 @@ _AXES = {
     "grbl": ("[XYZ]", "X, Y or Z"),
     "zaber": ("([1-9][0-9]?/)?[1-9]", "a number, or device/axis such as 2/1"),
 }
-
-
-def _not_zero(number: float) -> float:
-    if number == 0:
-        raise complaint("expected a number other than 0, found 0")
-    return number
+_NOT_ZERO = fields.that(bool, "expected a number other than 0, found 0")
 
 
 class AxisConfig(Frozen):
@@ -251,12 +240,12 @@ class AxisConfig(Frozen):
     axis: Annotated[fields.Text, expecting('text in quotes, the axis as the device calls it: "1", "X"')]
     """The axis as the device calls it: "1", "2", "X", "Y"."""
     steps_per_deg: Annotated[
-        float, Field(ge=-1e7, le=1e7), AfterValidator(_not_zero), expecting("a number other than 0, from -1e7 to 1e7")
+        float, Field(ge=-1e7, le=1e7), _NOT_ZERO, expecting("a number other than 0, from -1e7 to 1e7")
     ] = 1.0
     """Device units per degree; negative if the device counts against the rig's direction."""
     zero: Annotated[float, Field(ge=-1e9, le=1e9), expecting("a number")] = 0.0
     """Device units at which the rig's angle is 0."""
-    home_sense: Annotated[int, Field(ge=-1, le=1), AfterValidator(_not_zero), expecting("1 or -1")] = -1
+    home_sense: Annotated[int, Field(ge=-1, le=1), _NOT_ZERO, expecting("1 or -1")] = -1
     """gsc: direction of the device's count in which it searches its origin, 1 or -1."""
     speed_deg_per_s: fields.Positive = 20.0
     """Speed that is set in the device [deg/s]."""

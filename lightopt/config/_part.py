@@ -139,7 +139,14 @@ class AxisConfig(Frozen):
     """Its direction, of any length, in the mesh file's coordinates."""
 
 
-_Curve = Annotated[tuple[fields.Coordinates, ...], Field(strict=False, min_length=2, max_length=1000)]
+_Curve = Annotated[
+    tuple[fields.Coordinates, ...],
+    Field(strict=False, min_length=2, max_length=1000),
+    fields.that(
+        lambda curve: all(a != b for a, b in pairwise(curve)),
+        "two corners that follow each other are at the same place; remove one of them",
+    ),
+]
 
 
 class BrushingConfig(Frozen):
@@ -154,13 +161,6 @@ class BrushingConfig(Frozen):
     along_curve_mm: _Curve | None = None
     """Along a curve, as it runs where it is nearest: its corners, in the mesh file's coordinates [mm]. The direction
     turns evenly from one corner to the next."""
-
-    @field_validator("along_curve_mm")
-    @classmethod
-    def _of_places(cls, curve: tuple[tuple[float, ...], ...] | None) -> tuple[tuple[float, ...], ...] | None:
-        if curve is not None and any(a == b for a, b in pairwise(curve)):
-            raise complaint("two corners that follow each other are at the same place; remove one of them")
-        return curve
 
 
 class ReflectanceConfig(Frozen):

@@ -239,9 +239,8 @@ class _Work:
         files: list[str] = []
         shift = max(0, int(self.nominal.sensor.bit_depth) - 8)  # readers of datasets expect 8 bits
         pictures = [(levels >> shift).astype(np.uint8) for levels in images.levels]
-        for view, picture in zip(
-            self.views, [*pictures, *([] if images.fused is None else [images.fused])], strict=True
-        ):
+        pictures += [] if images.fused is None else [images.fused]
+        for view, picture in zip(self.views, pictures, strict=True):
             image = facts["files"][view]
             metadata = {"sample": facts["sample"], "view": view}
             write_png(self.out.path(image), picture, metadata=metadata)
