@@ -59,30 +59,28 @@ def _wrong_shapes(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complain
     """Complaints about the sizes of a kind of light that exclude each other."""
     numbers = {key: value for key, value in raw.items() if isinstance(value, (int, float))}
     if numbers.get("rows", 1) * numbers.get("columns", 1) > MOST_CHANNELS:
-        yield ("rows",), raw["rows"], fields.complaint(f"expected at most {MOST_CHANNELS} LEDs in all")
+        key = "rows" if "rows" in numbers else "columns"
+        yield (key,), raw[key], fields.complaint(f"expected at most {MOST_CHANNELS} LEDs in all")
     if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
         yield ("inner_radius_mm",), raw["inner_radius_mm"], fields.complaint("expected less than outer_radius_mm")
     size = [side for side in fields.entries(raw.get("size_mm")) if isinstance(side, (int, float))]
     hole = numbers.get("camera_hole_mm", 0.0)
     widest = {"dome": numbers.get("radius_mm"), "flat_dome": min(size, default=None)}.get(kind)
-    if widest is not None and hole >= widest:
+    if widest is not None and "camera_hole_mm" in numbers and hole >= widest:
         yield ("camera_hole_mm",), hole, fields.complaint(f"expected less than {widest:g}")
-    elif kind == "dome" and widest:
+    elif kind == "dome" and widest is not None and widest > 0.0:
         upper, lower = math.degrees(math.acos(0.5 * max(0.0, hole) / widest)), numbers.get("lower_elevation_deg", 0.0)
         if lower >= upper:
             reason = f"expected less than {upper:.4g}, where the hole is"
             yield ("lower_elevation_deg",), lower, fields.complaint(reason)
-    if numbers.get("slot_mm", 0.0) >= 2.0 * numbers.get("radius_mm", 1e9):
+    if "slot_mm" in numbers and numbers["slot_mm"] >= 2.0 * numbers.get("radius_mm", 1e9):
         yield ("slot_mm",), raw["slot_mm"], fields.complaint("expected less than the tunnel's diameter")
     counts = numbers.get("columns", 0), numbers.get("rows", 0)
-    if any(numbers.get("led_mm", 0.0) * count > side for side, count in zip(size, counts, strict=False)):
+    if "led_mm" in numbers and any(numbers["led_mm"] * n > side for side, n in zip(size, counts, strict=False)):
         yield ("led_mm",), raw["led_mm"], fields.complaint("the LEDs overlap; expected at most size_mm by their number")
-    nearest = {
-        "distance_mm": raw.get("distance_mm"),
-        "distance_range_mm": [*fields.entries(raw.get("distance_range_mm")), 1][0],
-    }
-    for key, value in nearest.items():
-        if value == 0 and kind not in _AROUND_PART:
+    for key in ("distance_mm", "distance_range_mm"):
+        nearest = next(iter(fields.entries(raw.get(key))), raw.get(key))
+        if nearest == 0 and kind not in _AROUND_PART:
             yield (key,), raw[key], fields.complaint(f"a light of kind {kind} cannot stand at the origin")
 
 

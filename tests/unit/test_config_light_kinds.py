@@ -104,6 +104,10 @@ def test_channels_are_lights(light: str, names: list[str], tmp_path: Path) -> No
             "slot_mm",
             "less than the tunnel's diameter",
         ),
+        ("kind: dome, radius_mm: 0", "radius_mm", "a length between 0.001"),
+        ("kind: tunnel, radius_mm: -1, length_mm: 9, distance_mm: 9", "radius_mm", "found -1"),
+        ("kind: led_array, size_mm: [-9, 9], distance_mm: 9, rows: 2, columns: 2", "size_mm", "two lengths"),
+        ("kind: led_array, size_mm: [9, 9], distance_mm: 9, led_mm: 1, columns: 999", "columns", "256 LEDs"),
         ("kind: dome, radius_mm: 50, leak: 1.5", "leak", "expected a number from 0 to 1, found 1.5"),
         ("kind: dome, radius_mm: 50, segments: 0", "segments", "expected a whole number from 1 to 256, found 0"),
         (
