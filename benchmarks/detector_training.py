@@ -34,7 +34,7 @@ from benchmarks.loop import files
 from lightopt import load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.dataset import DatasetOptions, make_dataset
-from lightopt.dataset._masks import pixels_of
+from lightopt.dataset._formats import pixels_of
 from lightopt.images import ImageSet, read_image_set, read_png
 from lightopt.inspection import (
     InspectOptions,

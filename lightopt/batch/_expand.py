@@ -1,17 +1,16 @@
-"""The tasks of a batch: each job for each rig and part, with the hash of all that its results depend on."""
+"""The tasks of a batch: each job for each rig and part, its command line, and the hash of all that it depends on."""
 
 import glob
 import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-from lightopt.batch._commands import CommandForm, option_problems, option_words
 from lightopt.batch._task import FromTask, Task, content_sha256
 from lightopt.config import (
     BatchConfig,
@@ -23,9 +22,31 @@ from lightopt.config import (
     load_part,
     load_rig,
 )
-from lightopt.core.errors import InputError, refuse
+from lightopt.core.errors import InputError, did_you_mean, refuse
 from lightopt.core.provenance import computed_by
 from lightopt.images import MANIFEST_NAME, read_image_set
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptionForm:
+    """An option of a command."""
+
+    flag: bool = False  # without a value
+    has_opposite: bool = False  # --no-NAME is a flag, too
+    repeatable: bool = False
+    file: bool = False  # its value names a file or folder that is read
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandForm:
+    """What a command takes: arguments (rig, part, images, rigs: all rigs at once), and options by long name."""
+
+    name: str
+    arguments: tuple[str, ...]
+    options: Mapping[str, OptionForm]
+    writes_folder: bool = True  # takes -o DIR
+    takes_threads: bool = True
+
 
 FormOf = Callable[[str], CommandForm | None]
 
@@ -67,10 +88,15 @@ def expand(batch: BatchConfig, form_of: FormOf, out: Path, *, threads: int) -> t
         form, index = forms[job.name], batch.jobs.index(job)
         words, files = option_words(batch, index, form)
         option_files = {str(path): content_sha256(path) for path in files}
-        for own_rigs, part in product(_groups(rigs, form), parts):
+        groups = [rigs] if "rigs" in form.arguments else [(rig,) for rig in rigs]
+        for own_rigs, part in product(groups, parts):
             needs = {name: [tasks[name, rig.name, part.name] for rig in own_rigs] for name in job.all_needs}
             place = Path(job.name, *([] if "rigs" in form.arguments else [own_rigs[0].name]), part.name)
-            images = _images(batch, job, own_rigs[0].name, part.name)
+            images = None
+            if job.images is not None:
+                folder = job.images.replace("{rig}", own_rigs[0].name).replace("{part}", part.name)
+                images = batch.source.resolve(folder).absolute()
+            inputs = [pair for one in (*own_rigs, part) for pair in one.hashes.items()]
             arguments, facts = _arguments(job, form, own_rigs, part, images, needs)
             facts |= {"command": job.command, "options": job.options, "files": list(option_files.values())}
             text = json.dumps({**facts, "computed_by": made_by}, sort_keys=True)
@@ -84,7 +110,7 @@ def expand(batch: BatchConfig, form_of: FormOf, out: Path, *, threads: int) -> t
                 command=(job.command, *arguments, *words),
                 tail=((f"--threads={threads}",) if form.takes_threads else ()),
                 writes_folder=form.writes_folder,
-                files=tuple({**option_files, **_all_hashes([*own_rigs, part]), **_manifest(images)}.items()),
+                files=tuple({**option_files, **dict(inputs), **_manifest(images)}.items()),
                 needs=tuple(dict.fromkeys(one.place for some in needs.values() for one in some)),
                 computed_by=json.dumps(made_by, sort_keys=True),
             )
@@ -156,20 +182,6 @@ def _is_real(hardware: HardwareConfig) -> bool:
     return hardware.camera.driver != "virtual" or any(port not in (None, "virtual") for port in ports)
 
 
-def _groups(rigs: Sequence[_Input], form: CommandForm) -> list[tuple[_Input, ...]]:
-    return [tuple(rigs)] if "rigs" in form.arguments else [(rig,) for rig in rigs]
-
-
-def _images(batch: BatchConfig, job: JobConfig, rig: str, part: str) -> Path | None:
-    if job.images is None:
-        return None
-    return batch.source.resolve(job.images.replace("{rig}", rig).replace("{part}", part)).absolute()
-
-
-def _all_hashes(inputs: Iterable[_Input]) -> dict[str, str]:
-    return {path: sha256 for one in inputs for path, sha256 in one.hashes.items()}
-
-
 def _arguments(
     job: JobConfig,
     form: CommandForm,
@@ -209,3 +221,47 @@ def _fingerprint(images: Path | None) -> dict[str, Any]:
         return {} if images is None else read_image_set(images).fingerprint
     except (InputError, OSError):
         return {}
+
+
+def option_words(batch: BatchConfig, index: int, form: CommandForm) -> tuple[list[str], list[Path]]:
+    """The options of a job as words of its command line, and the files that they name, relative to the batch file.
+
+    Check :func:`option_problems` first.
+    """
+    words, files = list[str](), list[Path]()
+    for name, value in batch.jobs[index].options.items():
+        option = form.options[name]
+        if isinstance(value, bool):
+            words.append(f"--{name}" if value else f"--no-{name}")
+            continue
+        values = value if isinstance(value, tuple) else (value,)
+        texts = [str(one) for one in values]
+        if option.file:
+            found = [batch.source.resolve(text).absolute() for text in texts]
+            files += found
+            texts = [str(file) for file in found]
+        # --option=value: a value may begin with a dash
+        words += [f"--{name}={text}" for text in (texts if option.repeatable else [",".join(texts)])]
+    return words, files
+
+
+def option_problems(batch: BatchConfig, index: int, form: CommandForm) -> Iterator[str]:
+    """What is wrong with the options of a job, each with its line."""
+    for name, value in batch.jobs[index].options.items():
+        at, option = batch.source.at("jobs", index, "options", name), form.options.get(name)
+        if option is None:
+            plain = name.replace("_", "-")
+            opposite = plain.removeprefix("no-")
+            hint = did_you_mean(plain, form.options) or f"; its options are {', '.join(form.options)}"
+            if opposite in form.options and form.options[opposite].has_opposite:
+                hint = f"; write {opposite}: false"
+            yield f"{at}: no such option of {form.name} in a batch{hint}"
+        elif option.flag and not isinstance(value, bool):
+            yield f"{at}: expected true or false, found {value}"
+        elif isinstance(value, bool) and not option.flag:
+            yield f"{at}: expected a value, found {str(value).lower()}"
+        elif value is False and not option.has_opposite:
+            yield f"{at}: expected true; leave the option out where it is not wanted"
+        elif option.file:
+            paths = [batch.source.resolve(str(one)) for one in (value if isinstance(value, tuple) else (value,))]
+            yield from (f"{at}: no such file: {path}" for path in paths if not path.exists())

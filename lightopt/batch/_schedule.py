@@ -98,9 +98,7 @@ def _client(workers: Workers, tasks: Sequence[Task], run: RunContext) -> Generat
     try:
         import distributed
     except ModuleNotFoundError as error:
-        raise InputError(
-            f"several processes need Dask ({error}): pip install 'lightopt[batch]'; or use option 'workers' 1"
-        ) from None
+        raise InputError(f"several processes need Dask ({error}): pip install 'lightopt[batch]'") from None
     # what it logs of workers and connections that come and go is in the outcomes, as far as it matters
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -136,10 +134,8 @@ def _require_scheduler(address: str) -> None:
         asyncio.run(shake_hands())
     except Exception as error:  # noqa: BLE001 - of another server that answers, Dask takes any octets for lengths
         why = f" ({error})" if isinstance(error, ValueError) else ""
-        raise InputError(
-            f"{address}: no Dask scheduler answers within {_ANSWER_S:g} s{why}; start one with: dask scheduler, and "
-            "workers with: dask worker ADDRESS --nthreads 1"
-        ) from None
+        advice = "start one with: dask scheduler, and workers with: dask worker ADDRESS --nthreads 1"
+        raise InputError(f"{address}: no Dask scheduler answers within {_ANSWER_S:g} s{why}; {advice}") from None
 
 
 @contextmanager
@@ -199,10 +195,8 @@ def _started(system: Literal["slurm", "kubernetes"], number: int) -> Generator[A
             warnings.simplefilter("ignore", UserWarning)  # that the port of its own page is taken
             cluster = getattr(found, name)()
     except Exception as error:  # each package has errors of its own
-        raise InputError(
-            f"{package} could not start a cluster ({' '.join(error_text(error).split())}); its settings are in "
-            "~/.config/dask/*.yaml"
-        ) from error
+        why = " ".join(error_text(error).split())
+        raise InputError(f"{package} could not start a cluster ({why}); see ~/.config/dask/*.yaml") from error
     with cluster:
         cluster.scale(number)
         yield cluster

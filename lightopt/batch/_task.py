@@ -98,9 +98,7 @@ def published(task: Task) -> Outcome | None:
         record = _Record(**found)
     except FileNotFoundError:
         if task.folder.exists() and any(task.folder.iterdir()):
-            raise InputError(
-                f"{task.folder}: exists, and is not a result of a batch; choose another output folder, or move it away"
-            ) from None
+            raise InputError(f"{task.folder}: exists, and is not a result of a batch; move it away") from None
         return None
     except (OSError, ValueError, TypeError):
         return None
@@ -119,10 +117,8 @@ def _require_own_files(folder: Path, record: _Record) -> None:
     own = {RECORD_NAME, *record.files}
     names = (path.relative_to(folder).as_posix() for path in sorted(folder.rglob("*")) if path.is_file())
     if other := [name for name in names if name not in own]:
-        raise InputError(
-            f"{folder}: would be replaced, and has files that the batch did not write ({', '.join(other[:3])}); move "
-            "them away"
-        )
+        names = ", ".join(other[:3])
+        raise InputError(f"{folder}: has files that the batch did not write ({names}); move them away")
 
 
 def run_task(task: Task, run_command: RunCommand, *needed: Outcome) -> Outcome:
@@ -154,14 +150,9 @@ def worker_problems(expected: str, files: tuple[tuple[str, str], ...] = ()) -> t
     other = differences(json.loads(expected), computed_by())
     if other:
         return (f"{platform.node()} computes otherwise than the machine that started the batch: {other}",)
-    problems = list[str]()
-    for path, sha256 in files:
-        found = content_sha256(Path(path))
-        if found == _UNREADABLE != sha256:
-            problems.append(f"{path}: not on {platform.node()}; workers need the folders of all files at the same path")
-        elif found != sha256:
-            problems.append(f"{path}: changed since the batch was started, or another file on {platform.node()}")
-    return tuple(problems)
+    changed = [path for path, sha256 in files if content_sha256(Path(path)) != sha256]
+    reason = f"changed since the batch was started, or another file or none on {platform.node()}"
+    return tuple(f"{path}: {reason}; workers need the same files at the same paths" for path in changed)
 
 
 def content_sha256(path: Path) -> str:
@@ -192,14 +183,14 @@ def _run(task: Task, run_command: RunCommand) -> Outcome:
         done = status == 0
         if status in (0, _CHECK_FAILED):
             write_text_atomic(temporary / TERMINAL_NAME, out + err)
-            sizes = {
-                path.relative_to(temporary).as_posix(): path.stat().st_size
-                for path in sorted(temporary.rglob("*"))
-                if path.is_file()
-            }
-            seconds = round(perf_counter() - begun, 3)
+            files = (path for path in sorted(temporary.rglob("*")) if path.is_file())
             record = _Record(
-                key=task.key, succeeded=done, seconds=seconds, answer=answer, messages=list(messages), files=sizes
+                key=task.key,
+                succeeded=done,
+                seconds=round(perf_counter() - begun, 3),
+                answer=answer,
+                messages=list(messages),
+                files={path.relative_to(temporary).as_posix(): path.stat().st_size for path in files},
             )
             text = json.dumps(asdict(record), indent=1, ensure_ascii=False) + "\n"
             write_text_atomic(temporary / RECORD_NAME, text)

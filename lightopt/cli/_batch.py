@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._terminal import echo, echo_error, echo_paths, echo_warning, show_progress, show_table
+from lightopt.cli._terminal import echo, echo_error, echo_paths, run_context, show_table
 from lightopt.core.errors import CheckFailed, InputError, counted
-from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.batch import BatchResult, CommandForm
@@ -22,7 +21,7 @@ workers_option = partial(typer.Option, rich_help_panel="Workers")
 MOST_JOBS, MOST_FAILURES = 8, 4  # rows and messages on the terminal; the files have all
 _FILES = {"FILE", "DIR", "SET", "IMAGES"}  # as the help calls values that name files
 _ARGUMENTS = {"rig", "part", "images", "rigs"}
-_OF_THE_BATCH = {"out", "force", "quiet", "verbose", "_verbose", "threads", "resume", "dry_run", "help"}
+_OF_THE_BATCH = {"out", "force", "quiet", "verbose", "threads", "resume", "dry_run", "help"}
 _WRITTEN = {"json_file", "drawing", "serial_log", "history"}  # files beside the folder of results
 
 
@@ -30,20 +29,12 @@ def batch(
     jobs: Annotated[Path, typer.Argument(metavar="JOBS", help="Batch file (YAML): rigs, parts, jobs.")],
     out: common.Out,
     workers: int | None = workers_option(
-        None,
-        metavar="N",
-        min=1,
-        help="Number of processes on this machine, or of jobs of the batch system. 1: this process, without Dask.",
-        show_default="one per processor",
+        None, metavar="N", min=1, help="Number of processes; 1: this one, without Dask.", show_default="all processors"
     ),
     threads: int = workers_option(1, metavar="N", min=1, help="Threads of each command; no result depends on it."),
-    scheduler: str | None = workers_option(
-        None, metavar="ADDRESS", help="Use the workers of this Dask scheduler, such as tcp://10.0.0.5:8786."
-    ),
+    scheduler: str | None = workers_option(None, metavar="ADDRESS", help="Dask scheduler such as tcp://10.0.0.5:8786."),
     slurm: bool = workers_option(False, "--slurm", help="Start workers as Slurm jobs (dask-jobqueue)."),
     kubernetes: bool = workers_option(False, "--kubernetes", help="Start workers on Kubernetes (dask-kubernetes)."),
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Run the jobs of JOBS, each for every rig and every part, on this machine or on a cluster.
 
@@ -74,16 +65,14 @@ def batch(
         scheduler=scheduler,
         system="slurm" if slurm else "kubernetes" if kubernetes else None,
     )
-    with show_progress(quiet=quiet) as progress:
-        run = RunContext(progress=progress, inform=echo if verbose else None, warn=echo_warning)
+    with run_context() as run:
         result = run_batch(load_batch(jobs), out, command_form, run_captured, workers=where, threads=threads, run=run)
-    if not quiet:
-        echo(f"{answer_text(result.outcomes, len(result.tasks))}; {result.seconds:.1f} s")
-        header, rows = jobs_table(result.tasks, result.outcomes)
-        show_table(header, rows[:MOST_JOBS])
-        if len(rows) > MOST_JOBS:
-            echo(f"and {counted(len(rows) - MOST_JOBS, 'job')} more in {result.paths[0]}")
-        echo_paths(result.paths)
+    echo(f"{answer_text(result.outcomes, len(result.tasks))}; {result.seconds:.1f} s")
+    header, rows = jobs_table(result.tasks, result.outcomes)
+    show_table(header, rows[:MOST_JOBS])
+    if len(rows) > MOST_JOBS:
+        echo(f"and {counted(len(rows) - MOST_JOBS, 'job')} more in {result.paths[0]}")
+    echo_paths(*result.paths)
     if result.interrupted:
         echo_error("the same command continues the batch", label="")
         raise KeyboardInterrupt

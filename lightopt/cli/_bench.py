@@ -41,9 +41,7 @@ def status(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
 def light(
     rig: common.RigFile,
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the light in RIG.")],
-    level: int | None = typer.Argument(
-        None, metavar="LEVEL", help="Intensity level of the controller.", show_default="the level in RIG"
-    ),
+    level: int | None = typer.Argument(None, metavar="LEVEL", help="Intensity level.", show_default="the level in RIG"),
     seconds: float | None = Option(None, metavar="S", min=0.0, help="Time [s].", show_default="until Enter is pressed"),
     serial_log: common.SerialLog = None,
 ) -> None:
@@ -144,9 +142,7 @@ def move(
 def snap(
     rig: common.RigFile,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PNG file to write.")],
-    light: str | None = Option(
-        None, metavar="NAME", help="Switch this light on for the frame.", show_default="no light"
-    ),
+    light: str | None = Option(None, metavar="NAME", help="Light to switch on for the frame.", show_default="no light"),
     exposure: str = Option("1", metavar="X", help="Relative exposure time, such as 1 or 1/16."),
     part: Path | None = Option(None, metavar="PART", help="Part file (YAML); required with the virtual camera only."),
     serial_log: common.SerialLog = None,
@@ -156,7 +152,7 @@ def snap(
     from lightopt.rig import capture
 
     relative = common.parse_exposure(exposure)
-    loaded, loaded_part = common.load_inputs(rig, part)
+    loaded, loaded_part = common.load_rig_and_maybe_part(rig, part)
     wiring = capture.wiring_of(loaded)
     if wiring.camera_is_virtual and loaded_part is None:
         raise InputError("--part: required with the virtual camera, which renders the part")
@@ -170,9 +166,7 @@ def snap(
 
 @bench.command("devices", cls=HeadedCommand)
 def list_devices(
-    rig: Path | None = typer.Argument(
-        None, metavar="RIG", help="Rig file (YAML); also print which of its devices are present."
-    ),
+    rig: Path | None = typer.Argument(None, metavar="RIG", help="Rig file (YAML): also say which devices are present."),
 ) -> None:
     """List the serial ports, and the cameras that answer; open no port."""
     from lightopt.rig.devices import serial_ports
@@ -195,11 +189,9 @@ def list_devices(
     cameras = _show_cameras(None if producer is None else loaded.source.resolve(producer))
 
     def port_state(port: str | None) -> str:
-        if port is None:  # a display
-            return "not tried"
         if port == "virtual":
             return "simulated"
-        if "://" in port:
+        if port is None or "://" in port:  # a display, another computer
             return "not tried"
         problem = port_problem(port)
         return "present, not opened" if problem is None else f"NO: {problem.partition('; ')[0]}"

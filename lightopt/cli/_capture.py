@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 def capture(
     rig: common.RigFile,
     part: common.PartFile,
-    out: Path | None = typer.Option(
-        None, "--out", "-o", metavar="DIR", help="Output folder; created if missing. Optional with --dry-run."
-    ),
+    out: Path | None = typer.Option(None, "--out", "-o", metavar="DIR", help="Output folder; optional with --dry-run."),
     light: common.Lights = None,
     posture: common.Postures = None,
     exposures: common.Exposures = "1",
@@ -30,21 +28,15 @@ def capture(
     ),
     dark: bool = selection_option(False, "--dark", help="Also capture dark frames, and subtract them in the EXR."),
     home: bool = hardware_option(False, "--home", help="Home the stage first."),
-    check_lights: bool = hardware_option(
-        True, "--check-lights/--no-check-lights", help="Verify that each image is lit by its own light."
-    ),
+    check_lights: bool = hardware_option(True, "--check-lights/--no-check-lights", help="Verify each image's light."),
     check_repeatability: bool = hardware_option(
-        False,
-        "--check-repeatability",
-        help="Repeat the first image at the end and compare, to detect lost steps of the stage.",
+        False, "--check-repeatability", help="Repeat the first image at the end, to detect lost steps of the stage."
     ),
     dry_run: bool = hardware_option(False, "--dry-run", help="Print every step with its time; open no device."),
     resume: bool = output_option(False, "--resume", help="Capture only the images missing from an existing set."),
     sheet: common.Sheet = False,
     serial_log: common.SerialLog = None,
     force: common.Force = False,
-    quiet: common.Quiet = False,
-    _verbose: common.Verbose = False,
 ) -> None:
     """Capture an image of PART on RIG for each light, posture and exposure.
 
@@ -85,16 +77,15 @@ def capture(
         return
     assert out is not None
     try:
-        with run_context(quiet=quiet) as run:
+        with run_context() as run:
             done = take(loaded_rig, loaded_part, out, options=options, **existing, serial_log=serial_log, run=run)
     except Interrupted as stopped:
         echo_error(*stopped.messages, label="")
         raise
-    if not quiet:
-        _show_result(done)
+    _show_result(done)
     if sheet:
         title = f"{loaded_part.name} on {loaded_rig.name}, captured"
-        common.add_sheets(out, loaded_rig, exposures=options.exposures, title=title, force=force, quiet=quiet)
+        common.add_sheets(out, loaded_rig, exposures=options.exposures, title=title, force=force)
 
 
 def _show_plan(plan: CapturePlan) -> None:

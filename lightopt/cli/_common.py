@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextvars import copy_context
 from fractions import Fraction
-from functools import partial
+from functools import partial, wraps
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 import typer.core
 from typer import Argument
 
-from lightopt.cli._terminal import echo, set_up_log
+from lightopt.cli._terminal import QUIET, VERBOSE, echo, set_up_log
 from lightopt.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,8 +48,9 @@ _POSTURE_HELP = "Use this posture: tilt and rotation [deg]; repeatable."
 _POSTURE = selection_option("--posture", metavar="θ,φ", help=_POSTURE_HELP, show_default="the postures of PART")
 Postures = Annotated[list[str] | None, _POSTURE]
 Exposures = Annotated[str, selection_option(metavar="X,…", help="Relative exposure times, such as 1,1/16.")]
+AS_RIG, AS_PART = "as the rig file says", "as the part file says"
 POINTS_HELP = "Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel)."
-Points = Annotated[str | None, model_option(metavar="M", help=POINTS_HELP, show_default="as the rig file says")]
+Points = Annotated[str | None, model_option(metavar="M", help=POINTS_HELP, show_default=AS_RIG)]
 Shadows = Annotated[bool, model_option("--shadows/--no-shadows", help="Let the part cast shadows.")]
 _BOUNCES = model_option(metavar="N", min=0, help="Add light that goes up to N times from the part to the part.")
 Bounces = Annotated[int, _BOUNCES]
@@ -61,10 +64,33 @@ _MIN_IMAGES_HELP = "Number of images of a posture that must show a defect."
 MinImages = Annotated[int, model_option(metavar="K", min=1, help=_MIN_IMAGES_HELP)]
 _THREADS_HELP = "Number of threads; results do not depend on it."
 Threads = Annotated[int | None, run_option(metavar="N", min=1, help=_THREADS_HELP, show_default="all processors")]
-Quiet = Annotated[bool, run_option("--quiet", "-q", help="Print errors and warnings only.")]
-Verbose = Annotated[bool, run_option("--verbose", "-v", callback=set_up_log, help="Print all details and the log.")]
+_QUIET = run_option("--quiet", "-q", help="Print errors and warnings only.")
+_VERBOSE = run_option("--verbose", "-v", callback=set_up_log, help="Print all details and the log.")
 _SERIAL_LOG_HELP = "Append all bytes sent and received, with times, to this file."
 SerialLog = Annotated[Path | None, output_option(metavar="FILE", help=_SERIAL_LOG_HELP)]
+
+
+def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
+    """A command with the options --quiet and --verbose, which lightopt.cli._terminal obeys."""
+
+    def run_told(quiet: bool, verbose: bool, values: Mapping[str, Any]) -> None:
+        QUIET.set(quiet)
+        VERBOSE.set(verbose)
+        command(**values)
+
+    @wraps(command)
+    def run(*, quiet: bool, verbose: bool, **values: Any) -> None:
+        copy_context().run(run_told, quiet, verbose, values)
+
+    own = signature(command, eval_str=True)
+    more = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=False, annotation=Annotated[bool, option])
+        for name, option in (("quiet", _QUIET), ("verbose", _VERBOSE))
+    ]
+    parameters = [*own.parameters.values(), *more]
+    run.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {one.name: one.annotation for one in parameters}
+    return run
 
 
 LEAST_EXPOSURE, MOST_EXPOSURE = 1e-9, 1e9  # relative to exposure 1; it is a part of file names
@@ -126,29 +152,29 @@ def parse_points(text: str | None) -> int | Literal["auto"] | None:
         raise InputError(f'--points: expected a square (1, 4, 9, 16, …) or auto, found "{text}"') from None
 
 
-@overload
-def load_inputs(rig: Path, part: Path) -> tuple[RigConfig, PartConfig]: ...
-@overload
-def load_inputs(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | None]: ...
-def load_inputs(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | None]:
-    """Read a rig file and, where there is one, a part file, and report all errors of both at once."""
+def load_inputs(rig: Path, part: Path) -> tuple[RigConfig, PartConfig]:
+    """Read a rig file and a part file, and report all errors of both at once."""
     from lightopt.config import load_part, load_rig
 
     try:
         loaded = load_rig(rig)
     except InputError as error:
         try:
-            if part is not None:
-                load_part(part)
+            load_part(part)
         except InputError as more:
             raise InputError(*error.messages, *more.messages) from None
         raise
-    return loaded, None if part is None else load_part(part)
+    return loaded, load_part(part)
 
 
-def add_sheets(
-    folder: Path, rig: RigConfig, *, exposures: tuple[float, ...], title: str, force: bool, quiet: bool
-) -> None:
+def load_rig_and_maybe_part(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | None]:
+    """The same where a part file may be left out."""
+    from lightopt.config import load_rig
+
+    return (load_rig(rig), None) if part is None else load_inputs(rig, part)
+
+
+def add_sheets(folder: Path, rig: RigConfig, *, exposures: tuple[float, ...], title: str, force: bool) -> None:
     """Add a contact sheet per exposure to an image set, and print where they are."""
     from lightopt.report import add_contact_sheets
 
@@ -156,22 +182,17 @@ def add_sheets(
     exposures = tuple(shown)
     sheets = add_contact_sheets(folder, exposures=exposures, title=title, overwrite=force)
     for exposure, path in zip(exposures, sheets, strict=True):
-        if not quiet:
-            echo(f"contact sheet, exposure {exposure:g}: {path}")
+        echo(f"contact sheet, exposure {exposure:g}: {path}")
 
 
-def add_derived(
-    rig: RigConfig, part: PartConfig, images: Path | ImageSet, folder: Path, *, force: bool, quiet: bool
-) -> None:
+def add_derived(rig: RigConfig, part: PartConfig, images: Path | ImageSet, folder: Path, *, force: bool) -> None:
     """Write the derived images of a set below a folder, and print what they are."""
     from lightopt.images import read_image_set
     from lightopt.series import DERIVED_FOLDER, write_derived
 
     image_set = read_image_set(images) if isinstance(images, Path) else images
-    said = write_derived(rig, part, image_set, folder / DERIVED_FOLDER, force=force)
-    if not quiet:
-        for line in said:
-            echo(line)
+    for line in write_derived(rig, part, image_set, folder / DERIVED_FOLDER, force=force):
+        echo(line)
 
 
 class HeadedCommand(typer.core.TyperCommand):

@@ -11,7 +11,7 @@ from typer import Argument, Option
 
 from lightopt.cli import _common as common
 from lightopt.cli._common import output_option
-from lightopt.cli._terminal import echo
+from lightopt.cli._terminal import VERBOSE, echo, echo_paths
 from lightopt.core.errors import CheckFailed, InputError, counted
 from lightopt.core.run_context import RunContext
 
@@ -80,12 +80,8 @@ def check(
     rig: common.RigFile,
     part: Path | None = Argument(None, metavar="PART", help="Part file (YAML); without it only the rig is checked."),
     json_file: common.JsonFile = None,
-    drawing: Path | None = output_option(
-        None, metavar="FILE", help="Draw rig and PART with coordinate frames and angles (PNG)."
-    ),
+    drawing: Path | None = output_option(None, metavar="FILE", help="Draw rig and PART with frames and angles (PNG)."),
     force: common.Force = False,
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Validate RIG and PART and summarise the set-up, before anything is rendered.
 
@@ -99,21 +95,19 @@ def check(
 
     if drawing is not None and part is None:
         raise InputError("--drawing: expected a part file as well")
-    loaded_rig, loaded_part = common.load_inputs(rig, part)
+    loaded_rig, loaded_part = common.load_rig_and_maybe_part(rig, part)
     report = check_rig(loaded_rig) if loaded_part is None else check_scene(loaded_rig, loaded_part)
     levels = Counter(finding.level for finding in report.findings)
-    if not quiet:
-        named = [counted(levels[level], level) for level in ("error", "warning", "note") if levels[level]]
-        echo(f"{', '.join(named) or 'nothing to correct'}; {levels['ok']} of {len(report.findings)} findings are ok")
+    named = [counted(levels[level], level) for level in ("error", "warning", "note") if levels[level]]
+    echo(f"{', '.join(named) or 'nothing to correct'}; {levels['ok']} of {len(report.findings)} findings are ok")
     shown: set[str] = set()
     for finding in report.findings:
-        if quiet and finding.level in ("ok", "note"):
-            continue
-        if finding.level == "ok" and finding.topic in shown and not verbose:
+        if finding.level == "ok" and finding.topic in shown and not VERBOSE.get():
             continue  # such as each posture's view
         shown.add(finding.topic)
         where = f" ({finding.where})" if finding.where else ""
-        echo(f"{finding.level + ':':9}{finding.topic}: {finding.text}{where}")
+        text = f"{finding.level + ':':9}{finding.topic}: {finding.text}{where}"
+        echo(text, even_if_quiet=finding.level in ("warning", "error"))
     if drawing is not None and loaded_part is not None:
         from lightopt.report import rig_drawing
         from lightopt.scene import build_scene
@@ -133,15 +127,11 @@ def check(
 def defects(
     rig: common.RigFile,
     part: common.PartFile,
-    out: Path = Option(
-        ..., "--out", "-o", metavar="FILE", help="Part file to write; its folder is created if missing."
-    ),
+    out: Path = Option(..., "--out", "-o", metavar="FILE", help="Part file to write; its folder is made if missing."),
     seed: int = Option(..., metavar="N", help="Random seed; the same seed gives the same defects."),
     count: int = Option(..., metavar="K", help="Number of defects, 1 to 500."),
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    _verbose: common.Verbose = False,
 ) -> None:
     """Place random defects on PART for testing, where the camera of RIG sees the part in at least one posture.
 
@@ -162,7 +152,6 @@ def defects(
     text = inspection.random_defects_text(loaded_part, placed, folder=out.parent, comment=comment, made_from=made_from)
     make_folder(out.parent)
     write_text_atomic(out, text, overwrite=force)
-    if not quiet:
-        kinds = Counter(defect.entry.name for defect in placed)
-        echo(f"{counted(len(placed), 'defect')}: {', '.join(f'{n} × {name}' for name, n in kinds.items())}")
-        echo(f"{out}")
+    kinds = Counter(defect.entry.name for defect in placed)
+    echo(f"{counted(len(placed), 'defect')}: {', '.join(f'{n} × {name}' for name, n in kinds.items())}")
+    echo_paths(out)

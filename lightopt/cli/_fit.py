@@ -1,17 +1,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._terminal import echo, echo_paths, flag, run_context, show_table
-from lightopt.core.errors import CheckFailed, InputError, refuse
+from lightopt.cli._common import AS_PART, AS_RIG, model_option, output_option
+from lightopt.cli._terminal import VERBOSE, echo, echo_paths, flag, run_context, show_table
+from lightopt.core.errors import CheckFailed, refuse
 
 if TYPE_CHECKING:
     from lightopt.config import RigConfig
@@ -24,15 +25,14 @@ paper_option = partial(typer.Option, rich_help_panel="The paper's procedure (--m
 _METHOD_HELP = "Maximum likelihood, or the procedure of the paper (docs/how-to/fitting.md)."
 Method = Annotated[Literal["likelihood", "paper"], typer.Option(metavar="likelihood|paper", help=_METHOD_HELP)]
 _FREE_HELP = "Also fit the gain of each light, or the dark level; repeatable."
-Free = Annotated[list[str] | None, common.model_option("--free", metavar="gain|dark", help=_FREE_HELP)]
-Pixels = Annotated[int, common.model_option(metavar="N", min=1000, help="Target number of pixels, over all images.")]
+Free = Annotated[list[str] | None, model_option("--free", metavar="gain|dark", help=_FREE_HELP)]
+Pixels = Annotated[int, model_option(metavar="N", min=1000, help="Target number of pixels, over all images.")]
 _NOISE_HELP = "Write the noise measured in the images to rig.fitted.yaml."
-WriteNoise = Annotated[bool, common.output_option("--write-noise", help=_NOISE_HELP)]
+WriteNoise = Annotated[bool, output_option("--write-noise", help=_NOISE_HELP)]
 _UNCONVERGED_HELP = "Exit with status 0 even if the fit did not converge."
-AllowUnconverged = Annotated[bool, common.output_option("--allow-unconverged", help=_UNCONVERGED_HELP)]
-FREE = ("gain", "dark")
-MODELS = ("torrance-sparrow", "ggx", "two-lobe", "auto")
-DIFFUSE_FORMS = ("lambert", "exponent", "oren-nayar")
+AllowUnconverged = Annotated[bool, output_option("--allow-unconverged", help=_UNCONVERGED_HELP)]
+Model = Literal["torrance-sparrow", "ggx", "two-lobe", "auto"]
+Diffuse = Literal["lambert", "exponent", "oren-nayar"]
 
 
 def fit_diffuse(
@@ -48,16 +48,12 @@ def fit_diffuse(
     lambda_d: float = paper_option(0.01, metavar="LEVEL", help="λ_d: tolerance of the mean brightness."),
     start_rd: float = paper_option(10.0, metavar="LEVEL", help="Starting value of R_d."),
     highlight_margin: float = paper_option(
-        20.0,
-        metavar="DEG",
-        help="Minimum angle between the normal of a pixel that is used and any normal that mirrors a panel.",
+        20.0, metavar="DEG", help="Least angle between a used pixel's normal and any normal that mirrors a panel."
     ),
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Fit the diffuse coefficient R_d to the pixels of IMAGES outside all highlights.
 
@@ -71,8 +67,7 @@ def fit_diffuse(
     paper = PaperOptions(lambda_d=lambda_d, R_d_start=start_rd, away=math.radians(highlight_margin))
     options = FitOptions(method=method, register=register, pixels=pixels, write_noise=write_noise, paper=paper)
     options = _complete("diffuse", options, free, points)
-    converged = _run("diffuse", rig, part, images, out, options, force, threads, quiet=quiet, verbose=verbose)
-    _require(converged or allow_unconverged)
+    _run("diffuse", (rig, part, images, out), options, force, threads, allow_unconverged)
 
 
 def fit_specular(
@@ -81,31 +76,20 @@ def fit_specular(
     images: common.Images,
     out: common.Out,
     method: Method = "likelihood",
-    joint: bool = common.model_option(False, "--joint", help="Fit R_d as well, instead of taking it from PART."),
+    joint: bool = model_option(False, "--joint", help="Fit R_d as well, instead of taking it from PART."),
     register: common.Register = False,
     free: Free = None,
-    points: str | None = common.model_option(
-        None,
-        metavar="M,…",
-        help=f"{common.POINTS_HELP} With a list such as 1,4,9, fit each number and select the best.",
-        show_default="as the rig file says",
+    points: str | None = model_option(
+        None, metavar="M,…", help=f"{common.POINTS_HELP} A list, such as 1,4,9: select the best.", show_default=AS_RIG
     ),
     pixels: Pixels = 1_500_000,
-    model: str | None = common.model_option(
-        None,
-        metavar="|".join(MODELS),
-        help="Form of the specular lobe. auto: fit each form and select the one that predicts left-out lights best.",
-        show_default="as the part file says",
+    model: Model | None = model_option(
+        None, metavar="|".join(get_args(Model)), help="Form of the lobe; auto: the best.", show_default=AS_PART
     ),
-    diffuse: str | None = common.model_option(
-        None,
-        metavar="|".join(DIFFUSE_FORMS),
-        help="Form of the diffuse component. exponent, oren-nayar: fit the exponent or the roughness as well.",
-        show_default="as the part file says",
+    diffuse: Diffuse | None = model_option(
+        None, metavar="|".join(get_args(Diffuse)), help="Form of the diffuse component.", show_default=AS_PART
     ),
-    validate: bool = common.model_option(
-        True, "--validate/--no-validate", help="Cross-validate: predict each light from the other lights."
-    ),
+    validate: bool = model_option(True, "--validate/--no-validate", help="Cross-validate: each light from the others."),
     lambda_s1: float = paper_option(0.005, metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels."),
     lambda_s2: float = paper_option(0.05, metavar="SHARE", help="λ_s2: tolerance of the total specular brightness."),
     start_rs: float = paper_option(255.0, metavar="LEVEL", help="Starting value of R_s."),
@@ -115,8 +99,6 @@ def fit_specular(
     allow_unconverged: AllowUnconverged = False,
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Fit the specular coefficient R_s and the roughness σ to IMAGES. Take R_d from PART, or fit it too with --joint.
 
@@ -131,37 +113,30 @@ def fit_specular(
     start = {"sigma_start": start_sigma, "R_s_start": start_rs}
     paper = PaperOptions(lambda_s1=lambda_s1, lambda_s2=lambda_s2, sigma_step=sigma_step, **start)
     options = FitOptions(method=method, register=register, pixels=pixels, write_noise=write_noise, paper=paper)
-    forms = {"model": _one_of("--model", MODELS, model), "diffuse": _one_of("--diffuse", DIFFUSE_FORMS, diffuse)}
-    options = replace(options, joint=joint, validate=validate, **forms)
+    options = replace(options, joint=joint, validate=validate, model=model, diffuse=diffuse)
     options = _complete("specular", options, free, points)
-    converged = _run("specular", rig, part, images, out, options, force, threads, quiet=quiet, verbose=verbose)
-    _require(converged or allow_unconverged)
+    _run("specular", (rig, part, images, out), options, force, threads, allow_unconverged)
 
 
 def _run(
     kind: Literal["diffuse", "specular"],
-    rig: Path,
-    part: Path,
-    images: Path,
-    out: Path,
+    paths: tuple[Path, Path, Path, Path],
     options: FitOptions,
     force: bool,
     threads: int | None,
-    *,
-    quiet: bool,
-    verbose: bool,
-) -> bool:
-    # whether the fit converged
+    allow_unconverged: bool,
+) -> None:
     from lightopt.estimate.reflectance import fit_diffuse, fit_folder, fit_specular, write_fit
     from lightopt.images import make_folder, read_image_set
     from lightopt.report import fit_chart
 
+    rig, part, images, out = paths
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     image_set = read_image_set(images)
     arguments: dict[str, Any] = {**vars(options), "kind": kind, "paper": vars(options.paper)}
     folder = fit_folder(out, loaded_rig, loaded_part, image_set, arguments, force=force)
     make_folder(out)
-    with run_context(quiet=quiet, threads=threads) as run:
+    with run_context(threads) as run:
         if kind == "diffuse":
             result = fit_diffuse(loaded_rig, loaded_part, image_set, options=options, run=run)
         else:
@@ -169,29 +144,19 @@ def _run(
             result = fit_specular(loaded_rig, loaded_part, image_set, options=options, save_prediction=save, run=run)
     chart = fit_chart(result, lambda: folder.place("fit.png"))
     written = write_fit(folder, result, loaded_rig, loaded_part)
-    if not quiet:
-        _show(result, verbose)
-        echo_paths((*written, *([chart] if chart else [])))
-    return result.converged
-
-
-def _one_of(option: str, names: tuple[str, ...], name: str | None) -> Any:
-    if name is not None and name not in names:
-        raise InputError(f'{option}: expected {", ".join(names[:-1])} or {names[-1]}, found "{name}"')
-    return name
-
-
-def _require(converged: bool) -> None:
-    if not converged:
+    _show(result)
+    echo_paths(*written, *([chart] if chart else []))
+    if not (result.converged or allow_unconverged):
         raise CheckFailed("the fit did not converge; its files were written. To accept it, use --allow-unconverged")
 
 
-def _complete(kind: str, options: FitOptions, free: list[str] | None, points: str | None) -> FitOptions:
+def _complete(kind: str, options: FitOptions, free: Sequence[str] | None, points: str | None) -> FitOptions:
     """The options with what else is fitted and the numbers of points; InputError where they exclude each other."""
     from lightopt.config import points_problem
     from lightopt.estimate.reflectance import PaperOptions
 
-    problems = [f'--free: expected {" or ".join(FREE)}, found "{name}"' for name in free or () if name not in FREE]
+    wrong = [name for name in free or () if name not in ("gain", "dark")]
+    problems = [f'--free: expected gain or dark, found "{name}"' for name in wrong]
     texts = [] if points is None else [text.strip() for text in points.split(",")]
     if kind == "diffuse" and len(texts) > 1:
         problems.append("--points: fit-diffuse takes one number of points; fit-specular compares several")
@@ -228,7 +193,7 @@ def _save_residuals(folder: ResultFolder, rig: RigConfig) -> Callable[[Any, Any]
     return save
 
 
-def _show(result: FitResult, verbose: bool) -> None:
+def _show(result: FitResult) -> None:
     from lightopt.estimate.reflectance import format_interval
 
     rows = []
@@ -236,7 +201,7 @@ def _show(result: FitResult, verbose: bool) -> None:
     for prefix, fit in fits:
         for value in fit.values:
             fitted = value.name in (*fit.fitted, "half_angle_rad")
-            if prefix and value.name not in fit.fitted and not verbose:
+            if prefix and value.name not in fit.fitted and not VERBOSE.get():
                 continue
             held = "" if fitted else "as in the file"
             error = f"{value.standard_error:.2g}" if value.standard_error else ""
@@ -278,7 +243,7 @@ def _show(result: FitResult, verbose: bool) -> None:
         _show_points(result)
     if result.left_out:
         _summarise_left_out(result)
-        if verbose:
+        if VERBOSE.get():
             _show_left_out(result)
 
 

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._optimize_tables import show_overlaps
-from lightopt.cli._terminal import echo, echo_paths, show_table
+from lightopt.cli._common import output_option
+from lightopt.cli._optimize import show_overlaps
+from lightopt.cli._terminal import VERBOSE, echo, echo_paths, show_table
 from lightopt.core.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
@@ -29,8 +30,6 @@ def overlap(
         None, "--out", "-o", metavar="DIR", help="Output folder for maps (PNG) and overlap.json; created if missing."
     ),
     force: common.Force = False,
-    quiet: common.Quiet = False,
-    _verbose: common.Verbose = False,
 ) -> None:
     """Report where the saturated regions of a posture's images overlap.
 
@@ -43,52 +42,36 @@ def overlap(
 
     image_set = read_image_set(images)
     found = find_overlaps(image_set)
-    if not quiet:
-        show_overlaps(found)
-    if out is None:
-        return
-    echo_paths(write_overlaps(found, image_set, out, force=force), quiet=quiet)
+    show_overlaps(found)
+    if out is not None:
+        echo_paths(*write_overlaps(found, image_set, out, force=force))
 
 
 def compare(
     golden: Path = typer.Argument(..., metavar="A", help="Golden EXR, PNG or image set (folder or manifest.json)."),
     new: Path = typer.Argument(..., metavar="B", help="New EXR, PNG or image set."),
-    absolute: float = threshold_option(
-        0.05,
-        metavar="LEVEL",
-        help="A pixel differs if B deviates from A by more than this plus --relative times the level of A.",
-    ),
+    absolute: float = threshold_option(0.05, metavar="LEVEL", help="Threshold, in addition to --relative times A."),
     relative: float = threshold_option(0.001, metavar="SHARE", help="Relative part of the threshold; see --absolute."),
-    max_share: float = threshold_option(
-        0.001, metavar="SHARE", help="Share that may differ of the pixels that show the part in A or B."
-    ),
-    geometry_absolute: float = threshold_option(
-        0.001, metavar="MM", help="Threshold for geometry images (normals: no unit) and patch tables."
-    ),
+    max_share: float = threshold_option(0.001, metavar="SHARE", help="Share of the part's pixels that may differ."),
+    geometry_absolute: float = threshold_option(0.001, metavar="MM", help="Threshold of geometry and patch tables."),
     min_iou: float | None = threshold_option(
         None, metavar="IOU", help="Minimum IoU of the saturated areas.", show_default="not checked"
     ),
     saturation: float | None = threshold_option(
         None, metavar="LEVEL", help="Level from which a pixel is saturated.", show_default="as the files say"
     ),
-    diff: Path | None = common.output_option(
-        None,
-        metavar="PATH",
-        help="Write a difference picture (PNG), or a folder of them for image sets. Red: B is higher; blue: lower; "
-        "green: saturated in A only; magenta: in B only.",
+    diff: Path | None = output_option(
+        None, metavar="PATH", help="Write a difference picture (PNG), or a folder of them. Red: B higher; blue: lower."
     ),
     json_file: common.JsonFile = None,
     force: common.Force = False,
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Compare a new image or image set B with a golden one A; exit status 1 if they differ too much.
 
     Prints per channel the maximum and rms difference, the 99th percentile, the share of differing pixels, and the
-    intersection over union (IoU) of the saturated areas. Pixels that are background in both images (level 0 or the
-    black level, rays that miss the part) do not count, so the result does not depend on the size of the background. In
-    a PNG with noise all pixels count. A file that is missing in B is a failure; a file that is missing in A is a note.
-    Exit status 2 if A or B is neither an image nor an image set.
+    intersection over union (IoU) of the saturated areas. Pixels that are background in both images do not count, except
+    in a PNG with noise. A file that is missing in B is a failure; a file that is missing in A is a note. Exit status 2
+    if A or B is neither an image nor an image set.
 
     Example: lightopt compare golden/ out/ --diff differences/
     """
@@ -111,32 +94,29 @@ def compare(
         figures = {**result.as_dict(), "provenance": comparison.comparison_provenance(result, thresholds)}
         write_text_atomic(json_file, json.dumps(figures, indent=2) + "\n", overwrite=force)
     files = result.files if isinstance(result, comparison.SetComparison) else (result,)
-    if not quiet:
-        _show(files, parts=2 if sets else 1, verbose=verbose)
-        if isinstance(result, comparison.SetComparison):
-            notes = [*result.notes, *(f"only in the new set: {name}" for name in result.extra)]
-            shown = notes if verbose else notes[:MOST_NOTES]
-            for note in shown:
-                echo(f"note: {note}")
-            if len(shown) < len(notes):
-                echo(f"and {counted(len(notes) - len(shown), 'note')} more; --verbose shows all")
+    _show(files, parts=2 if sets else 1)
+    if isinstance(result, comparison.SetComparison):
+        notes = [*result.notes, *(f"only in the new set: {name}" for name in result.extra)]
+        shown = notes if VERBOSE.get() else notes[:MOST_NOTES]
+        for note in shown:
+            echo(f"note: {note}")
+        if len(shown) < len(notes):
+            echo(f"and {counted(len(notes) - len(shown), 'note')} more; --verbose shows all")
     if diff is not None:
         draw = partial(comparison.difference_picture, saturation=saturation, overwrite=force)
-        drawn = _draw(files, diff, draw, sets=sets)
-        if not quiet:
-            echo(drawn)
+        echo(_draw(files, diff, draw, sets=sets))
     if not result.passed:
         raise CheckFailed(*(f"differs: {reason}" for reason in result.reasons))
 
 
-def _show(files: Sequence[FileComparison], *, parts: int, verbose: bool) -> None:
+def _show(files: Sequence[FileComparison], *, parts: int) -> None:
     # the verdict, and the channels that differ, or the greatest difference where none does
     channels = [(file, channel) for file in files for channel in file.channels]
     differing = [pair for pair in channels if not pair[1].passed]
     if all(file.passed for file in files):
         echo(f"no difference beyond the thresholds in {counted(len(files), 'file')}")
     greatest = sorted(channels, key=lambda pair: (pair[1].share, pair[1].max or 0.0))[-1:]
-    shown = channels if verbose else (differing or greatest)[:MOST_ROWS]
+    shown = channels if VERBOSE.get() else (differing or greatest)[:MOST_ROWS]
     rows: list[list[str]] = []
     for file, channel in shown:
         p99 = None if channel.percentiles is None else channel.percentiles.get("p99")

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from lightopt.cli import _common as common, _terminal as terminal
-from lightopt.cli._terminal import echo, show_page_table, show_progress
+from lightopt.cli._common import model_option, output_option
+from lightopt.cli._terminal import VERBOSE, echo, show_page_table, show_progress
 from lightopt.core.errors import CheckFailed, InputError, counted, percent, refuse
 from lightopt.core.run_context import RunContext, StageShare
 
 if TYPE_CHECKING:
     from lightopt import inspection
     from lightopt.config import PartConfig, RigConfig
-    from lightopt.images import ImageSet
+    from lightopt.images import ImageSet, ResultFolder
 
 
 MOST_DEFECTS = 6  # rows of the table of defects without `--verbose`; defects.csv has all of them
@@ -32,51 +33,37 @@ def inspect(
         list[Path], typer.Argument(metavar="IMAGES", help="Image sets of one part each: folder or manifest.json.")
     ],
     out: common.Out,
-    detector: str = common.model_option(
-        "catalogue",
-        metavar="residual|catalogue|template",
-        help="residual: measured minus predicted level; catalogue: the same, and the defects of the part's "
-        "catalogue as whole shapes; template: dots and lines in the synthetic image.",
+    detector: str = model_option(
+        "catalogue", metavar="residual|catalogue|template", help="Score pixels, also whole shapes, or dots and lines."
     ),
-    reference: str = common.model_option(
+    reference: str = model_option(
         "model",
         metavar="model|good-parts|self",
-        help="What the images are compared with. model: mesh and reflectance; good-parts: levels that a "
-        "calibration learned from good parts; self: the smooth neighbourhood of each place in the images.",
+        help="Compare with the model, good parts, or each place with its surroundings.",
     ),
-    fusion: str = common.model_option(
-        "paper",
-        metavar="paper|median|minimum|second-largest|none",
-        help="Rule that combines images into the synthetic image without highlights.",
+    fusion: str = model_option(
+        "paper", metavar="paper|median|minimum|second-largest|none", help="Rule of the image without highlights."
     ),
-    false_alarms: float | None = common.model_option(
+    false_alarms: float | None = model_option(
         None,
         metavar="N",
-        help="Expected false alarms per posture from noise alone, from 1e-9 to 1. With --calibrate or "
-        "--calibration: share of good parts with a false alarm in a posture.",
+        help="Expected false alarms per posture; with a calibration the share of good parts with one, from 1e-9 to 1.",
         show_default="0.05",
     ),
     min_images: common.MinImages = 2,
     register: common.Register = True,
-    calibrate: bool = calibration_option(
-        False, "--calibrate", help="Write calibration.json from IMAGES of good parts; do not inspect them."
-    ),
+    calibrate: bool = calibration_option(False, "--calibrate", help="Write calibration.json of IMAGES of good parts."),
     calibration: Path | None = calibration_option(
         None, metavar="FILE", help="Use this calibration.json; its false-alarm rate becomes the default."
     ),
-    evaluate: bool = common.output_option(
-        False,
-        "--evaluate",
-        help="Compare with ground truth (labels of the sets, or defects of their part file) and write truth.json: "
-        "recall, false alarms, ROC, detection curve.",
+    evaluate: bool = output_option(
+        False, "--evaluate", help="Compare with ground truth (labels, or defects of a set's part file): truth.json."
     ),
-    fail_on_defect: bool = common.output_option(False, "--fail-on-defect", help="Exit status 1 if a part is NG."),
+    fail_on_defect: bool = output_option(False, "--fail-on-defect", help="Exit status 1 if a part is NG."),
     report: common.Report = True,
     derived: common.Derived = False,
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Find defects in IMAGES of PART and locate them on the part.
 
@@ -108,7 +95,7 @@ def inspect(
         problems += [f"{name}: cannot be combined with --calibrate, which does not inspect" for name in given_names]
     refuse(problems)
     loaded_rig, loaded_part = common.load_inputs(rig, part)
-    output = _Output(rig=loaded_rig, part=loaded_part, report=report, threads=threads, quiet=quiet, verbose=verbose)
+    output = _Output(rig=loaded_rig, part=loaded_part, report=report, threads=threads)
     sets = [read_image_set(path) for path in images]
     if calibrate:
         _calibrate(output, sets, out, options, force=force)
@@ -119,7 +106,7 @@ def inspect(
     for row, image_set in zip(rows, sets, strict=True):
         if derived and row.verdict is not None:
             folder = out / row.name if len(sets) > 1 else out
-            common.add_derived(loaded_rig, loaded_part, image_set, folder, force=force, quiet=quiet)
+            common.add_derived(loaded_rig, loaded_part, image_set, folder, force=force)
     bad = inspection.rejections(sets, rows) if fail_on_defect else []
     if refused := [row.name for row in rows if row.verdict is None]:
         raise InputError(*bad, f"{len(refused)} of {counted(len(sets), 'set')} not inspected: {', '.join(refused)}")
@@ -134,8 +121,6 @@ class _Output:
     part: PartConfig
     report: bool
     threads: int | None
-    quiet: bool
-    verbose: bool
 
 
 def _inspect(
@@ -177,7 +162,7 @@ def _inspect(
     evaluations: list[inspection.SetEvaluation] = []
     begun = monotonic()
     for name, image_set, folder in zip(names, sets, folders, strict=True):
-        with show_progress(quiet=output.quiet) as shown[0]:  # ends before the result is printed
+        with show_progress() as shown[0]:  # ends before the result is printed
             inspected = next(results)
         if inspected.error is not None:
             if not several:
@@ -194,12 +179,11 @@ def _inspect(
         if inspected.evaluation is not None:
             evaluations.append(inspected.evaluation)
     if batch is not None:
-        if not output.quiet:
-            minutes = (monotonic() - begun) / 60.0
-            words = Counter(row.word for row in rows)
-            others = f", {words['not inspected']} not inspected" if words["not inspected"] else ""
-            pace = f"{len(rows) / max(minutes, 1e-9):.3g} parts per minute"
-            echo(f"{len(rows)} parts, {words['OK']} OK{others}; {pace}")
+        minutes = (monotonic() - begun) / 60.0
+        words = Counter(row.word for row in rows)
+        others = f", {words['not inspected']} not inspected" if words["not inspected"] else ""
+        pace = f"{len(rows) / max(minutes, 1e-9):.3g} parts per minute"
+        echo(f"{len(rows)} parts, {words['OK']} OK{others}; {pace}")
         _write_batch(output, batch, rows, evaluations if evaluate else None)
     return rows
 
@@ -214,12 +198,11 @@ def _calibrate(
     inspection.require_good_sets(len(sets), options)
     folder = inspection.CalibrationFolder(out, inspection.inspection_provenance(rig, part, sets, options), force=force)
     make_folder(out)
-    with terminal.run_context(quiet=output.quiet, threads=output.threads) as run:
+    with terminal.run_context(output.threads) as run:
         calibration = inspection.calibrate(rig, part, sets, options=options, run=run)
     path = folder.write(calibration)
-    if not output.quiet:
-        _show_calibration(calibration, options.false_alarms)
-        echo(f"{path}")
+    _show_calibration(calibration, options.false_alarms)
+    terminal.echo_paths(path)
 
 
 def _write_set(
@@ -234,26 +217,20 @@ def _write_set(
     assert result is not None
     assert verdict is not None
     summary = inspection.summarise([inspected.evaluation]) if summarised and inspected.evaluation is not None else None
-    if not output.quiet:  # before the pictures, which take longer than the inspection did
-        if summarised:
-            _show_inspection(result, verdict, verbose=output.verbose)
-        else:
-            echo(f"{inspected.name}: {verdict.word}: {verdict.explanation}")
-    with show_progress(quiet=output.quiet) as progress:
+    if summarised:  # before the pictures, which take longer than the inspection did
+        _show_inspection(result, verdict)
+    else:
+        echo(f"{inspected.name}: {verdict.word}: {verdict.explanation}")
+    with show_progress() as progress:
         for number, posture in enumerate(result.postures):
             if progress is not None:
                 progress(f"pictures of posture {posture.view.posture}", number / len(result.postures))
             folder.write_posture(posture)
             path = folder.place(f"{posture_folder(posture.view.posture)}/defects.png")
             defect_overlay(path, posture, result.defects)
-    more: list[Path] = []
-    if summary is not None:
-        more.append(folder.write_text(inspection.TRUTH_NAME, inspection.truth_text(summary)))
-    if output.report:
-        names = {"part": output.part.name, "rig": output.rig.name}
-        page = inspection_report(result, verdict, **names, provenance=folder.made_from, truth=summary)
-        more.append(folder.write_text(inspection.REPORT_NAME, page))
-    _show_written(output, summary, [*folder.write(result, verdict), *more])
+    names = {"part": output.part.name, "rig": output.rig.name}
+    page = partial(inspection_report, result, verdict, **names, provenance=folder.made_from, truth=summary)
+    _write_rest(output, folder, summary, page, lambda: folder.write(result, verdict))
     report = f"{inspected.name}/{inspection.REPORT_NAME}" if output.report else ""
     return inspection.BatchRow(name=inspected.name, report=report, defects=len(result.defects), verdict=verdict)
 
@@ -269,20 +246,28 @@ def _write_batch(
     from lightopt.report.inspection import batch_report
 
     summary = None if evaluations is None else inspection.summarise(evaluations)
-    written: list[Path] = []
+    names = {"part": output.part.name, "rig": output.rig.name}
+    page = partial(batch_report, rows, **names, version=__version__, truth=summary)
+    _write_rest(output, folder, summary, page, lambda: [folder.finish({"sets": [row.as_dict() for row in rows]})])
+
+
+def _write_rest(
+    output: _Output,
+    folder: ResultFolder,
+    summary: Mapping[str, Any] | None,
+    page: Callable[[], str],
+    finish: Callable[[], list[Path]],
+) -> None:
+    """Write the evaluation and the page, finish the folder, and print the evaluation and all paths."""
+    from lightopt.inspection import REPORT_NAME, TRUTH_NAME, truth_text
+
+    more: list[Path] = []
     if summary is not None:
-        written.append(folder.write_text(inspection.TRUTH_NAME, inspection.truth_text(summary)))
+        more.append(folder.write_text(TRUTH_NAME, truth_text(summary)))
+        _show_evaluation(summary)
     if output.report:
-        page = batch_report(rows, part=output.part.name, rig=output.rig.name, version=__version__, truth=summary)
-        written.append(folder.write_text(inspection.REPORT_NAME, page))
-    written.insert(0, folder.finish({"sets": [row.as_dict() for row in rows]}))
-    _show_written(output, summary, written)
-
-
-def _show_written(output: _Output, summary: Mapping[str, Any] | None, written: Sequence[Path]) -> None:
-    if summary is not None and not output.quiet:
-        _show_evaluation(summary, verbose=output.verbose)
-    terminal.echo_paths(written, quiet=output.quiet)
+        more.append(folder.write_text(REPORT_NAME, page()))
+    terminal.echo_paths(*finish(), *more)
 
 
 def _show_calibration(calibration: inspection.Calibration, rate: float) -> None:
@@ -300,7 +285,7 @@ def _show_calibration(calibration: inspection.Calibration, rate: float) -> None:
     )
 
 
-def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
+def _show_evaluation(summary: Mapping[str, Any]) -> None:
     # recall, false alarms and the size that is detected, from lightopt.inspection.summarise
     from lightopt.report.inspection import detection_table
 
@@ -311,11 +296,11 @@ def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
         f"{alarms:g} false alarm{'' if alarms == 1.0 else 's'} per posture; area under the pixels' ROC "
         f"{'-' if area is None else area}"
     )
-    if verbose:
+    if VERBOSE.get():
         show_page_table(detection_table(summary))
 
 
-def _show_inspection(result: inspection.InspectionResult, verdict: inspection.Verdict, *, verbose: bool) -> None:
+def _show_inspection(result: inspection.InspectionResult, verdict: inspection.Verdict) -> None:
     # the verdict, defects, where the part lies, what was inspected
     from lightopt.inspection import REFERENCE_DEFECT, REFERENCES
     from lightopt.report.inspection import dark_text, defect_table, placement_text, surface_notes, surface_table
@@ -324,13 +309,13 @@ def _show_inspection(result: inspection.InspectionResult, verdict: inspection.Ve
     if result.reference != "model":
         echo(f"compared with: {REFERENCES[result.reference].basis}")
     if result.defects:
-        show_page_table(defect_table(result, verdict), most=None if verbose else MOST_DEFECTS)
-        if not verbose and len(result.defects) > MOST_DEFECTS:
+        show_page_table(defect_table(result, verdict), most=MOST_DEFECTS)
+        if not VERBOSE.get() and len(result.defects) > MOST_DEFECTS:
             echo(f"and {len(result.defects) - MOST_DEFECTS} more; --verbose shows them")
     if result.placement is not None and (place := placement_text(result.placement)):
         echo(f"displacement of the part from nominal: {place}")
     echo(f"{REFERENCE_DEFECT} is found on {percent(verdict.finds)} of the visible surface{dark_text(verdict)}")
-    if verbose:
+    if VERBOSE.get():
         show_page_table(surface_table(result))
         for sentence in surface_notes(result):
             echo(sentence)

@@ -29,26 +29,29 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[2]  # pyright: ignore[
 _COMMANDS = {
     "init": ("_files", "Write a sample rig, part and mesh to start from."),
     "check": ("_files", "Validate rig and part files and summarise the set-up."),
-    "render": ("_render", "Render the images that the camera would take."),
-    "import": ("_import", "Make rig, part and image set from photographs."),
+    "render": ("_images", "Render the images that the camera would take."),
+    "import": ("_images", "Make rig, part and image set from photographs."),
     "capture": ("_capture", "Capture images on the rig or the virtual bench."),
     "defects": ("_files", "Place random defects on a part for testing."),
-    "dataset": ("_dataset", "Render a labelled training set for defect detectors."),
-    "calibrate": ("_calibrate", "Measure a rig from images of targets on its stage."),
+    "dataset": ("_images", "Render a labelled training set for defect detectors."),
+    "calibrate": ("_rig", "Measure a rig from images of targets on its stage."),
     "fit-diffuse": ("_fit", "Fit the diffuse coefficient to images."),
     "fit-specular": ("_fit", "Fit specular coefficient and roughness to images."),
     "optimize": ("_optimize", "Find the best light positions by exact search."),
-    "optimize --from-images": ("_optimize_from_images", "Choose lights from images of samples, without a CAD model."),
-    "compare-lighting": ("_compare_lighting", "Compare lighting systems by the defects that they show on a part."),
+    "optimize --from-images": ("_lighting", "Choose lights from images of samples, without a CAD model."),
+    "compare-lighting": ("_lighting", "Compare lighting systems by the defects that they show on a part."),
     "inspect": ("_inspect", "Find defects in images and locate them on the part."),
-    "verify": ("_verify", "Name what has changed on the rig since its file, or a known good set, was made."),
-    "inverse-pattern": ("_inverse_pattern", "Compute the display's picture that a good part mirrors as regular."),
+    "verify": ("_rig", "Name what has changed on the rig since its file, or a known good set, was made."),
+    "inverse-pattern": ("_images", "Compute the display's picture that a good part mirrors as regular."),
     "batch": ("_batch", "Run commands for many rigs and parts, on this machine or a cluster."),
     "overlap": ("_image_sets", "Report where saturated regions of images overlap."),
     "compare": ("_image_sets", "Compare new images or image sets with golden ones."),
     "schema": ("_files", "Print the JSON schema of a kind of file."),
     "bench": ("_bench", "Test the devices of a rig one by one."),
 }
+
+
+_FOR_A_START = ("init", "schema")  # what they print is what they are called for
 
 
 class _Commands(typer.core.TyperGroup):
@@ -71,14 +74,15 @@ class _Commands(typer.core.TyperGroup):
 
 class _MadeOnDemand(UserDict[str, Any]):
     def __missing__(self, name: str) -> Any:
-        from lightopt.cli._common import PLAIN, HeadedCommand
+        from lightopt.cli._common import PLAIN, HeadedCommand, with_output_options
 
         module, text = _COMMANDS[name]
         function = f"{name}_" if keyword.iskeyword(name) else re.sub(r"\W+", "_", name)
         found = getattr(importlib.import_module(f"lightopt.cli.{module}"), function)
         if not isinstance(found, typer.Typer):
             alone = typer.Typer(**PLAIN)
-            alone.command(name, short_help=text, cls=HeadedCommand)(found)
+            shown = found if name in _FOR_A_START else with_output_options(found)
+            alone.command(name, short_help=text, cls=HeadedCommand)(shown)
             found = alone
         self[name] = typer.main.get_command(found)
         return self[name]
@@ -109,9 +113,7 @@ app = typer.Typer(
 
 @app.callback()
 def _common(
-    version: bool = typer.Option(
-        False, "--version", callback=version_wanted, is_eager=True, help="Show the version and exit."
-    ),
+    version: bool = typer.Option(False, "--version", callback=version_wanted, is_eager=True, help="Show the version."),
     debug: bool = typer.Option(  # taken from the arguments before they are parsed
         False, "--debug", help="Show the traceback of an unexpected error; also LIGHTOPT_DEBUG=1."
     ),

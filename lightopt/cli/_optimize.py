@@ -1,5 +1,8 @@
+"""Find the best light positions, and print the answers and plans as tables."""
+
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,14 +11,14 @@ import typer
 
 from lightopt.cli import _common as common
 from lightopt.cli._common import output_option
-from lightopt.cli._optimize_tables import show_commands, show_design, show_plan
-from lightopt.cli._terminal import echo, echo_warning, show_progress
-from lightopt.core.errors import CheckFailed, refuse
-from lightopt.core.run_context import RunContext
+from lightopt.cli._terminal import VERBOSE, echo, echo_paths, run_context, show_page_table, show_table
+from lightopt.core.errors import CheckFailed, counted, refuse
 
 if TYPE_CHECKING:
+    from lightopt import design
     from lightopt.config import PartConfig, RigConfig
     from lightopt.design import CalibratedThreshold
+    from lightopt.images import Overlap
 
 
 light_option = partial(typer.Option, rich_help_panel="Light positions")
@@ -31,26 +34,18 @@ def optimize(
     out: common.Out,
     posture: common.Postures = None,
     step: float = light_option(5.0, metavar="DEG", help="Step of the angles within the lights' ranges."),
-    common_elevation: bool = light_option(
-        False, "--common-elevation", help="Use the same elevation for all lights that move in elevation."
-    ),
+    common_elevation: bool = light_option(False, "--common-elevation", help="Use the same elevation for all lights."),
     common_lights: bool = light_option(
-        True,
-        "--common-lights/--lights-per-posture",
-        help="Use the same light positions for all postures, those with the greatest sum of scores over the "
-        "postures; or other positions for each posture, so that the lights have to be moved between postures.",
+        True, "--common-lights/--lights-per-posture", help="One set of positions for all postures, or one for each."
     ),
     max_combinations: int | None = light_option(
-        None,
-        metavar="N",
-        help="Stop after about N combinations and report a bound. Each branching step counts as 20000.",
-        show_default="200000000",
+        None, metavar="N", help="Stop after about N combinations and report a bound.", show_default="200000000"
     ),
     objective: list[str] | None = objective_option(
         None,
         "--objective",
         metavar="coverage|paper|detectability",
-        help="Score of a combination of positions; repeatable. The first one determines the light positions.",
+        help="Score of a combination; repeatable. The first one determines the positions.",
         show_default="coverage, paper",
     ),
     shade_below: str = objective_option(
@@ -60,16 +55,10 @@ def optimize(
         None, metavar="K", min=1, help="detectability: number of images that must show a defect.", show_default="2"
     ),
     false_alarms: float | None = objective_option(
-        None,
-        metavar="N",
-        help="detectability: expected false alarms per posture that the inspection may have, from 1e-9 to 1.",
-        show_default="0.05",
+        None, metavar="N", help="detectability: false alarms per posture, from 1e-9 to 1.", show_default="0.05"
     ),
     calibration: Path | None = objective_option(
-        None,
-        metavar="FILE",
-        help="detectability: calibration.json of inspect --calibrate for RIG as it stands; defects count from its "
-        "threshold on, and its false-alarm rate becomes the default.",
+        None, metavar="FILE", help="detectability: threshold and false-alarm rate of this calibration.json of inspect."
     ),
     choose_postures: int | None = posture_option(
         None, metavar="N", help="Choose the N postures with the best joint detectability. With --target: at most N."
@@ -77,69 +66,44 @@ def optimize(
     target: str | None = posture_option(
         None, metavar="SHARE", help="Choose the fewest postures that reach this detectability, such as 0.95 or 95%."
     ),
-    posture_step: float | None = posture_option(
-        None, metavar="DEG", help="Step of the candidate postures.", show_default="22.5"
-    ),
+    posture_step: float | None = posture_option(None, metavar="DEG", help="Step of the postures.", show_default="22.5"),
     allow_outside: float | None = posture_option(
-        None,
-        metavar="PX",
-        help="Number of pixels by which the part may extend beyond the image in a candidate posture.",
-        show_default="10",
+        None, metavar="PX", help="Pixels of the part beyond the image in a candidate posture.", show_default="10"
     ),
-    exposures: str | None = exposure_option(
-        None, metavar="X,…", help="Candidate relative exposure times in addition to 1, such as 1/16,1/4,4,16."
-    ),
+    exposures: str | None = exposure_option(None, metavar="X,…", help="Further exposures to try, such as 1/16,1/4."),
     exposure_gain: float | None = exposure_option(
-        None,
-        metavar="POINTS",
-        help="Minimum increase of detectability for each exposure that is added [percentage points].",
-        show_default="1",
+        None, metavar="POINTS", help="Least gain of an exposure [percentage points of detectability].", show_default="1"
     ),
     light_tolerance: float | None = tolerance_option(
-        None,
-        metavar="DEG",
-        help="Report the loss of score if the elevation and azimuth of each light are off by up to this angle.",
+        None, metavar="DEG", help="Report the loss of score if elevation and azimuth of each light are off by this."
     ),
     pose_tolerance: float | None = tolerance_option(
-        None,
-        metavar="DEG",
-        help="Report the loss of score if the tilt and rotation of the part are off by up to this angle.",
+        None, metavar="DEG", help="Report the loss of score if tilt and rotation of the part are off by this."
     ),
     tolerance_target: str | None = tolerance_option(
-        None,
-        metavar="SHARE",
-        help="Report the widest tolerances that keep this share of the score.",
-        show_default="0.95",
+        None, metavar="SHARE", help="Report the tolerances that keep this share.", show_default="0.95"
     ),
     points: common.Points = None,
     shadows: common.Shadows = True,
     patches: common.Patches = None,
-    keep_matrix: bool = output_option(
-        False, "--keep-matrix", help="Write the luminance matrices (matrix.npz), and reuse existing ones."
-    ),
+    keep_matrix: bool = output_option(False, "--keep-matrix", help="Write and reuse the matrices (matrix.npz)."),
     images: bool = output_option(True, "--images/--no-images", help="Render images with the best light positions."),
     report: common.Report = True,
     ranking_rows: int = output_option(100, metavar="N", help="Rows of ranking.csv per posture and objective."),
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Find the best positions of RIG's lights for PART by exact search.
 
-    Scores every combination of positions within the lights' ranges by the levels that the camera would deliver. The
-    objectives are: coverage, the area that is usable (neither shaded nor saturated) in two images or more and saturated
-    in at most one; paper, the sum of each patch's usable levels without the highest and lowest level; detectability,
-    the share of surface × defects of the part's catalogue that the images show above the noise. detectability also
-    reports blind spots.
+    Scores every combination of positions within the lights' ranges by the levels that the camera would deliver.
+    Objectives: coverage, the area that is usable (neither shaded nor saturated) in two images or more and saturated in
+    at most one; paper, the sum of each patch's usable levels without the highest and lowest; detectability, the share
+    of surface × defects of the part's catalogue that the images show above the noise, with blind spots.
 
     Writes result.json, ranking.csv, rig.optimized.yaml (one per posture if they differ), images with the best light
     positions (images/), maps of overlapping saturated regions (overlap.png), and report.html. Exit status 1 if no
-    combination makes any surface usable.
-
-    --choose-postures and --target choose postures from the stage's range by detectability, with the same light
-    positions for all postures, and write them to part.planned.yaml. --exposures, --light-tolerance and
-    --pose-tolerance refer to the resulting lights and postures.
+    combination makes any surface usable. --choose-postures and --target choose postures from the stage's range, for one
+    set of lights, and write part.planned.yaml; exposures and tolerances refer to the resulting lights and postures.
 
     Without a CAD model, lights are chosen from images of samples: see lightopt optimize --from-images --help.
 
@@ -161,12 +125,8 @@ def optimize(
         ("--exposure-gain", exposure_gain, exposures is not None, "--exposures"),
         ("--tolerance-target", tolerance_target, tolerance, "--light-tolerance or --pose-tolerance"),
     )
-    problems = [
-        f"{option}: has no effect without {other}"
-        for option, value, used, other in dependent
-        if value is not None and not used
-    ]
-    refuse(problems)
+    unused = [(option, other) for option, value, used, other in dependent if value is not None and not used]
+    refuse(f"{option}: has no effect without {other}" for option, other in unused)
     chosen_exposures = () if exposures is None else common.parse_exposures(exposures)
     shown_share, kept_share = (
         None if text is None else common.parse_share(text, option=option, expected=f"{of}, such as 0.95")
@@ -210,15 +170,13 @@ def optimize(
         threshold=threshold,
         **_given(min_images=min_images, false_alarms=false_alarms, patch_budget=patches, limit=max_combinations),
     )
-    with show_progress(quiet=quiet) as progress:
-        run = RunContext(threads=threads, progress=progress, inform=echo if verbose else None, warn=echo_warning)
+    with run_context(threads) as run:
         result = design.optimize(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
         output = design.write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
         design.finish_design(output, design_report(output) if options.report else None)
-    if not quiet:
-        show_plan(result.plan, verbose=verbose)
-        show_design(output, verbose=verbose)
-        show_commands(result.plan, out, verbose=verbose)
+    show_plan(result.plan)
+    show_design(output)
+    show_commands(result.plan, out)
     messages = [
         f"{', '.join(map(str, one.postures))}: objective {answer.objective.name}: {answer.nothing}"
         for one in result.results
@@ -246,3 +204,147 @@ def _calibrated(
     learned.require_match(rig, part, InspectOptions(false_alarms=rate, **_given(min_images=min_images)))
     score = max(posture.threshold(rate) for posture in learned.postures)
     return CalibratedThreshold(score=score, file=path.name, sha256=learned.sha256), rate
+
+
+Section = Mapping[str, Any]  # of result.json, as the report has it
+
+SUMMED_UP_FILES = 3  # so many files beside the main ones, or more, are counted and not listed
+
+
+def show_design(output: design.DesignOutput) -> None:
+    """The best sets with every objective's score, and the main files; of a verbose command all tables and files."""
+    from lightopt import design
+    from lightopt.report.design import best_table, blind_tables, capture_text, defect_tables
+
+    result, best = output.result, best_table(output)
+    if best.rows:
+        show_page_table(best)
+    if VERBOSE.get():
+        echo(best.caption)
+    for one in result.results:
+        if (gain := one.gain_text) is not None:
+            echo(gain if len(result.results) == 1 else f"posture {one.postures[0]}: {gain}")
+    if any(one.answers[0].nothing is None for one in result.results):
+        echo(f"capture: {capture_text(result)}")
+    if VERBOSE.get():
+        for out in result.all_candidates.left_out:
+            named = zip(design.AXES, design.place_text(out.place).split(", "), strict=False)
+            echo(f"left out: {out.light} at {', '.join(map(' '.join, named))}: it {out.reason}")
+        if result.patches is not None:
+            echo(result.patches.message)
+        if result.reused:
+            matrices = "matrix" if result.reused == 1 else "matrices"
+            echo(f"{result.reused} stored luminance {matrices} reused")
+        for table in (*defect_tables(output.document), *blind_tables(output.document)):
+            show_page_table(table)
+            echo(table.caption)
+        if output.overlaps:
+            show_overlaps(output.overlaps)
+    elif result.blind is not None:
+        _, chosen, _ = result.blind.parts[0]
+        text = partial(design.share_text, grain=chosen.grain)
+        shares = sorted(chosen.by_reason().items())
+        reasons = "; ".join(f"{design.blind_text(code, result.blind.lights)} {text(share)}" for code, share in shares)
+        echo(f"seen {text(chosen.seen)} of {design.BLIND_SHARES_OF}; {reasons}")
+    _show_paths(output)
+
+
+def _show_paths(output: design.DesignOutput) -> None:
+    main = {"report.html", "result.json", "part.planned.yaml"}
+    shown = [path for path in output.paths if path.name in main or path.name.startswith("rig.")]
+    rest = len(output.paths) - len(shown)
+    if VERBOSE.get() or rest < SUMMED_UP_FILES:
+        shown, rest = [*output.paths], 0
+    echo_paths(*shown)
+    if rest:
+        echo(f"and {rest} more files in {output.result.folder}; --verbose lists them")
+
+
+def show_overlaps(overlaps: Sequence[Overlap]) -> None:
+    """Saturated pixels of each light and pair of lights, a line per posture and exposure."""
+    rows: list[list[str]] = []
+    for overlap in overlaps:
+        saturated = ", ".join(f"{light} {pixels:,}" for light, pixels in overlap.saturated.items())
+        pairs = ", ".join(f"{a} & {b}: {pixels:,}" for (a, b), pixels in overlap.pairs.items() if pixels) or "none"
+        rows.append([str(overlap.posture), f"{overlap.exposure:g}", saturated, f"{overlap.pixels:,}", pairs])
+    show_table(["posture", "exposure", "saturated px", "in two or more", "overlaps"], rows, numbers_from=9)
+
+
+def show_plan(result: design.PlanResult) -> None:
+    """What a plan shows; of a verbose command also its tables, what the figures mean and how far they hold."""
+    from lightopt.design import plan_document
+    from lightopt.report.design import exposure_note, exposure_table, tolerance_table
+
+    document = plan_document(result)
+    if "chosen_postures" in document:
+        _show_postures(document)
+    if "exposures" in document:
+        planned = document["exposures"]
+        if VERBOSE.get():
+            show_page_table(exposure_table(planned))
+        echo(exposure_note(planned))
+        if VERBOSE.get() and "chosen_postures" not in document:
+            echo(f"shares of exposures: of {planned['shares_of']}")
+    if "tolerances" in document:
+        table = tolerance_table(document["tolerances"])
+        if VERBOSE.get():
+            show_page_table(table)
+        else:
+            worst, most = (row[-1] for row in table.rows[:2])
+            kept = f"the worst corner keeps {worst} of the score, 95 % of random draws keep {most}"
+            echo(f"angles off by the tolerances, {table.header[-1]}: {kept}")
+
+
+def show_commands(result: design.PlanResult, folder: Path) -> None:
+    """The commands that carry a plan out; of a verbose command the travel of the stage as well."""
+    from lightopt.design import plan_document
+
+    document = plan_document(result)
+    if "commands" in document:
+        echo(f"commands to carry out the plan, to be run in {folder}:")
+        for command in document["commands"]:
+            echo(f"  {command}")
+        if VERBOSE.get() and len(document["rounds"]) > 1:
+            from lightopt.core.transforms import Posture
+
+            for number, one in enumerate(document["rounds"], start=1):
+                order = " → ".join(str(Posture.from_dict(posture)) for posture in one["order_of_travel"])
+                echo(f"stage, capture {number}: {order}, {one['travel_s']:.1f} s of travel")
+            total = sum(one["travel_s"] for one in document["rounds"])
+            echo(f"total travel {total:.1f} s, without the returns to (0°, 0°)")
+
+
+def _show_postures(document: Section) -> None:
+    from lightopt.core.transforms import Posture
+    from lightopt.design import finding_text, share_text
+    from lightopt.report.design import plan_proof, posture_facts, posture_table
+
+    chosen = document["chosen_postures"]
+    text = partial(share_text, grain=chosen["patches"]["grain"])
+    table = posture_table(chosen, with_exposures=len(chosen["bounds_with_any_of_exposures"]) > 1)
+    number = counted(len(chosen["postures"]), "posture")
+    meaning = finding_text(chosen["min_images"], chosen["false_alarms"])
+    echo(f"{number} of {chosen['candidates']}: {text(chosen['share'])} {meaning}")
+    show_page_table(table)
+    _show_spare(chosen, text)
+    proof = plan_proof(chosen)
+    if not VERBOSE.get():
+        echo(proof.partition(". ")[0].removesuffix("."))
+        return
+    echo(proof)
+    echo(table.caption)
+    for out in chosen["left_out"]:
+        echo(f"left out: posture {Posture.from_dict(out)}: {out['reason']}")
+    for name, value in posture_facts(chosen, document.get("rounds", ())):
+        echo(f"{name}: {value}")
+
+
+def _show_spare(chosen: Section, text: partial[str]) -> None:
+    # fewer postures than were requested, and postures that hardly add anything
+    count, sufficient = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
+    if chosen["requested"] is not None and count < chosen["requested"] and chosen["target"] is None:
+        why = "there are no others" if count == chosen["candidates"] else "no other adds anything with these lights"
+        echo(f"{counted(chosen['requested'], 'posture')} requested, {count} chosen: {why}")
+    if sufficient < count:
+        share = text(chosen["postures"][sufficient - 1]["share"])
+        echo(f"--choose-postures {sufficient} is nearly as good: these show {share}")

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,9 +49,14 @@ def with_flags(message: str) -> str:
     return re.sub(r"option '(\w+)'", lambda match: flag(match[1]), message)
 
 
-def echo(text: str) -> None:
+# whether the command that runs was given these options
+QUIET, VERBOSE = ContextVar("QUIET", default=False), ContextVar("VERBOSE", default=False)
+
+
+def echo(text: str, *, even_if_quiet: bool = False) -> None:
     """Print a line of results to standard output."""
-    typer.echo(with_flags(text))
+    if even_if_quiet or not QUIET.get():
+        typer.echo(with_flags(text))
 
 
 def echo_error(*messages: str, label: str = "error: ") -> None:
@@ -64,11 +70,10 @@ def echo_warning(message: str) -> None:
     typer.echo(f"warning: {with_flags(message)}", err=True)
 
 
-def echo_paths(paths: Iterable[Path], *, quiet: bool = False) -> None:
-    """Print where files were written, unless it is to be `quiet`."""
-    if not quiet:
-        for path in paths:
-            echo(f"{path}")
+def echo_paths(*paths: Path) -> None:
+    """Print where files were written."""
+    for path in paths:
+        echo(f"{path}")
 
 
 def version_wanted(wanted: bool) -> None:
@@ -82,8 +87,9 @@ def version_wanted(wanted: bool) -> None:
 
 def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_from: int = 1) -> None:
     """A table on standard output; columns from `numbers_from` on are aligned to the right."""
-    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
-    for row in (header, *rows):
+    lines = [[cell.replace("\u00a0", " ") for cell in row] for row in (header, *rows)]
+    widths = [max(len(row[i]) for row in lines) for i in range(len(header))]
+    for row in lines:
         cells = [
             cell.rjust(width) if i >= numbers_from else cell.ljust(width)
             for i, (cell, width) in enumerate(zip(row, widths, strict=True))
@@ -92,13 +98,14 @@ def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_
 
 
 def show_page_table(table: Table, *, most: int | None = None) -> None:
-    show_table(table.header, table.rows[:most], numbers_from=table.numbers_from)
+    """Print a table of a report; no more than `most` of its rows, unless the command is verbose."""
+    show_table(table.header, table.rows[: None if VERBOSE.get() else most], numbers_from=table.numbers_from)
 
 
 @contextmanager
-def show_progress(*, quiet: bool) -> Generator[StageShare | None]:
+def show_progress() -> Generator[StageShare | None]:
     """A progress bar: stage of the work, share done, time left at most; None where nobody looks at it."""
-    if quiet or not sys.stderr.isatty():
+    if QUIET.get() or not sys.stderr.isatty():
         yield None
         return
     from lightopt.core.kernels import compiled_before
@@ -125,12 +132,12 @@ def show_progress(*, quiet: bool) -> Generator[StageShare | None]:
 
 
 @contextmanager
-def run_context(*, quiet: bool, threads: int | None = None) -> Generator[RunContext]:
-    """How a command runs: with a progress bar unless it is `quiet`, and warnings on standard error."""
+def run_context(threads: int | None = None) -> Generator[RunContext]:
+    """How a command runs: with a progress bar, messages if it is verbose, and warnings on standard error."""
     from lightopt.core.run_context import RunContext
 
-    with show_progress(quiet=quiet) as progress:
-        yield RunContext(threads=threads, progress=progress, warn=echo_warning)
+    with show_progress() as progress:
+        yield RunContext(threads=threads, progress=progress, inform=echo if VERBOSE.get() else None, warn=echo_warning)
 
 
 def set_up_log(verbose: bool) -> bool:

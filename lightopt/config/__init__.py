@@ -39,7 +39,6 @@ from lightopt.config._load import (
     load_rig as load_rig,
     load_targets as load_targets,
 )
-from lightopt.config._opencv_file import read_opencv_file as read_opencv_file
 from lightopt.config._part import (
     MOST_ACROSS as MOST_ACROSS,
     InspectionConfig as InspectionConfig,
@@ -56,3 +55,4 @@ from lightopt.config._targets import (
     PlateTargetConfig as PlateTargetConfig,
     TargetsConfig as TargetsConfig,
 )
+from lightopt.config._yaml_file import read_opencv_file as read_opencv_file

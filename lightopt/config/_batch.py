@@ -4,18 +4,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, ValidatorFunctionWrapHandler, field_validator
+from pydantic import Field, ValidatorFunctionWrapHandler, field_validator
 
 from lightopt.config import _fields as fields
 
-
-def _without_dot(name: str) -> str:
-    if "." in name:
-        raise fields.complaint(f'expected a name without a dot, found "{name}"; results are in a folder of this name')
-    return name
-
-
-JobName = Annotated[fields.FileName, AfterValidator(_without_dot)]
+_NO_DOT = fields.that(lambda name: "." not in name, "expected a name without a dot; results are in a folder of it")
+JobName = Annotated[fields.FileName, _NO_DOT]
 OptionValue = Annotated[
     bool | int | float | str | Annotated[tuple[int | float | str, ...], Field(strict=False, min_length=1)],
     fields.expecting("a number, text, true, false, or a list of numbers or texts"),

@@ -14,7 +14,6 @@ from pydantic import (
 from lightopt.config import _fields as fields
 from lightopt.config._fields import LIST, Frozen, complaint, expecting
 from lightopt.config._pose import CameraPoseConfig, with_pose
-from lightopt.config._sensor_sheet import Efficiency, SensorSheetConfig
 from lightopt.config._yaml_file import load_file
 from lightopt.core.errors import InputError
 
@@ -33,9 +32,7 @@ def _whole(value: object) -> object:
 
 
 _Point = Annotated[tuple[fields.Number, fields.Number], LIST, expecting("[column, row], two numbers of pixels")]
-_Focal = Annotated[
-    tuple[fields.Positive, fields.Positive], LIST, expecting("[in columns, in rows], two numbers of pixels above 0")
-]
+_Focal = Annotated[tuple[fields.Positive, fields.Positive], LIST, expecting("[columns, rows], two numbers above 0")]
 
 
 class DistortionConfig(Frozen):
@@ -67,21 +64,51 @@ class VignettingConfig(Frozen):
     """Whether the fourth power of the cosine to the optical axis dims the image as well, as with a simple lens."""
 
 
+_Electrons = Annotated[float, Field(ge=0, le=1e6), expecting("electrons, from 0 to 1e6")]
+_Percent = Annotated[float, Field(ge=0, le=50), expecting("per cent, from 0 to 50")]
+_Efficiency = Annotated[float, Field(gt=0, le=100), expecting("per cent, above 0 up to 100")]
+
+
+class SensorSheetConfig(fields.FileConfig):
+    """The data sheet of a sensor by EMVA Standard 1288, release 4.0, in the standard's units."""
+
+    format: Literal["lightopt-sensor/1"]
+    """Kind and version of this file: lightopt-sensor/1."""
+    name: fields.Text
+    """Name of the sensor, for people."""
+    quantum_efficiency_percent: _Efficiency
+    """Quantum efficiency η at the wavelength of the light [%]."""
+    saturation_capacity_e: Annotated[float, Field(ge=1, le=1e9), expecting("electrons, from 1 to 1e9")]
+    """Saturation capacity μe.sat [electrons]."""
+    dark_noise_e: _Electrons
+    """Temporal dark noise σd [electrons]."""
+    levels_per_electron: fields.Positive | None = None
+    """System gain K at the rig's bit depth and gain [levels per electron]; if absent, such that the saturation capacity
+    makes the saturation level."""
+    dark_current_e_per_s: Annotated[float, Field(ge=0, le=1e9), expecting("electrons per second")] = 0.0
+    """Dark current μI [electrons per second]."""
+    dsnu_e: _Electrons = 0.0
+    """Dark signal non-uniformity DSNU1288 [electrons]."""
+    prnu_percent: _Percent = 0.0
+    """Photo response non-uniformity PRNU1288 [%]."""
+    linearity_error_percent: Annotated[float, Field(ge=0, le=10), expecting("per cent, from 0 to 10")] = 0.0
+    """Linearity error LE [%]."""
+
+
 class SensorConfig(Frozen):
     """How the sensor turns light into levels."""
 
     bit_depth: Annotated[Literal[8, 10, 12, 14, 16], BeforeValidator(_whole), expecting("8, 10, 12, 14 or 16")]
     """Bits per pixel: 8, 10, 12, 14 or 16. The full scale is 2^bits - 1 levels."""
     saturation_level: Annotated[int, Field(ge=1), expecting("a whole level above 0")] | None = None
-    """Level [levels] from which a pixel counts as saturated; the full scale unless given. Some 12-bit cameras stop at
-    4080."""
+    """Level [levels] from which a pixel is saturated; the full scale unless given. Some 12-bit cameras stop at 4080."""
     black_level: Annotated[float, Field(ge=0), expecting("a level from 0 up")] = 0.0
     """Level of an unlit pixel [levels of the sensor]."""
     read_noise_levels: Annotated[float, Field(ge=0, le=1e5), expecting("a number from 0 up")] = 0.0
     """Standard deviation of the noise without light [levels of the sensor]."""
     electrons_per_level: fields.Positive | None = None
     """Conversion gain [electrons per level], for shot noise; none unless given."""
-    quantum_efficiency_percent: Efficiency | None = None
+    quantum_efficiency_percent: _Efficiency | None = None
     """Quantum efficiency [%], with which lightopt check states photons; it changes no image."""
     dark_current_e_per_s: Annotated[float, Field(ge=0, le=1e9), expecting("electrons per second")] = 0.0
     """Dark current [electrons per second], whose noise in exposure_us is added to the read noise."""
@@ -142,6 +169,8 @@ class SensorConfig(Frozen):
 class CameraConfig(Frozen):
     """A pinhole camera that looks at the origin, the centre of the table top, or has a measured pose."""
 
+    one_of = ("image_distance_mm", "focal_length_mm", "focal_px")
+
     distance_mm: fields.Length
     """Distance from the origin to the pinhole [mm]."""
     elevation_deg: fields.Elevation
@@ -152,9 +181,7 @@ class CameraConfig(Frozen):
     """Roll of the camera about its viewing axis [deg]."""
     pose: CameraPoseConfig | None = None
     """Measured pose, in place of distance_mm, elevation_deg, azimuth_deg and roll_deg."""
-    resolution_px: Annotated[
-        tuple[_Pixels, _Pixels], LIST, expecting("[width, height], two whole numbers from 1 to 65535")
-    ]
+    resolution_px: Annotated[tuple[_Pixels, _Pixels], LIST, expecting("[width, height], whole numbers up to 65535")]
     """Width and height of the image [pixels]."""
     pixel_size_um: Annotated[float, Field(ge=0.01, le=1000), expecting("a number from 0.01 to 1000")]
     """Edge of a square pixel on the sensor [µm]."""
@@ -165,9 +192,8 @@ class CameraConfig(Frozen):
     """Measured focal length in columns and in rows [pixels]. Give this, image_distance_mm or focal_length_mm."""
     image_distance_mm: fields.Length | None = None
     """Distance from the pinhole to the image plane [mm]. Give this or focal_length_mm."""
-    focal_length_mm: fields.Length | None = Field(default=None, validate_default=True)
-    """Focal length of a lens that is focused at focus_distance_mm [mm]: 1/f = 1/a + 1/b. Give this or
-    image_distance_mm."""
+    focal_length_mm: fields.Length | None = None
+    """Focal length of a lens focused at focus_distance_mm [mm]: 1/f = 1/a + 1/b. Give this or image_distance_mm."""
     aperture: Annotated[float, Field(ge=0.5, le=1000), expecting("an f-number from 0.5 to 1000")] | None = None
     """F-number, focal length over diameter of the aperture. If absent, the camera is a pinhole: all is in focus."""
     focus_distance_mm: fields.Length | None = None
@@ -190,15 +216,7 @@ class CameraConfig(Frozen):
 
     @field_validator("focal_length_mm")
     @classmethod
-    def _one_of_two(cls, focal: float | None, info: ValidationInfo) -> float | None:
-        if "image_distance_mm" not in info.data:
-            return focal
-        if info.data.get("focal_px") is not None:
-            if focal is not None or info.data.get("image_distance_mm") is not None:
-                raise complaint("focal_px is given, too; expected only one of the three lengths")
-            return focal
-        missing = 'missing key "image_distance_mm" (pinhole to image plane) or "focal_length_mm" (of the lens)'
-        fields.exactly_one(focal, info, other="image_distance_mm", missing=missing)
+    def _in_front(cls, focal: float | None, info: ValidationInfo) -> float | None:
         distance = info.data.get("distance_mm")
         if focal is not None and distance is not None and focal >= distance:
             raise complaint(f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there")
@@ -211,39 +229,41 @@ class CameraConfig(Frozen):
             raise complaint("only a lens with an aperture has this; give aperture (its f-number), too")
         focal = info.data.get("focal_length_mm")
         if value is not None and info.field_name == "focus_distance_mm" and focal is not None and value <= focal:
-            raise complaint(
-                f"expected more than focal_length_mm, {focal:g}, found {value:g}: a lens cannot focus there"
-            )
+            raise complaint(f"expected more than focal_length_mm, {focal:g}, found {value:g}: it cannot focus there")
         return value
 
 
-# of keys that only one driver has: the driver, and the message where it lacks the key
-_OWNERS = {
-    "folder": ("folder", 'missing key "folder": an image set to replay, for driver: folder'),
-    "producer": ("genicam", 'missing key "producer": the .cti file of the camera\'s maker, for driver: genicam'),
-    "packet_size": ("aravis", None),
-    "packet_delay_ns": ("aravis", None),
-}
+_OF_MACHINE_CAMERAS = ("port", "pixel_format", "offset_px", "gain", "trigger", "fixed_exposure_us")
 
 
 class CameraDeviceConfig(Frozen):
     """The device that takes the images."""
 
+    variants = fields.Variants(
+        "driver",
+        {
+            "virtual": ((), ()),
+            "folder": (("folder",), ()),
+            "aravis": ((), (*_OF_MACHINE_CAMERAS, "packet_size", "packet_delay_ns")),
+            "genicam": (("producer",), _OF_MACHINE_CAMERAS),
+        },
+        usual={"trigger": "auto"},
+    )
+
     driver: Literal["virtual", "folder", "aravis", "genicam"] = "virtual"
     """virtual: frames rendered by the virtual bench; folder: frames replayed; aravis: GigE Vision and USB3 Vision
     cameras; genicam: any camera, through its maker's GenTL producer."""
-    folder: fields.Text | None = Field(default=None, validate_default=True)
+    folder: fields.Text | None = None
     """folder: an image set whose PNG files are replayed; relative to this file."""
     port: fields.Text | None = None
     """aravis, genicam: serial number, address or identifier of the camera, in quotes, as lightopt bench devices lists
     it; if absent, the only camera that answers. aravis: virtual is a GigE Vision camera simulated on this computer."""
-    producer: fields.Text | None = Field(default=None, validate_default=True)
+    producer: fields.Text | None = None
     """genicam: the maker's GenTL producer, a .cti file; relative to this file."""
     pixel_format: fields.Text | None = None
     """aravis, genicam: pixel format, such as Mono12p; one that has the sensor's bit_depth if absent."""
     offset_px: _Offset | None = None
-    """aravis, genicam: where the image begins on the sensor, from the left and from the top [pixels]; centred if
-    absent."""
+    """aravis, genicam: where the image begins on the sensor, from left and top [pixels]; centred if absent."""
     gain: Annotated[float, Field(ge=-100, le=1000), expecting("a gain")] | None = None
     """aravis, genicam: gain in the camera's own units, mostly dB; as the camera has it if absent."""
     trigger: Literal["auto", "software", "none"] = "auto"
@@ -256,20 +276,9 @@ class CameraDeviceConfig(Frozen):
     packet_delay_ns: _Nanoseconds | None = None
     """aravis: pause between a camera's packets [ns]; as it is if absent."""
 
-    @field_validator("folder", "producer", "packet_size", "packet_delay_ns")
+    @field_validator("port")
     @classmethod
-    def _of_one_driver(cls, value: object, info: ValidationInfo) -> object:
-        owner, missing = _OWNERS[str(info.field_name)]
-        return fields.only_of_driver(owner, value, info, missing=missing)
-
-    @field_validator("port", "pixel_format", "offset_px", "gain", "trigger", "fixed_exposure_us")
-    @classmethod
-    def _of_machine_cameras(cls, value: object, info: ValidationInfo) -> object:
-        driver = info.data.get("driver")
-        if driver in ("virtual", "folder") and value not in (None, "auto"):
-            raise complaint(
-                f"only driver: aravis and driver: genicam have this, and the driver is {driver}; leave this out"
-            )
-        if info.field_name == "port" and value == "virtual" and driver == "genicam":
+    def _not_simulated(cls, port: str | None, info: ValidationInfo) -> str | None:
+        if port == "virtual" and info.data.get("driver") == "genicam":
             raise complaint("only driver: aravis has a simulated camera (or driver: virtual)")
-        return value
+        return port

@@ -1,8 +1,8 @@
 """Defects in a part file: the kinds to plan for, and those that are on this part."""
 
 import math
-from collections.abc import Mapping
-from typing import Annotated
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator
 
@@ -24,22 +24,14 @@ _Size = Annotated[
 ]
 _Slope = Annotated[float, Field(gt=0, le=60), fields.expecting("a number above 0, up to 60 (degrees)")]
 _Depth = Annotated[float, Field(gt=0, le=1e3), fields.expecting("a number above 0, up to 1000 (mm)")]
-_Factor = Annotated[float, Field(ge=0, le=100), fields.expecting("a number from 0 to 100")]
-_WidthFactor = Annotated[float, Field(ge=0.01, le=100), fields.expecting("a number from 0.01 to 100")]
+_NOT_1 = fields.that(lambda factor: factor != 1.0, "expected a number other than 1: with 1 there is no defect")
+_Factor = Annotated[float, Field(ge=0, le=100), _NOT_1, fields.expecting("a number from 0 to 100")]
+_WidthFactor = Annotated[float, Field(ge=0.01, le=100), _NOT_1, fields.expecting("a number from 0.01 to 100")]
 _Factor10 = Annotated[float, Field(ge=0.1, le=10)]
 _LEAST_GREATEST = "[least, greatest], two numbers from 0.1 to 10, such as [0.5, 2]"
-_Range = Annotated[tuple[_Factor10, _Factor10], fields.LIST, fields.expecting(_LEAST_GREATEST)]
+_Range = Annotated[tuple[_Factor10, _Factor10], fields.LIST, fields.ASCENDING, fields.expecting(_LEAST_GREATEST)]
 _Turn = Annotated[float, Field(ge=-360, le=360), fields.expecting("a number from -360 to 360 (degrees)")]
 _PixelIndex = Annotated[int, Field(ge=0, le=65535)]
-
-
-# kinds of defect that a key belongs to
-_OWNERS: Mapping[str, tuple[str, ...]] = {
-    "slope_deg": SHAPE_KINDS,
-    "depth_mm": SHAPE_KINDS,
-    "R_d_factor": ("stain",),
-    "sigma_factor": ("haze",),
-}
 
 
 class PixelPlaceConfig(fields.Frozen):
@@ -58,72 +50,59 @@ class PixelPlaceConfig(fields.Frozen):
 class CatalogueEntryConfig(fields.Frozen):
     """A kind of defect that the inspection is planned for; it may lie anywhere and in any direction."""
 
+    variants = fields.Variants(
+        "kind",
+        {
+            **dict.fromkeys(SHAPE_KINDS, ((), ("slope_deg", "depth_mm"))),
+            "stain": (("R_d_factor",), ()),
+            "haze": (("sigma_factor",), ()),
+        },
+    )
+
     name: fields.Text
     """Name of the defect, for people; no two in the list are the same."""
     kind: DefectKind
-    """scratch (a groove), dent, bump, pit (a steep cone), blister (flat-topped), stain (R_d changed) or haze (sigma
-    changed)."""
+    """scratch (a groove), dent, bump, pit (a steep cone), blister (flat-topped), stain (R_d) or haze (sigma)."""
     size_mm: _Size
     """Diameter, or [length, width] with the length along the direction, at least the width [mm]. A scratch has both."""
-    slope_deg: _Slope | None = Field(default=None, validate_default=True)
+    slope_deg: _Slope | None = None
     """Steepest slope of the walls [deg], up to 60. Shapes have this or depth_mm; the other follows."""
-    depth_mm: _Depth | None = Field(default=None, validate_default=True)
+    depth_mm: _Depth | None = None
     """Depth, or height of bumps and blisters [mm]. Shapes have this or slope_deg; the other follows."""
-    R_d_factor: _Factor | None = Field(default=None, validate_default=True)
+    R_d_factor: _Factor | None = None
     """Stains: factor on R_d; not 1."""
-    sigma_factor: _WidthFactor | None = Field(default=None, validate_default=True)
-    """Hazes: factor on sigma; not 1. R_s is divided by its square, so that the lobe reflects as much light as
-    before."""
+    sigma_factor: _WidthFactor | None = None
+    """Hazes: factor on sigma; not 1. R_s is divided by its square: the lobe reflects as much light as before."""
 
     @field_validator("size_mm")
     @classmethod
     def _longer_first(cls, size: float | tuple[float, float], info: ValidationInfo) -> float | tuple[float, float]:
         if isinstance(size, tuple) and size[0] < size[1]:
-            raise fields.complaint(
-                f"expected [length, width] with the length at least the width, found [{size[0]:g}, {size[1]:g}]; "
-                "direction_deg turns the length"
-            )
+            reason = f"expected [length, width] with the length at least the width, found [{size[0]:g}, {size[1]:g}]"
+            raise fields.complaint(f"{reason}; direction_deg turns it")
         if info.data.get("kind") == "scratch" and (not isinstance(size, tuple) or size[0] == size[1]):
             raise fields.complaint("expected [length, width] of a scratch, the length above the width")
         return size
 
-    @field_validator("slope_deg", "depth_mm", "R_d_factor", "sigma_factor")
-    @classmethod
-    def _of_its_kinds(cls, value: float | None, info: ValidationInfo) -> float | None:
-        kind, owners = info.data.get("kind"), _OWNERS[str(info.field_name)]
-        if value is not None and kind is not None and kind not in owners:
-            raise fields.complaint(f"a {kind} has none; it belongs to {', '.join(owners)}; remove this key")
-        return value
-
     @field_validator("depth_mm")
     @classmethod
-    def _one_of_two(cls, depth: float | None, info: ValidationInfo) -> float | None:
+    def _steep(cls, depth: float | None, info: ValidationInfo) -> float | None:
         kind, size = info.data.get("kind"), info.data.get("size_mm")
-        if kind not in SHAPE_KINDS or "slope_deg" not in info.data:
-            return depth
-        missing = 'missing key "slope_deg" or "depth_mm": give one of them'
-        fields.exactly_one(depth, info, other="slope_deg", missing=missing)
-        if depth is not None and size is not None:
+        if depth is not None and size is not None and kind in SHAPE_KINDS:
             width = _extents(size)[1]
             slope_found = slope_of_depth(kind, width, depth)
             if slope_found > MAX_SLOPE:
-                raise fields.complaint(
-                    f"a {kind} {width:g} mm wide and {depth:g} mm deep has walls of "
-                    f"{math.degrees(slope_found):.0f} degrees; expected at most "
-                    f"{depth_of_slope(kind, width, MAX_SLOPE):.3g} mm, which is 60 degrees"
-                )
+                most = f"expected at most {depth_of_slope(kind, width, MAX_SLOPE):.3g} mm, which is 60 degrees"
+                walls = f"has walls of {math.degrees(slope_found):.0f} degrees"
+                raise fields.complaint(f"a {kind} {width:g} mm wide and {depth:g} mm deep {walls}; {most}")
         return depth
 
-    @field_validator("R_d_factor", "sigma_factor")
     @classmethod
-    def _needed_by_its_kind(cls, factor: float | None, info: ValidationInfo) -> float | None:
-        name = str(info.field_name)
-        (owner,) = _OWNERS[name]
-        if info.data.get("kind") == owner and factor is None:
-            raise fields.absent(f'missing key "{name}": required for a {owner}', name)
-        if factor == 1.0:
-            raise fields.complaint(f"expected a number other than 1: with 1 there is no {owner}")
-        return factor
+    def misfits(cls, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
+        """As of every configuration; shapes have a slope or a depth."""
+        yield from super().misfits(raw)
+        if raw.get("kind") in SHAPE_KINDS:
+            yield from fields.one_of_misfits(("slope_deg", "depth_mm"), raw)
 
     @property
     def shape(self) -> DefectShape:
@@ -141,22 +120,18 @@ class PlannedDefectConfig(CatalogueEntryConfig):
     size_range: _Range = (1.0, 1.0)
     """Least and greatest size, as multiples of size_mm; all of that size if absent."""
     slope_range: _Range = (1.0, 1.0)
-    """Least and greatest slope of the walls, as multiples of that of slope_deg or depth_mm; all of that slope if
-    absent. Shapes only."""
+    """Least and greatest slope of the walls, as multiples of slope_deg or depth_mm; that slope if absent."""
 
-    @field_validator("size_range", "slope_range")
+    @field_validator("slope_range")
     @classmethod
-    def _least_first(cls, value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
-        if value[0] > value[1]:
-            raise fields.complaint(f"expected the least first, found [{value[0]:g}, {value[1]:g}]")
-        kind = info.data.get("kind")
-        if info.field_name == "slope_range" and value != (1.0, 1.0) and kind is not None and kind not in SHAPE_KINDS:
-            raise fields.complaint(f"a {kind} has no slope; remove this key")
-        if info.field_name == "slope_range" and kind in SHAPE_KINDS:
-            size, slope, depth = (info.data.get(key) for key in ("size_mm", "slope_deg", "depth_mm"))
+    def _not_too_steep(cls, value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+        kind, size, slope, depth = (info.data.get(key) for key in ("kind", "size_mm", "slope_deg", "depth_mm"))
+        if kind in SHAPE_KINDS:
             steepest, most = value[1] * math.degrees(_slope(kind, size, slope, depth)), math.degrees(MAX_SLOPE)
             if steepest > most + 1e-9:
                 raise fields.complaint(f"the steepest walls would be {steepest:.0f} degrees; expected at most {most:g}")
+        elif kind is not None and value != (1.0, 1.0):
+            raise fields.complaint(f"a {kind} has no slope; remove this key")
         return value
 
     @property
@@ -168,22 +143,16 @@ class PlannedDefectConfig(CatalogueEntryConfig):
 class DefectConfig(CatalogueEntryConfig):
     """A defect that is on the part: what it is, and where."""
 
+    one_of = ("at_mm", "at_pixel")
+
     at_mm: fields.Coordinates | None = None
     """Its centre in the coordinates of the mesh file, in mm; the nearest point of the surface is used, which must be
     close. Give this or at_pixel."""
-    at_pixel: PixelPlaceConfig | None = Field(default=None, validate_default=True)
+    at_pixel: PixelPlaceConfig | None = None
     """Its centre as the pixel of a posture that sees it. Give this or at_mm."""
     direction_deg: _Turn = 0.0
     """Direction of its length in the tangent plane, counterclockwise seen from outside, from the mesh file's X axis
     projected onto that plane, or from Y where the surface faces along X [deg]."""
-
-    @field_validator("at_pixel")
-    @classmethod
-    def _one_place(cls, pixel: PixelPlaceConfig | None, info: ValidationInfo) -> PixelPlaceConfig | None:
-        if "at_mm" in info.data:
-            missing = 'missing key "at_mm" or "at_pixel": the position of the defect'
-            fields.exactly_one(pixel, info, other="at_mm", missing=missing)
-        return pixel
 
 
 def _extents(size: float | tuple[float, float]) -> tuple[float, float]:

@@ -13,8 +13,7 @@ import yaml
 
 from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
-from lightopt.config._source_file import Keys, dotted
-from lightopt.config._strict_yaml import YamlError, parse
+from lightopt.config._strict_yaml import Keys, YamlError, dotted, parse
 from lightopt.core.errors import InputError
 
 _SCHEMA = re.compile(r"^(#\s*yaml-language-server:.*\$schema=)(\S+)", re.MULTILINE)
@@ -59,9 +58,8 @@ def with_values(text: str, values: Mapping[Keys, str | None]) -> str:
     try:
         parse(text)
     except YamlError as error:
-        raise InputError(
-            f"the values cannot be put into the file: {error.problem.message}; write anchors and aliases out"
-        ) from None
+        reason = f"the values cannot be put into the file: {error.problem.message}"
+        raise InputError(f"{reason}; write anchors and aliases out") from None
     return text
 
 
@@ -84,10 +82,8 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
     try:
         document = parse(longer)
     except YamlError as error:
-        raise InputError(
-            f"{key} cannot be added at the end of the file: {error.problem.message}; write the file without braces "
-            "around it all and without an end mark"
-        ) from None
+        reason = f"{key} cannot be added at the end of the file: {error.problem.message}"
+        raise InputError(f"{reason}; write the file without braces around it and without an end mark") from None
     if document.problems or (key, len(entries) - 1) not in document.lines or (key, len(entries)) in document.lines:
         raise InputError(f"{key} cannot be added at the end of the file: it has such a key, or ends in a text block")
     return longer
@@ -173,10 +169,8 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
     for keys, value in (values or {}).items():
         place = config.source.in_file(keys)
         if changes.setdefault(place, value) != value:
-            raise InputError(
-                f"{config.source.at(*keys)}: the channels of this light would have different values, and the file has "
-                "one for all; write them as lights of their own"
-            )
+            reason = "the channels of this light have different values; write them as lights of their own"
+            raise InputError(f"{config.source.at(*keys)}: {reason}")
     of_rig = (
         ("hardware", "camera", "folder"),
         ("calibration", "covariance"),

@@ -4,9 +4,9 @@ import contextlib
 import math
 import os.path
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path, PurePath
-from typing import Annotated, Any, Literal, TypeVar, cast
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 
 from pydantic import (
     AfterValidator,
@@ -19,14 +19,14 @@ from pydantic import (
     ValidationInfo,
     ValidatorFunctionWrapHandler,
     WrapValidator,
+    model_validator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from lightopt.config._source_file import Source
+from lightopt.config._strict_yaml import Source
+from lightopt.core.errors import did_you_mean
 
 MOST_POINTS = 65_536
-
-Value = TypeVar("Value")
 
 
 def points_problem(points: int | str) -> str | None:
@@ -45,6 +45,14 @@ def points_problem(points: int | str) -> str | None:
 Complaint = tuple[tuple[str | int, ...], object, PydanticCustomError]
 
 
+class Variants(NamedTuple):
+    """Keys that a mapping has by the value of one of its keys."""
+
+    by: str
+    kinds: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]  # of each value the keys that it needs, and others
+    usual: Mapping[str, object] = MappingProxyType({})  # values of such keys that do no harm elsewhere
+
+
 class Frozen(BaseModel):
     """Base of all configuration: unknown keys are errors, nothing is converted, numbers are finite.
 
@@ -54,6 +62,33 @@ class Frozen(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
     )
+
+    one_of: ClassVar[tuple[str, ...]] = ()  # keys of which a file has exactly one
+    variants: ClassVar[Variants | None] = None
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _keys_together(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
+        return with_complaints(value, handler, cls.misfits(value) if isinstance(value, Mapping) else ())
+
+    @classmethod
+    def misfits(cls, raw: Mapping[str, Any]) -> "Iterator[Complaint]":
+        """What does not fit together of the keys of a mapping, whose values may be wrong."""
+        yield from one_of_misfits(cls.one_of, raw)
+        if cls.variants is None:
+            return
+        by, kinds, usual = cls.variants
+        kind = raw.get(by, cls.model_fields[by].default)
+        if not isinstance(kind, str) or kind not in kinds:
+            return
+        for key in kinds[kind][0]:
+            if raw.get(key) is None:
+                meaning = " ".join(str(cls.model_fields[key].description).split())
+                yield (key,), raw, absent(f'missing key "{key}": {meaning} {by.capitalize()} {kind} needs it', key)
+        for key, value in raw.items():
+            owners = [name for name, keys in kinds.items() if key in keys[0] + keys[1]]
+            if owners and kind not in owners and value not in (None, usual.get(key)):
+                yield (key,), value, complaint(f"{by} {kind} has no such key; it belongs to {', '.join(owners)}")
 
 
 class FileConfig(Frozen):
@@ -75,6 +110,17 @@ def absent(reason: str, *keys: str) -> PydanticCustomError:
     return PydanticCustomError("absent", "{reason}", {"reason": reason, "keys": keys})
 
 
+def one_of_misfits(keys: Sequence[str], raw: Mapping[str, Any]) -> "Iterator[Complaint]":
+    """Refuse a mapping that has several of these keys, or none of them."""
+    given = [key for key in keys if raw.get(key) is not None]
+    if keys and not given:
+        names = [f'"{key}"' for key in keys]
+        missing = f"missing key {', '.join(names[:-1])} or {names[-1]}: expected one of them"
+        yield (keys[0],), raw, absent(missing, *keys)
+    if len(given) > 1:
+        yield (given[-1],), raw[given[-1]], complaint(f"given together with {given[0]}; expected only one of them")
+
+
 def expecting(what: str) -> WrapValidator:
     """Report whatever is wrong with a value as: expected `what`, found the value."""
 
@@ -89,22 +135,15 @@ def expecting(what: str) -> WrapValidator:
     return WrapValidator(check)
 
 
-def only_of_driver(owner: str, value: Value, info: ValidationInfo, *, missing: str | None) -> Value:
-    """A value that only one driver has, and which that driver needs where there is a message for its absence."""
-    driver = info.data.get("driver")
-    if driver == owner and value is None and missing is not None:
-        raise absent(missing, str(info.field_name))
-    if driver not in (None, owner) and value is not None:
-        raise complaint(f"only driver: {owner} has this, and the driver is {driver}; leave this out")
-    return value
+def that(holds: Callable[[Any], bool], reason: str) -> AfterValidator:
+    """Refuse values for which something does not hold."""
 
+    def check(value: object) -> object:
+        if not holds(value):
+            raise complaint(reason)
+        return value
 
-def exactly_one(value: object, info: ValidationInfo, *, other: str, missing: str) -> None:
-    """Refuse a value together with that of the field `other`, which is right by itself, and the absence of both."""
-    if value is None and info.data[other] is None:
-        raise absent(missing, other, str(info.field_name))
-    if value is not None and info.data[other] is not None:
-        raise complaint(f"given together with {other}; expected only one of them")
+    return AfterValidator(check)
 
 
 def repeated(keys: Iterable[Hashable | None]) -> Iterator[tuple[int, int]]:
@@ -177,37 +216,17 @@ Length = Annotated[float, Field(ge=1e-3, le=1e6), expecting("a length between 0.
 ABOVE_TABLE = "a number between 0 and 180 (degrees above the table, ends excluded)"
 Elevation = Annotated[float, Field(gt=0, lt=180), expecting(ABOVE_TABLE)]
 Azimuth = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 to 360 (degrees about Z)")]
-ElevationRange = Annotated[
-    tuple[Elevation, Elevation], LIST, ASCENDING, expecting("[low, high], two numbers between 0 and 180 (degrees)")
-]
-AzimuthRange = Annotated[
-    tuple[Azimuth, Azimuth], LIST, ASCENDING, expecting("[low, high], two numbers from -360 to 360 (degrees)")
-]
-Distance = Annotated[
-    float,
-    Field(ge=0, le=1e6),
-    expecting("a length between 0.001 and 1000000 (a number); a light around the part may be at 0"),
-]
-DistanceRange = Annotated[
-    tuple[Distance, Distance], LIST, ASCENDING, expecting("[low, high], two lengths from 0 to 1000000")
-]
+ElevationRange = Annotated[tuple[Elevation, Elevation], LIST, ASCENDING, expecting("[low, high] between 0 and 180 (°)")]
+AzimuthRange = Annotated[tuple[Azimuth, Azimuth], LIST, ASCENDING, expecting("[low, high] from -360 to 360 (°)")]
+Distance = Annotated[float, Field(ge=0, le=1e6), expecting("a length from 0 to 1000000 (a number)")]
+DistanceRange = Annotated[tuple[Distance, Distance], LIST, ASCENDING, expecting("[low, high] from 0 to 1000000")]
 Tilt = Annotated[float, Field(ge=-180, le=180), expecting("a number from -180 to 180 (degrees of tilt)")]
-TiltRange = Annotated[
-    tuple[Tilt, Tilt], LIST, ASCENDING, expecting("[low, high], two numbers from -180 to 180 (degrees)")
-]
+TiltRange = Annotated[tuple[Tilt, Tilt], LIST, ASCENDING, expecting("[low, high] from -180 to 180 (°)")]
 Coordinates = Annotated[tuple[Number, Number, Number], LIST, expecting("[x, y, z], three numbers up to 1000000")]
 
 
-def _some_way(direction: tuple[float, float, float]) -> tuple[float, float, float]:
-    if not any(direction):
-        raise complaint("expected [x, y, z], three numbers that are not all 0")
-    return direction
-
-
-Direction = Annotated[Coordinates, AfterValidator(_some_way)]
-Size = Annotated[
-    tuple[Length, Length], LIST, expecting("[along azimuth, along elevation], two lengths between 0.001 and 1000000")
-]
+Direction = Annotated[Coordinates, that(any, "expected [x, y, z], three numbers that are not all 0")]
+Size = Annotated[tuple[Length, Length], LIST, expecting("[along azimuth, along elevation], two lengths")]
 Points = Annotated[
     Annotated[int, Field(ge=1, le=MOST_POINTS)] | Literal["auto"],
     AfterValidator(_square),
@@ -246,19 +265,28 @@ class PostureConfig(Frozen):
     """Rotation of the part about the stage's own axis [deg]."""
 
 
-def require_file(folder: Path, file: str) -> None:
+def file_of(*suffixes: str) -> AfterValidator:
+    """Refuse names that do not end in one of these, and of no file in the folder of the configuration."""
+
+    def check(file: str, info: ValidationInfo) -> str:
+        if suffixes and PurePath(file).suffix.lower() not in suffixes:
+            raise complaint(f'expected a file ending in {", ".join(suffixes)}, found "{file}"')
+        if info.context is not None:
+            _require_file(info.context["folder"], file)
+        return file
+
+    return AfterValidator(check)
+
+
+def _require_file(folder: Path, file: str) -> None:
     """Raise unless a file exists, with its full path and a file of similar name."""
-    path = folder / file
-    is_folder, near = False, list[str]()
+    path, hint, is_folder = folder / file, "", False
     with contextlib.suppress(OSError, ValueError):
         if path.is_file():
             return
         is_folder = path.is_dir()
-        near = get_close_matches(path.name, sorted(p.name for p in path.parent.iterdir()), n=1, cutoff=0.5)
-    full_path = os.path.normpath(folder.resolve() / file)
-    if is_folder:
-        raise complaint(f"{full_path} is a folder; expected a file")
-    hint = f'; did you mean "{(PurePath(file).parent / near[0]).as_posix()}"?' if near else ""
+        hint = did_you_mean(path.name, sorted(p.name for p in path.parent.iterdir()), cutoff=0.5)
     if "\\" in file and os.sep == "/":
         hint = "; separate folders with / , which works everywhere"
-    raise complaint(f"no such file: {full_path}{hint}")
+    full_path = os.path.normpath(folder.resolve() / file)
+    raise complaint(f"{full_path} is a folder; expected a file" if is_folder else f"no such file: {full_path}{hint}")

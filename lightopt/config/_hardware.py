@@ -2,24 +2,16 @@
 
 import re
 import string
-from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo, field_validator
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
-from lightopt.config._display import (
-    DISPLAY_DRIVERS,
-    Command as DisplayCommand,
-    Monitor,
-    PictureConfig,
-    check_key,
-    display_misfits,
-)
-from lightopt.config._fields import Complaint, Frozen, complaint, expecting
+from lightopt.config._fields import LIST, Complaint, Frozen, complaint, expecting
 from lightopt.config._light import LightConfig
+from lightopt.core.errors import did_you_mean
 
 _Baud = Annotated[int, Field(ge=300, le=4000000), expecting("a baud rate, from 300 to 4000000")]
 _Channel = Annotated[int, Field(ge=1, le=256), expecting("a channel number as on the device, from 1 to 256")]
@@ -69,10 +61,8 @@ def _filled_in(text: str) -> str:
     return text
 
 
-def _needs_level(text: str) -> str:
-    if not any(name == "level" for _, name, _, _ in string.Formatter().parse(text)):
-        raise complaint("the field {level} is missing: the command would set no intensity")
-    return text
+def _has_level(text: str) -> bool:
+    return any(name == "level" for _, name, _, _ in string.Formatter().parse(text))
 
 
 def _compiled(text: str) -> str:
@@ -97,7 +87,7 @@ class TemplateConfig(Frozen):
     width: {level:03d}. In double quotes the escapes for carriage return, line feed and other bytes are understood.
     """
 
-    set: Annotated[Command, AfterValidator(_needs_level)]
+    set: Annotated[Command, fields.that(_has_level, "the field {level} is missing: the command would set no intensity")]
     """Command that sets an intensity and lights the channel; has the field {level}."""
     set_reply: Pattern | None = None
     """Regular expression that the whole reply matches, without its end; none: there is no reply."""
@@ -108,8 +98,7 @@ class TemplateConfig(Frozen):
     read: Command | None = None
     """Command that queries the intensity, which is 0 when dark; none: it cannot be queried."""
     read_reply: Pattern | None = Field(default=None, validate_default=True)
-    """Regular expression of the reply to `read`, with the digits of the intensity in a group named level:
-    L1(?P<level>[0-9]+)."""
+    """Regular expression of the reply to `read`, with a group named level for the intensity: L1(?P<level>[0-9]+)."""
     end: End | None = None
     """Bytes that end a reply; silence ends it if absent."""
 
@@ -127,8 +116,54 @@ class TemplateConfig(Frozen):
         return reply
 
 
+DISPLAY_DRIVERS = ("screen", "command")
+MOST_SQUARE = 1.05  # ratio of a screen pixel's sides that is taken for a rounded size_mm
+
+_Side = Annotated[int, Field(ge=1, le=16384)]
+_Arguments = Annotated[tuple[fields.Text, ...], Field(strict=False, min_length=1, max_length=50)]
+_Monitor = Annotated[int, Field(ge=1, le=16), expecting("the number of a monitor, from 1 to 16")]
+_WITH_FILE = fields.that(
+    lambda words: any("{file}" in word for word in words),
+    'no entry has the field {file}, the path of the picture; add "{file}"',
+)
+_Program = Annotated[_Arguments, _WITH_FILE, expecting('a program and arguments: [show, "{file}"]')]
+
+
+class PictureConfig(Frozen):
+    """The screen of a display, for driver: screen and driver: command."""
+
+    resolution_px: Annotated[tuple[_Side, _Side], LIST, expecting("[width, height], whole numbers up to 16384")]
+    """Width and height of the screen as the computer has it, whose visible area is the light's size_mm [pixels]."""
+    gamma: Annotated[float, Field(ge=0.5, le=5), expecting("a number from 0.5 to 5")] = 2.2
+    """Response of the screen: its radiance is (level / 255)^gamma of the full one."""
+    turn_deg: Annotated[Literal[0, 90, 180, 270], expecting("0, 90, 180 or 270")] = 0
+    """How the screen is mounted, seen from the part: where its own upper edge is, turned clockwise from above [deg]."""
+    mirrored: bool = False
+    """Whether the part sees the screen's left and right swapped, as in a mirror or on a screen lit from behind."""
+    settle_ms: Annotated[float, Field(ge=0, le=1000), expecting("milliseconds, from 0 to 1000")] = 50.0
+    """From showing a picture until it is on the screen [ms]; timing.light_ms is waited for in addition."""
+
+    @property
+    def seen_px(self) -> tuple[int, int]:
+        """Columns and rows as seen from the part, along u and v."""
+        width, height = self.resolution_px
+        return (height, width) if self.turn_deg % 180 else (width, height)
+
+
 class ControllerConfig(Frozen):
     """A light controller."""
+
+    variants = fields.Variants(
+        "driver",
+        {
+            "ccs": (("port",), ("baud", "dialect")),
+            "sa": (("port",), ("baud",)),
+            "template": (("port", "template"), ("baud",)),
+            "screen": (("monitor", "picture"), ()),
+            "command": (("command", "picture"), ()),
+        },
+        usual={"port": "virtual", "dialect": "lan"},
+    )
 
     driver: Annotated[
         Literal["ccs", "sa", "template", "screen", "command"],
@@ -136,9 +171,7 @@ class ControllerConfig(Frozen):
     ]
     """Protocol: ccs (@ frames), sa (SA0255# family), or template. A display, each channel of which is a picture: screen
     (a monitor of this computer), or command (a program that shows the picture)."""
-    port: fields.Text | None = Field(
-        default=None, validate_default=True, description=f"{_PORT} Of a display: virtual, or absent."
-    )
+    port: fields.Text | None = Field(default=None, description=f"{_PORT} Of a display: virtual, or absent.")
     baud: _Baud | None = None
     """Baud rate; the protocol's usual one if absent."""
     channels: _Channel = 4
@@ -147,23 +180,23 @@ class ControllerConfig(Frozen):
     """Highest intensity of the controller."""
     dialect: Literal["lan", "serial"] = "lan"
     """ccs: frames without (lan) or with (serial) a unit number."""
-    template: TemplateConfig | None = Field(default=None, validate_default=True)
+    template: TemplateConfig | None = None
     """Commands, for driver: template."""
-    monitor: Monitor | None = Field(default=None, validate_default=True)
+    monitor: _Monitor | None = None
     """screen: number of the monitor as the desktop counts them, from 1."""
-    command: DisplayCommand | None = Field(default=None, validate_default=True)
+    command: _Program | None = None
     """command: a program and its arguments, run in this file's folder; {file} is the path of the picture, a PNG."""
-    picture: PictureConfig | None = Field(default=None, validate_default=True)
+    picture: PictureConfig | None = None
     """screen, command: the screen that pictures are made for."""
     timeout_s: fields.Positive = 1.0
     """Longest wait for a reply, or for a command to end [s]."""
 
-    @field_validator("port", "baud", "monitor", "command", "picture")
     @classmethod
-    def _of_displays(cls, value: Any, info: ValidationInfo) -> Any:
-        if info.field_name == "port" and value is None and info.data.get("driver") not in (None, *DISPLAY_DRIVERS):
-            raise fields.absent(f'missing key "port": {_PORT}', "port")
-        return check_key(value, info)
+    def misfits(cls, raw: Mapping[str, Any]) -> Iterator[Complaint]:
+        """As of every configuration; a display with a virtual port needs neither monitor nor command."""
+        for loc, found, error in super().misfits(raw):
+            if error.type == "complaint" or loc not in (("monitor",), ("command",)) or raw.get("port") != "virtual":
+                yield loc, found, error
 
     @field_validator("channels", "top_level")
     @classmethod
@@ -173,19 +206,6 @@ class ControllerConfig(Frozen):
         if most is not None and number > most:
             raise complaint(f"expected at most {most}, the most that {driver} can express, found {number}")
         return number
-
-    @field_validator("dialect")
-    @classmethod
-    def _of_ccs(cls, dialect: str, info: ValidationInfo) -> str:
-        if dialect != "lan" and info.data.get("driver") not in (None, "ccs"):
-            raise complaint(f"only ccs has dialects, and the driver is {info.data['driver']}; leave this out")
-        return dialect
-
-    @field_validator("template")
-    @classmethod
-    def _of_template(cls, template: TemplateConfig | None, info: ValidationInfo) -> TemplateConfig | None:
-        missing = 'missing key "template": commands and replies, for driver: template'
-        return fields.only_of_driver("template", template, info, missing=missing)
 
 
 class ChannelConfig(Frozen):
@@ -211,12 +231,7 @@ _AXES = {
     "grbl": ("[XYZ]", "X, Y or Z"),
     "zaber": ("([1-9][0-9]?/)?[1-9]", "a number, or device/axis such as 2/1"),
 }
-
-
-def _not_zero(number: float) -> float:
-    if number == 0:
-        raise complaint("expected a number other than 0, found 0")
-    return number
+_NOT_ZERO = fields.that(bool, "expected a number other than 0, found 0")
 
 
 class AxisConfig(Frozen):
@@ -225,12 +240,12 @@ class AxisConfig(Frozen):
     axis: Annotated[fields.Text, expecting('text in quotes, the axis as the device calls it: "1", "X"')]
     """The axis as the device calls it: "1", "2", "X", "Y"."""
     steps_per_deg: Annotated[
-        float, Field(ge=-1e7, le=1e7), AfterValidator(_not_zero), expecting("a number other than 0, from -1e7 to 1e7")
+        float, Field(ge=-1e7, le=1e7), _NOT_ZERO, expecting("a number other than 0, from -1e7 to 1e7")
     ] = 1.0
     """Device units per degree; negative if the device counts against the rig's direction."""
     zero: Annotated[float, Field(ge=-1e9, le=1e9), expecting("a number")] = 0.0
     """Device units at which the rig's angle is 0."""
-    home_sense: Annotated[int, Field(ge=-1, le=1), AfterValidator(_not_zero), expecting("1 or -1")] = -1
+    home_sense: Annotated[int, Field(ge=-1, le=1), _NOT_ZERO, expecting("1 or -1")] = -1
     """gsc: direction of the device's count in which it searches its origin, 1 or -1."""
     speed_deg_per_s: fields.Positive = 20.0
     """Speed that is set in the device [deg/s]."""
@@ -314,22 +329,57 @@ def misfits(
 ) -> Iterator[Complaint]:
     """What does not fit together, by the path under ``hardware``; None and parts that are wrong are passed over."""
     section = fields.mapping(hardware)
-    controllers, channels = (fields.mapping(section.get(key)) for key in ("controllers", "lights"))
+    controllers, channels, stage, device = (
+        fields.mapping(section.get(key)) for key in ("controllers", "lights", "stage", "camera")
+    )
     if lights is not None and isinstance(section.get("lights"), Mapping):
-        yield from _names(channels, tuple(light.name for light in lights))
-        yield from display_misfits(controllers, channels, lights)
+        yield from _names(channels, [light.name for light in lights])
+        yield from _display_misfits(controllers, channels, lights)
     if isinstance(section.get("controllers"), Mapping):
         for name, channel in channels.items():
             yield from _plug(name, fields.mapping(channel), controllers)
-        yield from _shared(channels)
-    yield from _same_port(controllers, fields.mapping(section.get("stage")))
-    device = fields.mapping(section.get("camera"))
+        yield from _same("channel", {("lights", name): (entry, _place(entry)) for name, entry in channels.items()})
+    devices = {("controllers", name): entry for name, entry in controllers.items()} | {("stage",): stage}
+    for key, of in (("port", _port), ("monitor", _monitor)):
+        yield from _same(key, {path: (entry, of(entry)) for path, entry in devices.items()})
     if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
         reason = "the rig's camera has no exposure_us; add to it the exposure time [µs] that counts as exposure 1"
         yield ("camera",), device, complaint(reason)
 
 
-def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[Complaint]:
+def _display_misfits(
+    controllers: Mapping[str, object], channels: Mapping[str, object], lights: Sequence[LightConfig]
+) -> Iterator[Complaint]:
+    """Lights that a display cannot show, and pixels of screens that are not square."""
+    known = {light.name: light for light in lights}
+    shown: dict[str, LightConfig] = {}
+    for name, entry in channels.items():
+        controller, light = fields.mapping(entry).get("controller"), known.get(name)
+        if light is None or not isinstance(controller, str):
+            continue
+        config = fields.mapping(controllers.get(controller))
+        if config.get("driver") not in DISPLAY_DRIVERS:
+            continue
+        where = ("lights", name, "controller")
+        if light.kind != "display":
+            yield where, controller, complaint(f"{controller} is a display, and this light is a {light.kind}")
+        elif shown.setdefault(controller, light).entry != light.entry:
+            other = shown[controller].entry_name
+            yield where, controller, complaint(f"{controller} is the display {other}; each display needs its own")
+    for controller, light in shown.items():
+        picture = fields.mapping(fields.mapping(controllers[controller]).get("picture"))
+        width, height = (light.size_mm or (1.0, 1.0))[:: -1 if picture.get("turn_deg") in (90, 270) else 1]
+        pixels = fields.entries(picture.get("resolution_px"))
+        if len(pixels) != 2 or not all(isinstance(one, int) and one > 0 for one in pixels):
+            continue
+        sides = width / pixels[0], height / pixels[1]  # type: ignore[operator]
+        if max(sides) > MOST_SQUARE * min(sides):
+            pixel = f"{sides[0]:.4g} × {sides[1]:.4g} mm; expected square: correct this, turn_deg, or the size_mm"
+            reason = f"on the {width:g} × {height:g} mm of {light.entry_name} a pixel would have {pixel}"
+            yield ("controllers", controller, "picture", "resolution_px"), list(pixels), complaint(reason)
+
+
+def _names(channels: Mapping[str, object], lights: Sequence[str]) -> Iterator[Complaint]:
     for name in lights:
         if name not in channels:
             entry = f"{name}: {{controller: ..., channel: ..., level: ...}}"
@@ -337,66 +387,56 @@ def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[
             yield ("lights",), dict(channels), complaint(reason)
     for name, channel in channels.items():
         if name not in lights:
-            near = get_close_matches(name, lights, n=1)
-            meant = f'; did you mean "{near[0]}"?' if near else f"; its lights are {', '.join(lights)}"
+            meant = did_you_mean(name, lights) or f"; its lights are {', '.join(lights)}"
             yield ("lights", name), channel, complaint(f'the rig has no light "{name}"{meant}')
 
 
 def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, object]) -> Iterator[Complaint]:
     """What is wrong with where one light is plugged in."""
-    wanted, number = channel.get("controller"), _whole(channel.get("channel"))
-    level, most = _whole(channel.get("level")), _whole(channel.get("max_level"))
+    number, level, most = (_whole(channel.get(key)) for key in ("channel", "level", "max_level"))
     if level is not None and most is not None and level > most:
-        yield (("lights", name, "level"), level, complaint(f"expected at most max_level, {most}, found {level}"))
+        yield ("lights", name, "level"), level, complaint(f"expected at most max_level, {most}, found {level}")
+    wanted = channel.get("controller")
     if not isinstance(wanted, str):
         return
     if wanted not in controllers:
-        there = ", ".join(controllers) or "none"
-        reason = f'no controller is called "{wanted}"; there is {there}'
+        reason = f'no controller is called "{wanted}"; there is {", ".join(controllers) or "none"}'
         yield ("lights", name, "controller"), wanted, complaint(reason)
         return
     controller = fields.mapping(controllers[wanted])
-    defaults = ControllerConfig.model_fields
-    count = _whole(controller.get("channels", defaults["channels"].default))
-    if count is not None and number is not None and number > count:
-        reason = f"expected a channel from 1 to {count}, which {wanted} has, found {number}"
-        yield ("lights", name, "channel"), number, complaint(reason)
-    top = _whole(controller.get("top_level", defaults["top_level"].default))
-    for key, value in (("level", level), ("max_level", most)):
-        if top is not None and value is not None and value > top:
-            reason = f"expected at most {top}, the top_level of {wanted}, found {value}"
+    limited = (("channel", number, "channels"), ("level", level, "top_level"), ("max_level", most, "top_level"))
+    for key, value, limit in limited:
+        highest = _whole(controller.get(limit, ControllerConfig.model_fields[limit].default))
+        if value is not None and highest is not None and value > highest:
+            reason = f"expected at most {highest}, the {limit} of {wanted}, found {value}"
             yield ("lights", name, key), value, complaint(reason)
 
 
-def _shared(channels: Mapping[str, object]) -> Iterator[Complaint]:
-    """Lights on the channel of another light."""
-    names, entries = list(channels), [fields.mapping(entry) for entry in channels.values()]
-    places = [(entry.get("controller"), _whole(entry.get("channel"))) for entry in entries]
-    for i, first in fields.repeated(p if isinstance(p[0], str) and p[1] is not None else None for p in places):
-        controller, number = places[i]
-        reason = f'channel {number} of {controller} is already that of light "{names[first]}"'
-        yield ("lights", names[i], "channel"), number, complaint(reason)
+def _same(key: str, places: Mapping[tuple[str, ...], tuple[object, Hashable | None]]) -> Iterator[Complaint]:
+    """Complaints about what has the same port, monitor or channel as something before it."""
+    paths = list(places)
+    for i, first in fields.repeated(what for _, what in places.values()):
+        found = fields.mapping(places[paths[i]][0])[key]
+        reason = f'{key} "{found}" is already that of {".".join(paths[first])}; each has its own'
+        yield (*paths[i], key), found, complaint(reason)
 
 
-def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -> Iterator[Complaint]:
-    """Devices at the port of another device."""
-    paths: list[tuple[str, ...]] = [*(("controllers", name) for name in controllers), ("stage",)]
-    ports = [fields.mapping(entry).get("port") for entry in (*controllers.values(), stage)]
-    for i, first in fields.repeated(map(_port_key, ports)):
-        reason = f'port "{ports[i]}" is already that of {".".join(paths[first])}; each device has its own'
-        yield (*paths[i], "port"), ports[i], complaint(reason)
-    monitors = [_whole(fields.mapping(entry).get("monitor")) for entry in controllers.values()]
-    for i, first in fields.repeated(monitors):
-        reason = f"monitor {monitors[i]} is already that of {'.'.join(paths[first])}; each display has its own"
-        yield (*paths[i], "monitor"), monitors[i], complaint(reason)
+def _place(entry: object) -> tuple[str, int] | None:
+    controller, number = fields.mapping(entry).get("controller"), _whole(fields.mapping(entry).get("channel"))
+    return (controller, number) if isinstance(controller, str) and number is not None else None
 
 
-def _port_key(port: object) -> str | None:
-    """The same for names of the same port; None where it is none, or virtual."""
+def _port(entry: object) -> str | None:
+    # the same for names of the same port; None where it is none, or virtual
+    port = fields.mapping(entry).get("port")
     if not isinstance(port, str) or port == "virtual":
         return None
     return port.upper() if re.fullmatch(r"COM\d+", port, re.IGNORECASE) else port
 
 
+def _monitor(entry: object) -> int | None:
+    return _whole(fields.mapping(entry).get("monitor"))
+
+
 def _whole(value: object) -> int | None:
-    return value if isinstance(value, int) and not isinstance(value, bool) else None
+    return value if type(value) is int else None

@@ -1,10 +1,12 @@
-"""The lights of a rig file: panels, and lights of other shapes with one channel or several."""
+"""The lights of a rig file: panels, lights of other shapes with one channel or several; and the programme of images."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from fractions import Fraction
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import (
+    BeforeValidator,
     Field,
     PrivateAttr,
     SerializerFunctionWrapHandler,
@@ -35,21 +37,6 @@ LightKind = Literal[
     "backlight",
 ]
 
-# keys of each kind but panel, beside those of where it stands: needed ones, and others
-_KEYS_OF_KIND: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "bar": (("size_mm",), ()),
-    "ring": (("inner_radius_mm", "outer_radius_mm"), ("ring_tilt_deg", "segments")),
-    "low_angle_ring": (("radius_mm", "height_mm"), ("segments",)),
-    "dome": (("radius_mm",), ("camera_hole_mm", "lower_elevation_deg", "leak", "segments", "pattern")),
-    "flat_dome": (("size_mm",), ("camera_hole_mm",)),
-    "tunnel": (("radius_mm", "length_mm"), ("slot_mm",)),
-    "coaxial": (("size_mm",), ("transmission", "reflection")),
-    "spot": (("half_angle_deg",), ()),
-    "led_array": (("size_mm", "rows", "columns", "led_mm"), ()),
-    "display": (("size_mm",), ("pattern",)),
-    "backlight": (("size_mm",), ("pattern", "direct_level")),
-}
-_PLACE_KEYS = ("name", "kind", "distance_mm", "elevation_deg", "azimuth_deg", "gain")
 RANGE_KEYS = ("elevation_range_deg", "azimuth_range_deg", "distance_range_mm", "distance_step_mm")
 """Keys that say where a light can be moved to."""
 
@@ -68,51 +55,33 @@ _Exponent = Annotated[float, Field(ge=0, le=1000), fields.expecting("a number fr
 _AUTO_SUM = "sum cannot be used with points: auto, a continuous panel; use mean"
 
 
-def _wrong_keys(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
-    """Complaints about keys that a kind of light lacks, does not have, or that exclude each other."""
-    needed, others = _KEYS_OF_KIND[kind]
-    for key in needed:
-        if raw.get(key) is None:
-            yield (key,), raw, fields.absent(f'missing key "{key}", which a light of kind {kind} needs', key)
-    known = set(LightConfig.model_fields)
-    for key in raw:
-        if key in known and raw[key] is not None and key not in (*_PLACE_KEYS, *RANGE_KEYS, *needed, *others):
-            yield (key,), raw[key], fields.complaint(f"a light of kind {kind} has no such key; leave it out")
+def _wrong_shapes(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
+    """Complaints about the sizes of a kind of light that exclude each other."""
     numbers = {key: value for key, value in raw.items() if isinstance(value, (int, float))}
     if numbers.get("rows", 1) * numbers.get("columns", 1) > MOST_CHANNELS:
-        yield ("rows",), raw["rows"], fields.complaint(f"expected at most {MOST_CHANNELS} LEDs in all")
+        key = "rows" if "rows" in numbers else "columns"
+        yield (key,), raw[key], fields.complaint(f"expected at most {MOST_CHANNELS} LEDs in all")
     if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
         yield ("inner_radius_mm",), raw["inner_radius_mm"], fields.complaint("expected less than outer_radius_mm")
-    yield from pattern_misfits(kind, raw)
     size = [side for side in fields.entries(raw.get("size_mm")) if isinstance(side, (int, float))]
+    hole = numbers.get("camera_hole_mm", 0.0)
     widest = {"dome": numbers.get("radius_mm"), "flat_dome": min(size, default=None)}.get(kind)
-    if widest is not None and numbers.get("camera_hole_mm", 0.0) >= widest:
-        yield ("camera_hole_mm",), raw["camera_hole_mm"], fields.complaint(f"expected less than {widest:g}")
-    if numbers.get("slot_mm", 0.0) >= 2.0 * numbers.get("radius_mm", 1e9):
+    if widest is not None and "camera_hole_mm" in numbers and hole >= widest:
+        yield ("camera_hole_mm",), hole, fields.complaint(f"expected less than {widest:g}")
+    elif kind == "dome" and widest is not None and widest > 0.0:
+        upper, lower = math.degrees(math.acos(0.5 * max(0.0, hole) / widest)), numbers.get("lower_elevation_deg", 0.0)
+        if lower >= upper:
+            reason = f"expected less than {upper:.4g}, where the hole is"
+            yield ("lower_elevation_deg",), lower, fields.complaint(reason)
+    if "slot_mm" in numbers and numbers["slot_mm"] >= 2.0 * numbers.get("radius_mm", 1e9):
         yield ("slot_mm",), raw["slot_mm"], fields.complaint("expected less than the tunnel's diameter")
-    yield from _at_origin(kind, raw)
-    if kind == "dome" and widest and numbers.get("camera_hole_mm", 0.0) < widest:
-        upper = math.degrees(math.acos(0.5 * max(0.0, numbers.get("camera_hole_mm", 0.0)) / widest))
-        if numbers.get("lower_elevation_deg", 0.0) >= upper:
-            lower = raw["lower_elevation_deg"]
-            yield (
-                ("lower_elevation_deg",),
-                lower,
-                fields.complaint(f"expected less than {upper:.4g}, where the hole is"),
-            )
     counts = numbers.get("columns", 0), numbers.get("rows", 0)
-    if any(numbers.get("led_mm", 0.0) * count > side for side, count in zip(size, counts, strict=False)):
+    if "led_mm" in numbers and any(numbers["led_mm"] * n > side for side, n in zip(size, counts, strict=False)):
         yield ("led_mm",), raw["led_mm"], fields.complaint("the LEDs overlap; expected at most size_mm by their number")
-
-
-def _at_origin(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
-    lowest = {"distance_mm": raw.get("distance_mm")} | dict.fromkeys(
-        ["distance_range_mm"], next(iter(fields.entries(raw.get("distance_range_mm"))), None)
-    )
-    for key, value in lowest.items():
-        if value == 0 and kind not in _AROUND_PART:
-            what = "a panel" if kind == "panel" else f"a light of kind {kind}"
-            yield (key,), raw[key], fields.complaint(f"{what} cannot stand at the origin")
+    for key in ("distance_mm", "distance_range_mm"):
+        nearest = next(iter(fields.entries(raw.get(key))), raw.get(key))
+        if nearest == 0 and kind not in _AROUND_PART:
+            yield (key,), raw[key], fields.complaint(f"a light of kind {kind} cannot stand at the origin")
 
 
 class LightSourceConfig(fields.Frozen):
@@ -123,11 +92,9 @@ class LightSourceConfig(fields.Frozen):
     points: fields.Points
     """Point lights of the panel: a square number (1, 4, 9, 16, ...), or auto for the converged panel."""
     normalisation: _Normalisation = Field(default="mean", validate_default=True)
-    """mean: the points share the output of the panel; sum: each point counts in full, so brightness grows with the
-    number of points."""
+    """mean: the points share the panel's output; sum: each counts in full, so that more points are brighter."""
     falloff: _Falloff = "none"
-    """none: brightness does not depend on the distance; inverse_square: it does, and is unchanged at
-    reference_distance_mm."""
+    """none: brightness does not depend on the distance; inverse_square: unchanged at reference_distance_mm."""
     reference_distance_mm: fields.Length | None = None
     """inverse_square: distance at which brightness is unchanged [mm]; of the panel's centre to the origin if absent, so
     that a panel moved away is not dimmer there."""
@@ -145,14 +112,30 @@ class LightSourceConfig(fields.Frozen):
 class LightConfig(fields.Frozen):
     """One light, which faces the origin or has a measured pose; a panel may have any key of light_source, too."""
 
+    variants = fields.Variants(
+        "kind",
+        {
+            "panel": ((), ("pose", *LightSourceConfig.model_fields)),
+            "bar": (("size_mm",), ()),
+            "ring": (("inner_radius_mm", "outer_radius_mm"), ("ring_tilt_deg", "segments")),
+            "low_angle_ring": (("radius_mm", "height_mm"), ("segments",)),
+            "dome": (("radius_mm",), ("camera_hole_mm", "lower_elevation_deg", "leak", "segments", "pattern")),
+            "flat_dome": (("size_mm",), ("camera_hole_mm",)),
+            "tunnel": (("radius_mm", "length_mm"), ("slot_mm",)),
+            "coaxial": (("size_mm",), ("transmission", "reflection")),
+            "spot": (("half_angle_deg",), ()),
+            "led_array": (("size_mm", "rows", "columns", "led_mm"), ()),
+            "display": (("size_mm",), ("pattern",)),
+            "backlight": (("size_mm",), ("pattern", "direct_level")),
+        },
+    )
+
     name: fields.FileName
-    """Name of the light; it becomes a file name and differs from the others. Lights of several channels are named
-    name-1, name-2, ..."""
+    """Name of the light, a file name unlike those of others. Lights of several channels are name-1, name-2, ..."""
     kind: LightKind = "panel"
     """Kind of light. All kinds but panel shine by Lambert's law and fall off with the square of the distance."""
     distance_mm: fields.Distance
-    """Distance from the origin to the centre of the panel, ring, dome (of its sphere) or other light [mm]; 0 for a dome
-    if absent."""
+    """Distance from the origin to the centre of the panel, ring, dome's sphere or other light [mm]; 0 for a dome."""
     elevation_deg: _LightElevation
     """Elevation of the light's centre above the table plane [deg]; 90 is straight above, which lights other than panels
     have if absent. A backlight may be below the table, down to -90, which it has if absent."""
@@ -293,21 +276,19 @@ class LightConfig(fields.Frozen):
     def _placed(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
         raw = {key: one for key, one in fields.mapping(value).items() if one is not None}
         kind = raw.get("kind", "panel")
-        if isinstance(kind, str) and kind in _KEYS_OF_KIND:
-            filled = {"elevation_deg": -90.0 if kind == "backlight" else 90.0, "azimuth_deg": 270.0}
-            if kind == "dome":
-                filled["distance_mm"] = 0.0
-            shaped = {**raw, **{key: v for key, v in filled.items() if key not in raw}}
-            return fields.with_complaints(shaped, handler, _wrong_keys(kind, raw))
-        of_others = {key for keys in _KEYS_OF_KIND.values() for key in (*keys[0], *keys[1])} - {"size_mm"}
-        complaints: list[fields.Complaint] = [
-            ((key,), raw[key], fields.complaint("a panel has no such key; give the kind of light that has it"))
-            for key in sorted(of_others & {key for key, given in raw.items() if given is not None})
-        ]
-        complaints += _at_origin("panel", raw)
-        if complaints:
-            return fields.with_complaints(value, handler, complaints)
-        return with_pose(value, handler, point="centre_mm", what="the panel's centre")
+        if kind == "panel" or not isinstance(kind, str) or kind not in get_args(LightKind):
+            return with_pose(value, handler, point="centre_mm", what="the panel's centre")
+        filled = {"elevation_deg": -90.0 if kind == "backlight" else 90.0, "azimuth_deg": 270.0}
+        return handler(filled | ({"distance_mm": 0.0} if kind == "dome" else {}) | raw)
+
+    @classmethod
+    def misfits(cls, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
+        """As of every configuration; shapes and patterns that no light can have."""
+        yield from super().misfits(raw)
+        kind = raw.get("kind") or "panel"
+        if isinstance(kind, str) and kind in get_args(LightKind):
+            yield from _wrong_shapes(kind, raw)
+            yield from pattern_misfits(kind, raw)
 
     @field_validator("elevation_deg")
     @classmethod
@@ -356,3 +337,77 @@ def expanded(lights: Sequence[LightConfig]) -> tuple[LightConfig, ...]:
             one._channel, one._entry, one._entry_name = channel, entry, light.name
             found.append(one)
     return tuple(found)
+
+
+def _fraction(value: object) -> object:
+    # "1/16" is text in YAML
+    try:
+        return float(Fraction(value)) if isinstance(value, str) else value
+    except (ValueError, ZeroDivisionError):
+        return value
+
+
+_Weight = Annotated[float, Field(gt=0, le=1), fields.expecting("a weight above 0 up to 1 (full brightness)")]
+_Exposure = Annotated[
+    float, Field(gt=0, le=1e6), BeforeValidator(_fraction), fields.expecting("a number above 0, such as 1 or 1/16")
+]
+
+
+class ProgrammeImageConfig(fields.Frozen):
+    """An image of the programme."""
+
+    name: fields.FileName
+    """Name of the image; it becomes a file name and takes the place of the light's name in every command."""
+    lights: Annotated[dict[str, _Weight], Field(min_length=1)]
+    """Lights that are on together (name-1, name-2, ... of lights of several channels), each with its weight on the
+    brightness that the file gives it, above 0 up to 1."""
+    exposures: Annotated[tuple[_Exposure, ...], Field(strict=False, min_length=1, max_length=16)] | None = None
+    """Exposures of this image, whatever a command's option says; those of the command if absent."""
+
+
+def programme_misfits(programme: object, lights: Sequence[LightConfig]) -> Iterator[fields.Complaint]:
+    """What does not fit together, by the path under ``programme``."""
+    images, known = fields.entries(programme), {light.name: light for light in lights}
+    yield from fields.same_names(images, "programme", str.lower)
+    for i, image in enumerate(images):
+        name, weights = fields.value_of(image, "name"), fields.mapping(fields.value_of(image, "lights"))
+        clash = {light.lower(): light for light in known}.get(str(name).lower())
+        if clash is not None and set(weights) != {clash}:
+            reason = f'"{clash}" is a light of the rig, and this image is not of that light alone; choose another name'
+            yield (i, "name"), name, fields.complaint(reason)
+        for light in weights:
+            if light not in known:
+                reason = f'no light "{light}"; the rig has {", ".join(known)}'
+                yield (i, "lights", light), weights[light], fields.complaint(reason)
+                continue
+            if any(getattr(known[light], key) is not None for key in RANGE_KEYS):
+                reason = f'"{light}" has a range, and lights of a programme are fixed; leave the range out'
+                yield (i, "lights", light), weights[light], fields.complaint(reason)
+            others = [one for one in weights if one in known and known[one].entry != known[light].entry]
+            if known[light].pattern is not None and others:
+                reason = f'"{light}" is of a display with stripes, which images show without other lights; leave it or'
+                yield (i, "lights", light), weights[light], fields.complaint(f"{reason} {', '.join(others)} out")
+            if known[light].direct_level is not None and others:
+                reason = f'"{light}" has a direct_level, and images show it without other lights; leave it or'
+                yield (i, "lights", light), weights[light], fields.complaint(f"{reason} {', '.join(others)} out")
+            if known[light].kind == "panel" and len(weights) > 1:
+                reason = f'"{light}" is a panel, which images show alone; write kind: bar, which has an area, or split'
+                yield (i, "lights", light), weights[light], fields.complaint(f"{reason} the image")
+        exposures = [
+            str(_fraction(one)).removesuffix(".0") for one in fields.entries(fields.value_of(image, "exposures"))
+        ]
+        if any(fields.repeated(exposures)):
+            yield (i, "exposures"), exposures, fields.complaint("the same exposure was given twice")
+
+
+def programme_lights(
+    programme: Sequence[ProgrammeImageConfig], lights: Sequence[LightConfig]
+) -> tuple[LightConfig, ...]:
+    """Each image of a programme as a light."""
+    known: Mapping[str, LightConfig] = {light.name: light for light in lights}
+    return tuple(
+        known[next(iter(image.lights))].mixed(
+            image.name, [(known[name], weight) for name, weight in image.lights.items()], image.exposures
+        )
+        for image in programme
+    )

@@ -3,13 +3,12 @@
 import json
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from lightopt.config._source_file import Keys
-from lightopt.config._strict_yaml import INVALID, Document, Problem, is_number
+from lightopt.config._strict_yaml import INVALID, Document, Keys, Problem, is_number
 
 _LONGEST = 60
 _EXPECTED = ("expected", "literal_error")  # kinds of errors that name what is expected
@@ -66,7 +65,7 @@ def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, s
         expected = context["expected"].replace("'", "")  # pydantic puts each word of a Literal in quotes
         if expected.startswith(("a name", "text")) and isinstance(error["input"], (int, float)):
             found += "; put it in quotes to make it text"
-        return f"expected {expected}, {found}{_meant_word(model, error)}"
+        return f"expected {expected}, {found}"
     if kind == "missing":
         parent = _model_at(model, loc[:-1])
         field = parent.model_fields[str(loc[-1])] if parent else None
@@ -78,30 +77,11 @@ def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, s
     if kind == "tuple_type":
         return f"expected a list, {found}"
     if kind == "too_short":
-        least, there = context["min_length"], len(error["input"])
-        return f"expected at least {'one entry' if least == 1 else f'{least} entries'}, found {there or 'none'}"
+        least = "one entry" if context["min_length"] == 1 else f"{context['min_length']} entries"
+        return f"expected at least {least}, found {len(error['input']) or 'none'}"
     if kind == "too_long":
         return f"expected at most {context['max_length']} entries, found {context['actual_length']}"
     return f"this value cannot be used here: {found}"
-
-
-def _meant_word(model: type[BaseModel], error: ErrorDetails) -> str:
-    """Word that is probably meant, where only some may stand."""
-    *path, key = error["loc"] or ("",)
-    parent = _model_at(model, tuple(path))
-    field = None if parent is None else parent.model_fields.get(str(key))
-    if field is None or not isinstance(error["input"], str):
-        return ""
-    words = [word for word in _literals(field.annotation) if isinstance(word, str)]
-    near = get_close_matches(error["input"].lower(), words, n=1, cutoff=0.6)
-    return f'; did you mean "{near[0]}"?' if near else ""
-
-
-def _literals(annotation: Any) -> tuple[Any, ...]:
-    """Values that a Literal names, be it one of several possibilities."""
-    if get_origin(annotation) is Literal:
-        return get_args(annotation)
-    return tuple(value for inner in get_args(annotation) for value in _literals(inner))
 
 
 def _unknown_key(model: type[BaseModel], loc: Keys, known: str | None) -> str:

@@ -1,6 +1,8 @@
 """A part file: mesh, placement, postures, reflectance and defects."""
 
 import contextlib
+import math
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import PurePath
 from typing import Annotated, Any, Literal
@@ -10,7 +12,6 @@ from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_
 from lightopt.config import _fields as fields
 from lightopt.config._defects import DefectConfig, PlannedDefectConfig
 from lightopt.config._fields import LIST, Frozen, complaint, expecting
-from lightopt.config._region import RegionPlaceConfig
 from lightopt.core.units import step_units_mm, unit_name
 
 _ChordTolerance = Annotated[float, Field(ge=1e-4, le=10), expecting("a number from 0.0001 to 10 (mm)")]
@@ -42,14 +43,13 @@ _SUFFIXES = (*_UNITLESS, ".glb", *_STEP)
 class MeshConfig(Frozen):
     """The file with the part's shape, and how its surface is read."""
 
-    file: fields.Text
+    file: Annotated[fields.Text, fields.file_of(*_SUFFIXES)]
     """Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp."""
     units: Literal["um", "mm", "cm", "m", "inch", "ft"] | None = Field(default=None, validate_default=True)
     """Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and .obj, which contain none.
     For .glb (metres) and STEP, only the unit of the file itself."""
     normals: Literal["smooth", "facet"] = "smooth"
-    """smooth: normals vary over the facets, except across edges sharper than the crease angle; facet: each facet is
-    flat."""
+    """smooth: normals vary over the facets, except across edges sharper than the crease angle; facet: flat ones."""
     crease_angle_deg: Annotated[float, Field(gt=0, le=180), expecting("a number above 0, up to 180 (degrees)")] = 30.0
     """Edges where the facets' normals differ by more than this stay sharp [deg]."""
     chord_tolerance_mm: _ChordTolerance | None = None
@@ -64,15 +64,6 @@ class MeshConfig(Frozen):
         """Whether the file is STEP, of which triangles are made as it is read."""
         return PurePath(self.file).suffix.lower() in _STEP
 
-    @field_validator("file")
-    @classmethod
-    def _exists(cls, file: str, info: ValidationInfo) -> str:
-        if PurePath(file).suffix.lower() not in _SUFFIXES:
-            raise complaint(f'expected a file ending in {", ".join(_SUFFIXES)}, found "{file}"')
-        if info.context is not None:
-            fields.require_file(info.context["folder"], file)
-        return file
-
     @field_validator("units")
     @classmethod
     def _as_the_format_has_it(cls, units: str | None, info: ValidationInfo) -> str | None:
@@ -81,11 +72,8 @@ class MeshConfig(Frozen):
         file: str = info.data["file"]
         suffix = PurePath(file).suffix.lower()
         if suffix in _UNITLESS and units is None:
-            raise fields.absent(
-                f'missing key "units": {suffix} files carry no unit; give the unit that '
-                f"{PurePath(file).name} was exported in (um, mm, cm, m, inch or ft)",
-                "units",
-            )
+            unit = f"give the unit that {PurePath(file).name} was exported in (um, mm, cm, m, inch or ft)"
+            raise fields.absent(f'missing key "units": {suffix} files carry no unit; {unit}', "units")
         if suffix == ".glb" and units not in (None, "m"):
             raise complaint(f"expected m or nothing (.glb is in metres by its specification), found {units}")
         if suffix in _STEP and units is not None and info.context is not None:
@@ -133,11 +121,12 @@ MOST_ACROSS = 50.0  # times as wide across the brushing as along it
 
 LEAST_METAL = 0.02  # share of light that is reflected along the normal: half of what glass does
 
-_KEYS_OF_MODELS = {
-    "torrance-sparrow": ("sigma_rad",),
-    "ggx": ("alpha",),
-    "two-lobe": ("sigma_rad", "R_s_wide", "sigma_wide_rad"),
-    "measured": ("table",),
+# what a width or coefficient is compared with: the narrow lobe's, and up to how many times as much; None: at most that
+_NARROW: Mapping[str, tuple[str, float | None]] = {
+    "R_s_wide": ("R_s", None),
+    "sigma_wide_rad": ("sigma_rad", math.inf),
+    "sigma_across_rad": ("sigma_rad", MOST_ACROSS),
+    "alpha_across": ("alpha", MOST_ACROSS),
 }
 
 
@@ -150,37 +139,43 @@ class AxisConfig(Frozen):
     """Its direction, of any length, in the mesh file's coordinates."""
 
 
-_Curve = Annotated[tuple[fields.Coordinates, ...], Field(strict=False, min_length=2, max_length=1000)]
+_Curve = Annotated[
+    tuple[fields.Coordinates, ...],
+    Field(strict=False, min_length=2, max_length=1000),
+    fields.that(
+        lambda curve: all(a != b for a, b in pairwise(curve)),
+        "two corners that follow each other are at the same place; remove one of them",
+    ),
+]
 
 
 class BrushingConfig(Frozen):
     """Which way a surface is brushed, by one of three keys; signs and lengths do not count."""
 
+    one_of = ("direction", "around_axis", "along_curve_mm")
+
     direction: fields.Direction | None = None
     """Along a line, as sheet metal is: its direction in the mesh file's coordinates."""
     around_axis: AxisConfig | None = None
     """Around an axis, as turned parts are."""
-    along_curve_mm: _Curve | None = Field(default=None, validate_default=True)
+    along_curve_mm: _Curve | None = None
     """Along a curve, as it runs where it is nearest: its corners, in the mesh file's coordinates [mm]. The direction
     turns evenly from one corner to the next."""
-
-    @field_validator("along_curve_mm")
-    @classmethod
-    def _one_way(cls, curve: tuple[tuple[float, ...], ...] | None, info: ValidationInfo) -> Any:
-        keys = ("direction", "around_axis", "along_curve_mm")
-        if not all(key in info.data for key in keys[:2]):
-            return curve
-        given = [key for key in keys[:2] if info.data[key] is not None] + [keys[2]] * (curve is not None)
-        if len(given) != 1:
-            found = " and ".join(given) or "none of them"
-            raise fields.absent(f"expected one of {', '.join(keys)}, found {found}", *keys)
-        if curve is not None and any(a == b for a, b in pairwise(curve)):
-            raise complaint("two corners that follow each other are at the same place; remove one of them")
-        return curve
 
 
 class ReflectanceConfig(Frozen):
     """Reflection of the surface: a diffuse component and a specular lobe."""
+
+    variants = fields.Variants(
+        "model",
+        {
+            "torrance-sparrow": (("sigma_rad",), ("sigma_across_rad", "brushing")),
+            "ggx": (("alpha",), ("alpha_across", "brushing")),
+            "two-lobe": (("sigma_rad", "R_s_wide", "sigma_wide_rad"), ("sigma_across_rad", "brushing")),
+            "measured": (("table",), ("width_factor",)),
+        },
+        usual={"width_factor": 1.0},
+    )
 
     model: Literal["torrance-sparrow", "ggx", "two-lobe", "measured"] = "torrance-sparrow"
     """Form of the specular lobe. torrance-sparrow: Gaussian in the angle between normal and half vector; ggx: with the
@@ -195,16 +190,16 @@ class ReflectanceConfig(Frozen):
     brighter where camera and light are on the same side, up to their edges. Not with diffuse_exponent."""
     R_s: fields.Coefficient
     """Specular coefficient [levels of full_scale]."""
-    sigma_rad: _Sigma | None = Field(default=None, validate_default=True)
+    sigma_rad: _Sigma | None = None
     """Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating. All models but ggx."""
-    alpha: _Alpha | None = Field(default=None, validate_default=True)
+    alpha: _Alpha | None = None
     """ggx: roughness α of the microfacet model. It is about twice the σ that fits the middle of the lobe: 0.006 is
     polished chrome, 0.1 satin plating."""
-    R_s_wide: fields.Coefficient | None = Field(default=None, validate_default=True)
+    R_s_wide: fields.Coefficient | None = None
     """two-lobe: specular coefficient of the wide lobe, at most R_s [levels of full_scale]."""
-    sigma_wide_rad: _Sigma | None = Field(default=None, validate_default=True)
+    sigma_wide_rad: _Sigma | None = None
     """two-lobe: width of the wide lobe, more than sigma_rad [rad]."""
-    table: fields.Text | None = Field(default=None, validate_default=True)
+    table: Annotated[fields.Text, fields.file_of(".csv", ".binary")] | None = None
     """measured: file of the lobe, relative to this file. A .csv with the angle δ between normal and half vector
     [degrees] and the lobe's value, in any unit, in each line; or a material of the MERL database (.binary). R_s is the
     level at δ = 0."""
@@ -254,75 +249,87 @@ class ReflectanceConfig(Frozen):
         """Width of the lobe across the brushing [rad]; half of ggx's α; None where the surface is not brushed."""
         return 0.5 * self.alpha_across if self.alpha_across is not None else self.sigma_across_rad
 
-    @field_validator("sigma_across_rad", "alpha_across")
+    @field_validator("R_s_wide", "sigma_wide_rad", "sigma_across_rad", "alpha_across")
     @classmethod
-    def _wider_across(cls, value: float | None, info: ValidationInfo) -> float | None:
-        name, model = str(info.field_name), info.data.get("model")
-        if value is None or model is None:
+    def _against_the_narrow(cls, value: float | None, info: ValidationInfo) -> float | None:
+        narrow, most = _NARROW[str(info.field_name)]
+        of = info.data.get(narrow)
+        if value is None or of is None:
             return value
-        if model == "measured":
-            raise complaint("a measured lobe is the same all round: model measured has no such key")
-        if (model == "ggx") != (name == "alpha_across"):
-            raise complaint(f"model {model} has {'alpha_across' if model == 'ggx' else 'sigma_across_rad'} instead")
-        along = "alpha" if model == "ggx" else "sigma_rad"
-        least = info.data.get(along)
-        if least is not None and not least < value <= MOST_ACROSS * least:
-            expected = f"more than {along}, {least:g}, up to {MOST_ACROSS:g} times as much"
-            raise complaint(f"expected {expected}, found {value:g}")
+        if most is None and value > of:
+            raise complaint(f"expected at most {narrow}, {of:g}, found {value:g}")
+        if most is not None and not of < value <= most * of:
+            up_to = "" if math.isinf(most) else f", up to {most:g} times as much"
+            raise complaint(f"expected more than {narrow}, {of:g}{up_to}, found {value:g}")
         return value
 
     @field_validator("brushing")
     @classmethod
     def _with_a_width(cls, value: BrushingConfig | None, info: ValidationInfo) -> BrushingConfig | None:
-        keys = ("sigma_across_rad", "alpha_across")
-        if "model" not in info.data or any(key not in info.data for key in keys):
-            return value
-        key = keys[info.data["model"] == "ggx"]
-        if value is not None and info.data["model"] == "measured":
-            raise complaint("a measured lobe is the same all round: model measured has no such key")
-        if (value is None) != (info.data[key] is None):
+        key = "alpha_across" if info.data.get("model") == "ggx" else "sigma_across_rad"
+        if key in info.data and (value is None) != (info.data[key] is None):
             missing = "brushing" if value is None else key
             raise fields.absent(f'missing key "{missing}": brushed surfaces have {key} and brushing', missing)
         return value
 
-    @field_validator("table")
+
+_Colour = Annotated[str, Field(pattern=r"^#[0-9A-Fa-f]{6}$"), expecting('a colour such as "#97FFB5", in quotes')]
+_Points = Annotated[tuple[fields.Coordinates, ...], Field(strict=False, min_length=1, max_length=1000)]
+_Corner = Annotated[tuple[fields.Number, fields.Number], LIST, expecting("two numbers (mm)")]
+_Depth = Annotated[_Corner, fields.ASCENDING]
+
+
+class BoxConfig(Frozen):
+    """A box along the axes of the mesh file."""
+
+    low: fields.Coordinates
+    """Its lowest X, Y and Z, in the mesh file's coordinates [mm]."""
+    high: fields.Coordinates
+    """Its highest X, Y and Z, in the mesh file's coordinates [mm]."""
+
+    @field_validator("high")
     @classmethod
-    def _exists(cls, table: str | None, info: ValidationInfo) -> str | None:
-        if table is not None and not table.lower().endswith((".csv", ".binary")):
-            raise complaint(f'expected a file ending in .csv or .binary, found "{table}"')
-        if table is not None and info.context is not None:
-            fields.require_file(info.context["folder"], table)
-        return table
-
-    @field_validator("width_factor")
-    @classmethod
-    def _of_a_table(cls, factor: float, info: ValidationInfo) -> float:
-        if factor != 1.0 and info.data.get("model") not in (None, "measured"):
-            raise complaint(f"model {info.data['model']} has no such key; it belongs to measured")
-        return factor
-
-    @field_validator("sigma_rad", "alpha", "R_s_wide", "sigma_wide_rad", "table")
-    @classmethod
-    def _of_the_model(cls, value: float | str | None, info: ValidationInfo) -> float | str | None:
-        name, model = str(info.field_name), info.data.get("model")
-        if model is None:
-            return value
-        wanted = _KEYS_OF_MODELS[model]
-        if name in wanted and value is None:
-            meaning = str(cls.model_fields[name].description).replace("\n", " ")
-            raise fields.absent(f'missing key "{name}": {meaning} Model {model} needs it', name)
-        if name not in wanted and value is not None:
-            raise complaint(f"model {model} has no such key; it has {', '.join(wanted)}")
-        narrow, wide = {"R_s_wide": ("R_s", False), "sigma_wide_rad": ("sigma_rad", True)}.get(name, ("", False))
-        bound = info.data.get(narrow)
-        if isinstance(value, float) and bound is not None and (value <= bound if wide else value > bound):
-            raise complaint(f"expected {'more than' if wide else 'at most'} {narrow}, {bound:g}, found {value:g}")
-        return value
+    def _above(cls, high: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        low = info.data.get("low")
+        if low is not None and any(a >= b for a, b in zip(low, high, strict=True)):
+            raise complaint(f"expected three numbers above those of low, {list(low)}, found {list(high)}")
+        return high
 
 
-class RegionConfig(RegionPlaceConfig):
-    """Surface of a part that reflects in its own way."""
+class MaskConfig(Frozen):
+    """A black and white picture that is projected onto the part along an axis of the mesh file."""
 
+    file: Annotated[fields.Text, fields.file_of(".png")]
+    """PNG file, relative to this file: the region is where it is white (more than half). Columns go along the first of
+    the two axes across the projection, rows from the last to the first along the second."""
+    onto: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+    """Which surface it falls on: +z is what faces up, in the mesh file's coordinates."""
+    corner_mm: _Corner
+    """Lower left corner of the picture along the two axes across the projection, in the order X, Y, Z [mm]."""
+    pixel_mm: Annotated[float, Field(ge=1e-3, le=100), expecting("a number from 0.001 to 100 (mm)")]
+    """Side of a pixel on the part [mm]."""
+    depth_mm: _Depth | None = None
+    """Least and greatest coordinate along the projection of what it falls on [mm]; everything if absent."""
+
+
+class RegionConfig(Frozen):
+    """Surface of a part that reflects in its own way; where it is, one of five keys says."""
+
+    one_of = ("colour", "group", "faces_at_mm", "box_mm", "mask")
+
+    name: fields.Text
+    """Name of the region, for people; no two in the list are the same."""
+    colour: _Colour | None = None
+    """Faces of this colour in the mesh file: #RRGGBB as CAD programs show it (STEP, .glb), or as painted (.ply)."""
+    group: fields.Text | None = None
+    """Faces of this name in the mesh file: a group, object or material (.obj), a node, mesh or material (.glb), a part
+    of an assembly (STEP)."""
+    faces_at_mm: _Points | None = None
+    """Points in the mesh file's coordinates [mm]: the CAD face at each; of meshes, the surface up to its creases."""
+    box_mm: BoxConfig | None = None
+    """The surface inside a box; faces are cut where its sides cross them."""
+    mask: MaskConfig | None = None
+    """The surface that a black and white picture marks."""
     reflectance: ReflectanceConfig
     """Reflection of its surface; full_scale and white_level are those of the part."""
 

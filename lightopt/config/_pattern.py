@@ -1,7 +1,6 @@
 """Patterns of a light: stripes that move from image to image, or pictures."""
 
 from collections.abc import Iterator, Mapping
-from pathlib import PurePath
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
@@ -10,23 +9,27 @@ from lightopt.config import _fields as fields
 
 MOST_PICTURES = 64
 
-_KEYS_OF_PATTERN: Mapping[str, tuple[str, ...]] = {
-    "sine": ("period_mm", "period_deg", "second_period_mm", "phases", "directions"),
-    "bars": ("period_mm", "shifts", "duty", "directions"),
-    "bitmap": ("files",),
-}
+_Picture = Annotated[fields.Text, fields.file_of(".png")]
 
 
 class PatternConfig(fields.Frozen):
     """Stripes that move by steps of a period, one image for each step and direction; or pictures, each an image."""
+
+    variants = fields.Variants(
+        "kind",
+        {
+            "sine": ((), ("period_mm", "period_deg", "second_period_mm", "phases", "directions")),
+            "bars": ((), ("period_mm", "shifts", "duty", "directions")),
+            "bitmap": (("files",), ()),
+        },
+    )
 
     kind: Literal["sine", "bars", "bitmap"] = "sine"
     """Kind of pattern: sine, of levels from black to full; bars, full or black; bitmap, pictures."""
     period_mm: fields.Length | None = None
     """sine and bars of a display or backlight: length of a period [mm]."""
     period_deg: Annotated[float, Field(gt=0, le=360), fields.expecting("degrees above 0 up to 360")] | None = None
-    """sine of a dome: period of azimuth (u) and elevation (v), seen from the dome's centre; a whole number of them
-    makes 360 [deg]."""
+    """sine of a dome: period of azimuth (u) and elevation (v), from its centre; whole numbers make 360 [deg]."""
     second_period_mm: fields.Length | None = None
     """sine: length of the period of as many further images of each direction, longer than period_mm [mm]: both phases
     together give the place on the display; no such images if absent."""
@@ -38,7 +41,7 @@ class PatternConfig(fields.Frozen):
     """bars: share of a period that is bright."""
     directions: Annotated[tuple[Literal["u", "v"], ...], Field(strict=False, min_length=1, max_length=2)] = ("u", "v")
     """Directions that the stripes change along: u along the azimuth, v along the elevation."""
-    files: Annotated[tuple[fields.Text, ...], Field(strict=False, min_length=1, max_length=MOST_PICTURES)] | None = None
+    files: Annotated[tuple[_Picture, ...], Field(strict=False, min_length=1, max_length=MOST_PICTURES)] | None = None
     """bitmap: grey PNG pictures relative to this file, each an image. Their levels are shares of the full radiance,
     as seen from the part with v upwards."""
 
@@ -56,24 +59,6 @@ class PatternConfig(fields.Frozen):
         if second is not None and first is not None and second <= first:
             raise fields.complaint(f"expected more than period_mm, {first:g}")
         return second
-
-    @field_validator("files")
-    @classmethod
-    def _there(cls, files: tuple[str, ...] | None, info: ValidationInfo) -> tuple[str, ...] | None:
-        for file in files or ():
-            if PurePath(file).suffix.lower() != ".png":
-                raise fields.complaint(f'expected files ending in .png, found "{file}"')
-            if info.context is not None:
-                fields.require_file(info.context["folder"], file)
-        return files
-
-    @field_validator("period_mm", "period_deg", "second_period_mm", "phases", "shifts", "duty", "directions", "files")
-    @classmethod
-    def _of_kind(cls, value: object, info: ValidationInfo) -> object:
-        kind = info.data.get("kind")
-        if kind is not None and value is not None and info.field_name not in _KEYS_OF_PATTERN[kind]:
-            raise fields.complaint(f"a pattern of kind {kind} has no such key; leave it out")
-        return value
 
     @property
     def periods_mm(self) -> tuple[float, ...]:
@@ -107,8 +92,8 @@ def pattern_misfits(kind: str, light: Mapping[str, Any]) -> Iterator[fields.Comp
     of_dome, shape = kind == "dome", pattern.get("kind", "sine")
     if of_dome and shape in ("bars", "bitmap"):
         yield ("pattern", "kind"), shape, fields.complaint("a dome shows stripes of kind sine only")
-    needed = "files" if shape == "bitmap" else "period_deg" if of_dome else "period_mm"
-    if needed not in pattern and shape in _KEYS_OF_PATTERN:
+    needed = "period_deg" if of_dome else "period_mm"
+    if needed not in pattern and shape in ("sine", "bars"):
         reason = f'missing key "{needed}", which a pattern of kind {shape} of a {kind} needs'
         yield ("pattern", needed), pattern, fields.absent(reason, needed)
     for key in ("period_mm", "second_period_mm") if of_dome else ("period_deg",):

@@ -10,22 +10,14 @@ from lightopt.config._fields import LIST, Frozen, complaint, expecting
 _Reach = Annotated[float, Field(ge=0, le=100), expecting("a length from 0 to 100 (mm)")]
 _Angle = Annotated[float, Field(ge=0, le=10), expecting("an angle from 0 to 10 (degrees)")]
 _FactorEnd = Annotated[float, Field(ge=0.1, le=10)]
-_Factors = Annotated[
-    tuple[_FactorEnd, _FactorEnd], LIST, fields.ASCENDING, expecting("[low, high], two factors from 0.1 to 10")
-]
+_Factors = Annotated[tuple[_FactorEnd, _FactorEnd], LIST, fields.ASCENDING, expecting("[low, high] from 0.1 to 10")]
 _CountEnd = Annotated[int, Field(ge=0, le=200)]
-_Counts = Annotated[
-    tuple[_CountEnd, _CountEnd], LIST, fields.ASCENDING, expecting("[least, most], two whole numbers from 0 to 200")
-]
+_Counts = Annotated[tuple[_CountEnd, _CountEnd], LIST, fields.ASCENDING, expecting("[least, most] from 0 to 200")]
 _DefectEnd = Annotated[int, Field(ge=1, le=50)]
-_Defects = Annotated[
-    tuple[_DefectEnd, _DefectEnd], LIST, fields.ASCENDING, expecting("[least, most], two whole numbers from 1 to 50")
-]
+_Defects = Annotated[tuple[_DefectEnd, _DefectEnd], LIST, fields.ASCENDING, expecting("[least, most] from 1 to 50")]
 _Share = Annotated[float, Field(ge=0, le=1), expecting("a share from 0 to 1")]
 _Sizes = Annotated[tuple[fields.Length, fields.Length], LIST, fields.ASCENDING, expecting("[low, high], two lengths")]
-_Levels = Annotated[
-    tuple[fields.Coefficient, fields.Coefficient], LIST, fields.ASCENDING, expecting("[low, high], two coefficients")
-]
+_Levels = Annotated[tuple[fields.Coefficient, fields.Coefficient], LIST, fields.ASCENDING, expecting("[low, high]")]
 
 
 class PoseRangeConfig(Frozen):
@@ -84,7 +76,7 @@ class RangesConfig(fields.FileConfig):
     """Number of defects of such a sample, of the part's defect_catalogue or the built-in one."""
     pose: PoseRangeConfig = PoseRangeConfig()
     """Placement of the part, of each pose."""
-    fit: fields.Text | None = None
+    fit: Annotated[fields.Text, fields.file_of()] | None = None
     """A fit.json of fit-specular or fit-diffuse, relative to this file: R_d, R_s, lobe and gains are drawn from its
     95 % intervals, where it has them, instead of the ranges below."""
     R_d: _Factors = (0.95, 1.05)
@@ -99,10 +91,3 @@ class RangesConfig(fields.FileConfig):
     """Particles, of each sample."""
     split: SplitConfig = SplitConfig()
     """How samples are divided; those of a pose stay together."""
-
-    @field_validator("fit")
-    @classmethod
-    def _exists(cls, fit: str | None, info: ValidationInfo) -> str | None:
-        if fit is not None and info.context is not None:
-            fields.require_file(info.context["folder"], fit)
-        return fit

@@ -16,9 +16,16 @@ from pydantic import (
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig
 from lightopt.config._hardware import HardwareConfig, misfits
-from lightopt.config._light import LightConfig, LightSourceConfig, auto_sums, expanded
+from lightopt.config._light import (
+    LightConfig,
+    LightSourceConfig,
+    ProgrammeImageConfig,
+    auto_sums,
+    expanded,
+    programme_lights,
+    programme_misfits,
+)
 from lightopt.config._pose import CalibrationConfig, RotaryAxisConfig, TiltAxisConfig
-from lightopt.config._programme import ProgrammeImageConfig, programme_lights, programme_misfits
 
 
 class StageConfig(fields.Frozen):
@@ -47,8 +54,7 @@ class VirtualBenchConfig(fields.Frozen):
     """What the virtual bench has in place of what its files say; only lightopt capture reads it."""
 
     rig: fields.Text | None = None
-    """Rig file with the true camera, lights, stage and sensor, of the same light names and resolution; relative to this
-    file."""
+    """Rig file with the true camera, lights, stage and sensor, of the same light names and resolution."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1), fields.expecting("a whole number from 0 up")] = 1
     """Seed of the noise, and of the waviness of the part's surface."""
     rays: Annotated[int, Field(ge=1, le=8), fields.expecting("a whole number from 1 to 8")] = 1

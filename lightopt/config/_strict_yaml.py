@@ -5,15 +5,17 @@ schema of YAML 1.2 (YAML 1.2.2, section 10.3.2): PyYAML follows YAML 1.1, where 
 `1:30` is ninety.
 """
 
+import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final
 
 import yaml
 
-from lightopt.config._source_file import Keys
+Keys = tuple[str | int, ...]
 
 MAX_NODES = 20_000
 MAX_DEPTH = 40
@@ -23,6 +25,7 @@ _READ_DIFFERENTLY = re.compile(r"[\t!?\ufeff]|[|>]\S*#")
 of them that the one in Python refuses."""
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
+_HALF = "half of a surrogate pair is not a character"
 _CONSTANTS: Mapping[str, bool | None] = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
     **dict.fromkeys(("true", "True", "TRUE"), True),
@@ -34,14 +37,8 @@ _NON_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _LONGEST_INT = 300  # digits; beyond, an integer is not a double any more
 
 
-class _Invalid:
-    """Stands where the file has a value that is already reported as wrong."""
-
-    def __repr__(self) -> str:
-        return "INVALID"
-
-
-INVALID: Final = _Invalid()
+INVALID: Final = object()
+"""Stands where the file has a value that is already reported as wrong."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,6 @@ class YamlError(Exception):
     """The text cannot be read any further."""
 
     def __init__(self, line: int, message: str) -> None:
-        super().__init__(message)
         self.problem = Problem(line, (), message)
 
 
@@ -118,15 +114,14 @@ class _Reader:
         self.count = 0
         self.line = 1
 
-    def next(self) -> yaml.Event:
-        event = next(self.events)
-        self.line = event.start_mark.line + 1
-        return event
+    def each(self) -> Iterator[yaml.Event]:
+        for event in self.events:
+            self.line = event.start_mark.line + 1
+            yield event
 
     def document(self) -> _Node | None:
         root: _Node | None = None
-        for event in self.events:
-            self.line = event.start_mark.line + 1
+        for event in self.each():
             if isinstance(event, yaml.NodeEvent):
                 root = self.node(event, 0)
             elif isinstance(event, yaml.DocumentStartEvent) and root is not None:
@@ -146,8 +141,8 @@ class _Reader:
         assert isinstance(event, yaml.NodeEvent)
         node = _Node(self.line, event)
         if isinstance(event, yaml.CollectionStartEvent):
-            while not isinstance(child := self.next(), yaml.CollectionEndEvent):
-                node.children.append(self.node(child, depth + 1))
+            inner = itertools.takewhile(lambda child: not isinstance(child, yaml.CollectionEndEvent), self.each())
+            node.children.extend(self.node(child, depth + 1) for child in inner)
         if event.anchor is not None:
             self.anchors[event.anchor] = node
         return node
@@ -160,7 +155,7 @@ class _Expansion:
         self.document = document
         self.count = 0
 
-    def report(self, line: int, keys: Keys, message: str) -> _Invalid:
+    def report(self, line: int, keys: Keys, message: str) -> object:
         self.document.problems.append(Problem(line, keys, message))
         self.document.invalid.add(keys)
         return INVALID
@@ -183,11 +178,9 @@ class _Expansion:
     def scalar(self, event: yaml.ScalarEvent, keys: Keys, line: int) -> object:
         text: str = event.value
         if _SURROGATE.search(text):
-            return self.report(line, keys, "half of a surrogate pair is not a character")
-        if not event.implicit[0]:
-            return text
+            return self.report(line, keys, _HALF)
         try:
-            return _plain_scalar(text)
+            return _plain_scalar(text) if event.implicit[0] else text
         except ValueError as error:
             return self.report(line, keys, str(error))
 
@@ -202,7 +195,7 @@ class _Expansion:
             elif key == "<<" and event.implicit[0]:
                 problem = 'merging with "<<" is not part of YAML 1.2; write the keys out'
             elif _SURROGATE.search(key):
-                problem = "half of a surrogate pair is not a character"
+                problem = _HALF
             if problem:
                 self.document.incomplete.add(keys)
             elif key in data:
@@ -254,3 +247,45 @@ def _plain_scalar(text: str) -> str | int | float | bool | None:
             raise ValueError(f"expected a finite number, found {text[:40]}, which is too large")
         return value
     return text
+
+
+def dotted(keys: Keys) -> str:
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).removeprefix(".")
+
+
+@dataclass(frozen=True)
+class Source:
+    """The file that a configuration was read from; hash and text are empty for one that was built in code.
+
+    >>> source = Source(Path("rig.yaml"), "", {("camera",): 3, ("camera", "roll_deg"): 7})
+    >>> source.at("camera", "roll_deg")
+    'rig.yaml:7: camera.roll_deg'
+    >>> source.at("camera", "sensor", "bit_depth")
+    'rig.yaml:3: camera.sensor.bit_depth'
+    """
+
+    path: Path  # the YAML file, as it was given
+    sha256: str  # of the file's bytes, hexadecimal
+    # line number (1-based) of each path of keys in the file
+    lines: Mapping[Keys, int] = field(default_factory=dict[Keys, int], repr=False, compare=False)
+    text: str = field(default="", repr=False, compare=False)  # as it was read
+    # index in the file of each light of a rig, where lights of several channels have several; else empty
+    entries: tuple[int, ...] = field(default=(), repr=False, compare=False)
+
+    def in_file(self, keys: Keys) -> Keys:
+        """The path of keys in the file, of one in the configuration."""
+        if len(keys) > 1 and keys[0] == "lights" and isinstance(keys[1], int) and keys[1] < len(self.entries):
+            return ("lights", self.entries[keys[1]], *keys[2:])
+        return keys
+
+    def at(self, *keys: str | int) -> str:
+        """Beginning of a message about a key: ``rig.yaml:12: lights[2].gain``, with the nearest line that is there."""
+        keys = self.in_file(keys)
+        around = (keys[:end] for end in range(len(keys), -1, -1))
+        line = next((self.lines[path] for path in around if path in self.lines), None)
+        place = str(self.path) if line is None else f"{self.path}:{line}"
+        return f"{place}: {dotted(keys)}" if keys else place
+
+    def resolve(self, name: str) -> Path:
+        """Path of a file that the configuration names, relative to the folder of the configuration."""
+        return self.path.parent / name

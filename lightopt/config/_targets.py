@@ -13,9 +13,7 @@ _Error = Annotated[float, Field(gt=0, le=100), fields.expecting("a standard devi
 class BoardTargetConfig(fields.Frozen):
     """A printed ChArUco board that lies flat on the stage."""
 
-    squares: Annotated[
-        tuple[_Squares, _Squares], fields.LIST, fields.expecting("[columns, rows], two whole numbers from 3")
-    ]
+    squares: Annotated[tuple[_Squares, _Squares], fields.LIST, fields.expecting("[columns, rows] from 3")]
     """Squares along both sides."""
     square_mm: fields.Length
     """Side of a square, measured over many squares with a caliper [mm]."""

@@ -1,17 +1,17 @@
-"""Read a YAML file of a kind: everything wrong with it at once, each with its line."""
+"""Read a YAML file of a kind, everything wrong with it at once, each with its line; and calibration files of OpenCV."""
 
 import hashlib
-from difflib import get_close_matches
+import re
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
+import yaml
 from pydantic import ValidationError
 
 from lightopt.config._fields import FileConfig
 from lightopt.config._messages import describe, model_problems
-from lightopt.config._source_file import Source, dotted
-from lightopt.config._strict_yaml import Document, Problem, YamlError, parse
-from lightopt.core.errors import InputError
+from lightopt.config._strict_yaml import Document, Problem, Source, YamlError, dotted, parse
+from lightopt.core.errors import InputError, did_you_mean
 
 MAX_BYTES = 1_000_000
 _KINDS = {
@@ -105,8 +105,7 @@ def _near(path: Path) -> str:
         names = sorted(p.name for p in path.parent.iterdir() if p.is_file())
     except OSError:
         return f"; the folder {path.parent} is not there either"
-    near = get_close_matches(path.name, names, n=1, cutoff=0.5)
-    return f'; did you mean "{path.parent / near[0]}"?' if near else ""
+    return did_you_mean(path.name, names, cutoff=0.5)
 
 
 def decode(data: bytes, path: Path) -> str:
@@ -121,3 +120,37 @@ def decode(data: bytes, path: Path) -> str:
     if "\0" in text:
         raise InputError(f"{path}: this is a binary file; expected YAML text")
     return text
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain data; ``!!opencv-matrix`` and its kin are mappings."""
+
+
+_Loader.add_multi_constructor(
+    "tag:yaml.org,2002:opencv-", lambda loader, _, node: loader.construct_mapping(node, deep=True)
+)
+
+
+def read_opencv_file(path: Path) -> dict[str, Any]:
+    """Content of a calibration file by its keys; a matrix (rows, cols, data) becomes a list of its rows.
+
+    Raises InputError: The file cannot be read, or is not YAML or JSON with keys at the top
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        # OpenCV writes %YAML:1.0, which no YAML parser takes; JSON is YAML, but for tabs between its words
+        data = yaml.load(re.sub(r"\A%YAML.*", "", text).replace("\t", " "), Loader=_Loader)  # noqa: S506 - a safe loader
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}; expected a calibration file") from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise InputError(f"{path}: expected YAML or JSON in UTF-8: {' '.join(str(error).split())}") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: expected keys such as camera_matrix at the top, found {type(data).__name__}")
+    return {str(key): _rows(value) for key, value in data.items()}
+
+
+def _rows(value: Any) -> Any:
+    if not isinstance(value, dict) or not {"rows", "cols", "data"} <= value.keys():
+        return value
+    columns, data = int(value["cols"]), value["data"]
+    return [data[first : first + columns] for first in range(0, len(data), columns)]

@@ -5,6 +5,7 @@ Library code raises them; only :mod:`lightopt.cli` turns them into messages and 
 
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
+from difflib import get_close_matches
 
 _NOISE = 1e-9  # shares that differ by less are the same
 
@@ -38,6 +39,18 @@ def percent(share: float, digits: int = 1, *, short_of: float = 1.0) -> str:
         while most < digits + 6 and float(f"{100.0 * share:.{most}f}") >= 100.0 * limit - _NOISE:
             most += 1
     return f"{100.0 * share:.{most}f} %"
+
+
+def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:
+    """End of a message about an unknown word: the known one that is most alike; empty where none is.
+
+    Examples
+    --------
+    >>> did_you_mean("rihgt", ["left", "right"])
+    '; did you mean "right"?'
+    """
+    near = get_close_matches(word, list(words), n=1, cutoff=cutoff)
+    return f'; did you mean "{near[0]}"?' if near else ""
 
 
 class LightoptError(Exception):

@@ -169,10 +169,8 @@ def _content(value: Any, name: str, user: FunctionType) -> str:
         return digest.hexdigest()
     if isinstance(value, ModuleType) and value.__name__.split(".")[0] in ("math", "numpy"):
         return value.__name__
-    raise TypeError(
-        f"{user.__qualname__} uses {name}, a {type(value).__name__}: a compiled kernel may use other kernels, "
-        "numbers, arrays, math and numpy"
-    )
+    what = f"{user.__qualname__} uses {name}, a {type(value).__name__}"
+    raise TypeError(f"{what}: a compiled kernel may use other kernels, numbers, arrays, math and numpy")
 
 
 def _keep_on_disk(compiled: Any) -> None:

@@ -2,24 +2,21 @@
 
 import re
 from collections.abc import Mapping
-from types import MappingProxyType
 
 # millimetres in one unit, by the unit's name in YAML files
-MM_PER_UNIT: Mapping[str, float] = MappingProxyType(
-    {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4, "ft": 304.8}
-)
+MM_PER_UNIT: Mapping[str, float] = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4, "ft": 304.8}
 
 _CONTEXT = re.compile(rb"GLOBAL_UNIT_ASSIGNED_CONTEXT\s*\(\s*\(([^)]*)\)")
 _SI = re.compile(rb"SI_UNIT\s*\(\s*(\$|\.\w+\.)\s*,\s*\.METRE\.\s*\)")
 _NAMED = re.compile(rb"CONVERSION_BASED_UNIT\s*\(\s*'(\w*)'")
-_SI_MM: Mapping[bytes, float] = MappingProxyType(
-    {b"$": 1e3, b".MICRO.": 1e-3, b".MILLI.": 1.0, b".CENTI.": 10.0, b".DECI.": 100.0, b".KILO.": 1e6}
-)
-_NAMED_MM: Mapping[bytes, float] = MappingProxyType(
-    dict.fromkeys((b"INCH", b"INCHES", b"IN"), 25.4)
-    | dict.fromkeys((b"FOOT", b"FEET", b"FT"), 304.8)
-    | {b"MILLIMETRE": 1.0, b"CENTIMETRE": 10.0, b"METRE": 1000.0}
-)
+_SI_MM = {b"$": 1e3, b".MICRO.": 1e-3, b".MILLI.": 1.0, b".CENTI.": 10.0, b".DECI.": 100.0, b".KILO.": 1e6}
+_NAMED_MM = {
+    **dict.fromkeys((b"INCH", b"INCHES", b"IN"), 25.4),
+    **dict.fromkeys((b"FOOT", b"FEET", b"FT"), 304.8),
+    b"MILLIMETRE": 1.0,
+    b"CENTIMETRE": 10.0,
+    b"METRE": 1000.0,
+}
 
 
 def step_units_mm(data: bytes) -> frozenset[float]:

@@ -1,5 +1,7 @@
-"""Make a dataset: draw it, render it pose by pose, write it; a run that was stopped is continued."""
+"""Make a dataset: draw it, render it pose by pose, write it; a run that was stopped is continued. Home of h5py."""
 
+import io
+import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -7,21 +9,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RangesConfig, RigConfig, input_hashes
-from lightopt.core.arrays import UInt8
-from lightopt.core.errors import counted, refuse
+from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.provenance import file_sha256, provenance
 from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
 from lightopt.dataset._draws import SPLITS, DatasetOptions, Factors, PoseDraw, draw_poses, draw_sample, factors_of
 from lightopt.dataset._folder import MANIFEST, DatasetFolder
-from lightopt.dataset._formats import datasheet, image_name, mask_name, union, write_formats, yolo_name, yolo_text
-from lightopt.dataset._masks import box_of, run_lengths
+from lightopt.dataset._formats import (
+    box_of,
+    datasheet,
+    image_name,
+    mask_name,
+    run_lengths,
+    union,
+    write_formats,
+    yolo_name,
+    yolo_text,
+)
 from lightopt.dataset._pose import (
     FUSED,
     STACK,
-    Levels,
     PoseImages,
     PostureLimits,
     SampleImages,
@@ -29,9 +39,8 @@ from lightopt.dataset._pose import (
     render_pose,
     sample_images,
 )
-from lightopt.dataset._stack import require_h5py, write_stack
 from lightopt.defects import CatalogueEntry
-from lightopt.images import write_exr, write_png
+from lightopt.images import write_bytes_atomic, write_exr, write_png
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
 from lightopt.scene import Scene, build_catalogue, build_scene, defect_facts, frame_part
 
@@ -42,12 +51,11 @@ TAKEN = (FUSED, STACK, "poses", "stacks")  # names that no light may have
 class DatasetResult:
     """What :func:`make_dataset` left on disk.
 
-    samples: With how many images under single lights
+    samples, images: Number of samples, and of images under single lights
     poses, resumed: Number of poses, and of those that a previous run had finished
-    defects: Number of defects, and of those that all images of their sample together can show
+    defects, visible: Number of defects, and of those that all images of their sample together can show
     """
 
-    folder: Path
     samples: int
     images: int
     poses: int
@@ -97,33 +105,29 @@ def make_dataset(
     out = DatasetFolder(
         folder, made_from, names=[*views, "poses", "stacks", "samples.csv", "datasheet.md"], force=force
     )
-    if (before := out.complete) is not None:
-        return _result(folder, before, resumed=int(before["poses"]))
+    if (complete := out.complete) is not None:
+        return _result(folder, complete, resumed=int(complete["poses"]))
     scene = build_scene(rig, part, defects=False, bounces=part.inspection.bounces)
     refuse_unusable_scene(scene, rig, part, cast_rays_at(scene))
     run.warn(*scene.warnings)
     poses = draw_poses(options, ranges, factors, scene.postures)
     splits = Counter(pose.split for pose in poses)
+    remedy = "more samples, or fewer samples per pose, help"
     if empty := [name for name in SPLITS if getattr(ranges.split, name) > 0.0 and not splits[name]]:
-        run.warn(
-            f"{counted(len(poses), 'pose')}: none is in the split {' or '.join(empty)}; more samples, or fewer samples "
-            "per pose, fill it"
-        )
+        run.warn(f"{counted(len(poses), 'pose')}: none is in the split {' or '.join(empty)}; {remedy}")
     shown = {pose.posture for pose in poses}
     if unshown := [str(posture) for posture in scene.postures if posture not in shown]:
-        run.warn(f"no sample is in posture {', '.join(unshown)}; more samples, or fewer samples per pose, show it")
+        run.warn(f"no sample is in posture {', '.join(unshown)}; {remedy}")
     out.begin(views)
     kinds = list(dict.fromkeys(entry.shape.kind for entry in catalogue))
     size = scene.camera.width, scene.camera.height
     work = _Work(rig, scene, catalogue, options, ranges, factors, views, kinds, size, out)
     limits: dict[Any, PostureLimits] = {}
+    before = {pose.number: record for pose in poses if (record := out.record(pose.number)) is not None}
     records: list[dict[str, Any]] = []
-    resumed = 0
     stage = run.stage("rendering poses")
     for pose in poses:
-        if (record := out.record(pose.number)) is not None:
-            resumed += 1
-        else:
+        if (record := before.get(pose.number)) is None:
             if pose.posture not in limits:
                 limits[pose.posture] = posture_limits(rig, scene, pose.posture, catalogue, options, run.threads)
             record = work.make_pose(pose, limits[pose.posture], run.threads)
@@ -131,16 +135,10 @@ def make_dataset(
         stage((pose.number + 1) / len(poses))
     samples = [sample for record in records for sample in record["samples"]]
     if cut_off := [record["pose"] for record in records if record["leaves_view"]]:
-        run.warn(
-            f"the part leaves the view in {counted(len(cut_off), 'pose')} of {len(poses)}, as in pose {cut_off[0]}; "
-            "lower shift_mm of the ranges' pose, or let the camera see more"
-        )
-    omitted = sum(record["omitted"] for record in records)
-    if omitted:
-        run.warn(
-            f"{counted(omitted, 'defect')} left out: no place was found where the image shows the whole defect; give "
-            "the part a defect_catalogue with smaller ones"
-        )
+        where = f"{counted(len(cut_off), 'pose')} of {len(poses)}, as in pose {cut_off[0]}"
+        run.warn(f"the part leaves the view in {where}; lower shift_mm of the ranges, or let the camera see more")
+    if omitted := sum(record["omitted"] for record in records):
+        run.warn(f"{counted(omitted, 'defect')} left out: no image shows all of it; use a catalogue of smaller ones")
     files = write_formats(out, samples, views, kinds, size)
     out.write_text("datasheet.md", datasheet(rig, part, options, ranges, factors, samples, views, omitted))
     defects = [one for sample in samples for one in sample["defects"]]
@@ -155,13 +153,13 @@ def make_dataset(
         "files": [*files, "datasheet.md"],
     }
     out.finish(found)
-    return _result(folder, found, resumed=resumed)
+    return _result(folder, found, resumed=len(before))
 
 
 def _result(folder: Path, found: Mapping[str, Any], *, resumed: int) -> DatasetResult:
     numbers = {name: int(found[name]) for name in ("samples", "images", "poses", "defects", "visible")}
     files = tuple(folder / name for name in (MANIFEST, "datasheet.md", "samples.csv"))
-    return DatasetResult(folder=folder, resumed=resumed, files=files, **numbers)
+    return DatasetResult(resumed=resumed, files=files, **numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +203,13 @@ class _Work:
 
         found = in_threads(make, list(draw.samples), threads)
         files = [f"poses/pose-{draw.number:06}.exr", *(name for _, names, _ in found for name in names)]
-        write_exr(self.out.path(files[0]), _channels(pose), metadata=draw.as_dict())
+        geometry = pose.actual.geometry
+        channels = {
+            **{f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")},
+            **{f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")},
+            **{f"{image.light}.Y": image.level for image in pose.view.prediction.images.lights},
+        }
+        write_exr(self.out.path(files[0]), channels, metadata=draw.as_dict())
         samples = [facts for facts, _, _ in found]
         if self.options.stacks:
             files.append(f"stacks/pose-{draw.number:06}.h5")
@@ -233,7 +237,9 @@ class _Work:
 
     def _write_sample(self, facts: Mapping[str, Any], images: SampleImages) -> list[str]:
         files: list[str] = []
-        pictures = [*(self._as_8_bits(one) for one in images.levels), *([] if images.fused is None else [images.fused])]
+        shift = max(0, int(self.nominal.sensor.bit_depth) - 8)  # readers of datasets expect 8 bits
+        pictures = [(levels >> shift).astype(np.uint8) for levels in images.levels]
+        pictures += [] if images.fused is None else [images.fused]
         for view, picture in zip(self.views, pictures, strict=True):
             image = facts["files"][view]
             metadata = {"sample": facts["sample"], "view": view}
@@ -246,10 +252,6 @@ class _Work:
                 self.out.write_text(labels, yolo_text(facts["defects"], view, self.kinds, *self.size))
                 files.append(labels)
         return files
-
-    def _as_8_bits(self, levels: Levels) -> UInt8:
-        # readers of datasets expect 8 bits
-        return (levels >> max(0, int(self.nominal.sensor.bit_depth) - 8)).astype(np.uint8)
 
     def _write_stack(
         self, name: str, pose: PoseImages, samples: Sequence[dict[str, Any]], images: Sequence[SampleImages]
@@ -273,12 +275,33 @@ class _Work:
         write_stack(self.out.path(name), arrays, lights=lights, facts=samples)
 
 
-def _channels(pose: PoseImages) -> dict[str, Any]:
-    # what a pose's pixels look at, and the good part's images
-    geometry = pose.actual.geometry
-    images = pose.view.prediction.images.lights
-    return {
-        **{f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")},
-        **{f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")},
-        **{f"{image.light}.Y": image.level for image in images},
-    }
+def require_h5py() -> None:
+    """Raise an InputError where the package that writes HDF5 is missing."""
+    try:
+        import h5py  # noqa: F401  # pyright: ignore[reportMissingImports, reportUnusedImport]
+    except ImportError:
+        raise InputError(
+            "option 'stacks': needs the package h5py; install it with: pip install lightopt[hdf5]; or leave the option "
+            "out"
+        ) from None
+
+
+def write_stack(path: Path, arrays: Mapping[str, NDArray[Any]], *, lights: Sequence[str], facts: object) -> None:
+    """Write the arrays of a pose, whole or not at all, the same input the same bytes.
+
+    arrays: Compressed image by image
+    lights: Names of the lights, in the order of the arrays
+    facts: JSON-able facts of the samples
+    """
+    import h5py  # pyright: ignore[reportMissingImports]
+
+    memory = io.BytesIO()
+    with h5py.File(memory, "w") as file:
+        file.attrs["lights"] = list(lights)
+        file.attrs["samples"] = json.dumps(facts)
+        for name, values in arrays.items():
+            chunk = (*np.ones(values.ndim - 2, np.intp).tolist(), *values.shape[-2:])
+            file.create_dataset(
+                name, data=values, chunks=chunk, compression="gzip", compression_opts=1, track_times=False
+            )
+    write_bytes_atomic(path, memory.getvalue())

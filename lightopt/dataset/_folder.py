@@ -34,17 +34,13 @@ class DatasetFolder:
             before = old.get("provenance")
             changed = differences(before if isinstance(before, Mapping) else {}, self._made_from)
             if changed and not force:
-                raise InputError(
-                    f"{folder} already has a dataset of other inputs or with other options ({changed}); use option "
-                    "'force' to replace it, or choose another folder"
-                )
+                reason = f"already has a dataset of other inputs or with other options ({changed})"
+                raise InputError(f"{folder} {reason}; use option 'force' to replace it, or choose another folder")
             self._old, self._replaced = (None, old) if changed else (old, None)
         else:
             there = [name for name in (MANIFEST, *names) if (folder / name).exists()]
             if there:
-                raise InputError(
-                    f"{folder} has {', '.join(there)}, which no dataset lists; remove it, or choose another folder"
-                )
+                raise InputError(f"{folder} has {', '.join(there)}, which no dataset lists; choose another folder")
             self._old = self._replaced = None
 
     @property

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -29,10 +30,7 @@ def check_lens(checked: CheckedRig) -> Iterator[Finding]:
     focal = a * b / (a + b)
     keys = ("focal_px", "image_distance_mm", "focal_length_mm")
     key = next(key for key in keys if getattr(camera, key) is not None)
-    text = (
-        f"image distance {b:.4g} mm, the same as a lens of focal length {focal:.4g} mm focused at {a:g} mm; "
-        f"magnification {b / a:.3g}"
-    )
+    text = f"image distance {b:.4g} mm: focal length {focal:.4g} mm focused at {a:g} mm; magnification {b / a:.3g}"
     values = {"image_distance_mm": b, "focal_length_mm": focal, "magnification": b / a}
     yield Finding("ok", "lens", text, checked.at("camera", key), values)
 
@@ -45,10 +43,8 @@ def check_depth_of_field(checked: CheckedRig) -> Iterator[Finding]:
     near, far = depth_of_field(
         FOCUS_PX * camera.pixel_size, focus=lens.focus, aperture=lens.aperture, image_distance=camera.image_distance
     )
-    text = (
-        f"f/{checked.rig.camera.aperture:g}, focused at {lens.focus:g} mm: the circle of confusion is within "
-        f"{FOCUS_PX:g} px from {near:.5g} to {far:.5g} mm from the camera ({far - near:.3g} mm of depth)"
-    )
+    text = f"f/{checked.rig.camera.aperture:g}, focused at {lens.focus:g} mm: a point is {FOCUS_PX:g} px or less from "
+    text += f"{near:.5g} to {far:.5g} mm from the camera ({far - near:.3g} mm of depth)"
     values = {"near_mm": near, "far_mm": far if math.isfinite(far) else None, "aperture_mm": lens.aperture}
     cutoff = camera.diffraction_cutoff
     if cutoff is not None:
@@ -96,18 +92,13 @@ def check_sensor(checked: CheckedRig) -> Iterator[Finding]:
         noise = math.sqrt(build_sensor(checked.rig.camera).noise_variance(0.0))
         decibels = 20.0 * math.log10(usable / noise)
         photons = electrons / (0.01 * sensor.quantum_efficiency_percent)
-        text = (
-            f"a pixel saturates at {electrons:.4g} electrons, {photons:.4g} photons; dark noise "
-            f"{noise * sensor.electrons_per_level:.3g} electrons, dynamic range {decibels:.2g} dB"
-        )
+        text = f"a pixel saturates at {electrons:.4g} electrons, {photons:.4g} photons; dark noise "
+        text += f"{noise * sensor.electrons_per_level:.3g} electrons, dynamic range {decibels:.2g} dB"
         found = {"electrons_at_saturation": electrons, "photons_at_saturation": photons, "dark_noise_levels": noise}
         yield Finding("ok", "photons", text, checked.at("camera", "sensor"), found)
     if electrons < SMALL_WELL:
-        text = (
-            f"a pixel saturates at {electrons:.3g} electrons ({sensor.electrons_per_level:g} per level): shot noise "
-            f"there is {100 / electrons**0.5:.2g} % of the level. Real sensors hold 5,000 and more; "
-            "electrons_per_level is the full well divided by the full scale"
-        )
+        text = f"a pixel saturates at {electrons:.3g} electrons, and real sensors at 5,000 and more; "
+        text += "electrons_per_level is the full well divided by the full scale"
         where = checked.at("camera", "sensor", "electrons_per_level")
         yield Finding("warning", "sensor", text, where, {"electrons_at_saturation": electrons})
 
@@ -122,11 +113,8 @@ def check_depth(checked: CheckedScene) -> Iterator[Finding]:
         yield Finding("warning", "depth", text, checked.part.source.at("placement"), values)
         return
     small, large = min(f.footprint[0] for f in framings), max(f.footprint[1] for f in framings)
-    text = (
-        f"the part lies {near:.4g} to {far:.4g} mm from the camera ({far - near:.3g} mm of depth): a pixel's footprint "
-        f"is {small:.3g} mm ({1000 * small:.3g} µm) at the nearest and {large:.3g} mm ({1000 * large:.3g} µm) at the "
-        "farthest point"
-    )
+    text = f"the part lies {near:.4g} to {far:.4g} mm from the camera ({far - near:.3g} mm of depth); a pixel's "
+    text += f"footprint is {1000 * small:.3g} µm at the nearest and {1000 * large:.3g} µm at the farthest point"
     values |= {"nearest_footprint_mm": small, "farthest_footprint_mm": large}
     yield Finding("ok", "depth", text, None, values)
 
@@ -135,7 +123,7 @@ def check_focus(checked: CheckedScene) -> Iterator[Finding]:
     """Share of the surface seen that is out of focus, and by how much."""
     if checked.scene.camera.lens is None:
         return
-    for index, sample in enumerate(checked.samples):
+    for sample in checked.samples:
         camera, surface = sample.view.camera, sample.surface
         if not len(surface):
             continue
@@ -143,31 +131,26 @@ def check_focus(checked: CheckedScene) -> Iterator[Finding]:
         cosine = np.abs(np.einsum("ij,ij->i", surface.facets, surface.views))
         area = sample.hits.distance**2 / np.maximum(cosine, 0.05)
         share, largest = float(area[blur > FOCUS_PX].sum() / area.sum()), float(blur.max())
-        text = f"posture {sample.posture}: the lens blurs the part over up to {largest:.3g} px"
+        text = f"the lens blurs the part over up to {largest:.3g} px"
         if share > 0.0:
             text += f", {percent(share)} of the surface seen over more than {FOCUS_PX:g} px"
         level: Level = "warning" if share > MOST_OUT_OF_FOCUS else "ok"
         if level == "warning":
             text += "; stop the aperture down, or change focus_distance_mm. Fits take all that is seen to be in focus"
-        values = {"posture": sample.posture.as_dict(), "largest_px": largest, "out_of_focus_share": share}
-        yield Finding(level, "focus", text, checked.at_posture(index), values)
+        yield checked.of_posture(sample, level, "focus", text, largest_px=largest, out_of_focus_share=share)
 
 
 def check_part_in_view(checked: CheckedScene) -> Iterator[Finding]:
     """The margin around the part's image, or by how much it leaves the view."""
-    for index, sample in enumerate(checked.samples):
-        framing, where = sample.framing, checked.at_posture(index)
-        posture = sample.posture.as_dict()
+    for sample in checked.samples:
+        framing, camera = sample.framing, sample.view.camera
         if framing.nearest <= 0.0:
-            text = f"posture {sample.posture}: the part reaches behind the camera"
-            yield Finding("warning", "view", text, where, {"posture": posture})
+            yield checked.of_posture(sample, "warning", "view", "the part reaches behind the camera")
             continue
-        camera = sample.view.camera
         sides = (framing.left, framing.top, camera.width - framing.right, camera.height - framing.bottom)
         margins = dict(zip(SIDES, sides, strict=True))
         per_pixel = framing.footprint[0]
-        values: dict[str, object] = {
-            "posture": posture,
+        values: dict[str, Any] = {
             "margin_px": margins,
             "margin_mm": {side: per_pixel * m for side, m in margins.items()},
         }
@@ -177,18 +160,11 @@ def check_part_in_view(checked: CheckedScene) -> Iterator[Finding]:
             text = f"the part leaves the view by {', '.join(leaves)}; move it, or let the camera see more"
         else:
             side = min(margins, key=lambda name: margins[name])
-            shares = {
-                "width": (framing.right - framing.left) / camera.width,
-                "height": (framing.bottom - framing.top) / camera.height,
-            }
-            along = max(shares, key=lambda name: shares[name])
-            text = (
-                f"the part is inside the view, least margin {texts[side]}; it fills "
-                f"{percent(shares[along])} of the image's {along}"
-            )
+            width, height = framing.right - framing.left, framing.bottom - framing.top
+            share, along = max((width / camera.width, "width"), (height / camera.height, "height"))
+            text = f"inside the view, by {texts[side]} at least; the part fills {percent(share)} of the image's {along}"
             values["least_margin_px"] = margins[side]
-        level = "warning" if leaves else "ok"
-        yield Finding(level, "view", f"posture {sample.posture}: {text}", where, values)
+        yield checked.of_posture(sample, "warning" if leaves else "ok", "view", text, **values)
 
 
 def check_pixels(checked: CheckedScene) -> Iterator[Finding]:
@@ -203,22 +179,16 @@ def check_pixels(checked: CheckedScene) -> Iterator[Finding]:
 def check_below_table(checked: CheckedScene) -> Iterator[Finding]:
     """By how much the part would have to pass through the table."""
     vertices = checked.scene.mesh.vertices
-    for index, sample in enumerate(checked.samples):
-        height = vertices @ sample.view.rotation[2] + sample.view.translation[2]
-        lowest = float(height.min())
+    for sample in checked.samples:
+        lowest = float((vertices @ sample.view.rotation[2] + sample.view.translation[2]).min())
         if lowest >= -TABLE_TOLERANCE_MM:
             continue
-        values = {"posture": sample.posture.as_dict(), "lowest_mm": lowest}
         if sample.posture.elevation_deg == 0.0:
-            text = (
-                f"posture {sample.posture}: the part reaches {-lowest:.3g} mm below the table; raise it by placement "
-                "translate_mm, or let it rest_on_table"
-            )
+            text = f"posture {sample.posture}: the part reaches {-lowest:.3g} mm below the table; raise it by "
+            text += "translate_mm, or let it rest_on_table"
+            values = {"posture": sample.posture.as_dict(), "lowest_mm": lowest}
             yield Finding("warning", "table", text, checked.part.source.at("placement"), values)
         else:
-            text = (
-                f"posture {sample.posture}: the tilt moves the part {-lowest:.3g} mm below the plane Z = 0. "
-                "Nothing is hidden by the table here; on a stage whose table does not tilt along, raise the part or "
-                "the pivot"
-            )
-            yield Finding("note", "table", text, checked.at_posture(index), values)
+            text = f"the tilt moves the part {-lowest:.3g} mm below the plane Z = 0, where nothing is hidden here; on "
+            text += "a stage whose table does not tilt along, raise the part or the pivot"
+            yield checked.of_posture(sample, "note", "table", text, lowest_mm=lowest)

@@ -9,7 +9,7 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
-from lightopt.preflight import _camera, _fields, _highlights, _interreflection, _lights, _part, _regions, _stripes
+from lightopt.preflight import _camera, _fields, _highlights, _lights, _part
 from lightopt.preflight._findings import CheckedRig, CheckedScene, CheckResult, Finding, PostureSamples
 from lightopt.rendering import cast_rays_at, trace_samples
 from lightopt.scene import Scene, build_camera, build_lights, build_scene, frame_part, screen_window, view_from_part
@@ -30,8 +30,8 @@ RIG_CHECKS: tuple[Callable[[CheckedRig], Iterable[Finding]], ...] = (
 SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
     _part.check_size,
     _part.check_mesh,
-    _regions.check_regions,
-    _regions.check_brushing,
+    _part.check_regions,
+    _part.check_brushing,
     _camera.check_depth,
     _camera.check_focus,
     _camera.check_part_in_view,
@@ -41,8 +41,8 @@ SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
     _lights.check_hidden_part,
     _fields.check_fields,
     _fields.check_camera_hole,
-    _interreflection.check_mirrored_part,
-    _stripes.check_stripes,
+    _fields.check_mirrored_part,
+    _fields.check_stripes,
     _highlights.check_points,
     _highlights.check_levels,
     _highlights.check_facets,

@@ -1,4 +1,4 @@
-"""Bright field and dark field of each light, and the camera hole that the part mirrors."""
+"""What the surface in view mirrors: lights, their camera holes, the part itself, stripes too fine for the camera."""
 
 import itertools
 import math
@@ -12,15 +12,17 @@ from lightopt.core.arrays import Bool, Float64
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight, surface_mesh
 from lightopt.preflight._findings import CheckedScene, Finding, PostureSamples, percent
-from lightopt.rendering import SurfacePoints
-from lightopt.scene import build_lights
+from lightopt.rendering import CREASE_COSINE, SurfacePoints, mirrored_places, trace_samples
+from lightopt.scene import Scene, build_lights, screen_window
 
-POINTS = 4000  # surface points of a posture that are tried: shares are good to a percent
+POINTS = 4000  # surface points or pixels of a posture that are tried: shares are good to a percent
 LOBE_SIGMAS = 2.0  # a normal that is off by so many σ from the mirror's still shows most of a light
 _SIDES = 6  # directions that normals are tilted to
 _SHARES_ACROSS = (0.25, 0.5, 0.75)  # of the tilt across the brushing, that are tried as well
 
 _HOLE_SHARE = 0.01  # of the surface in view, above which a mirrored camera hole is worth a note
+
+NOTED_SHARE, WARNED_SHARE = 0.01, 0.05  # of the surface in view
 
 
 def check_fields(checked: CheckedScene) -> Iterator[Finding]:
@@ -37,11 +39,9 @@ def check_fields(checked: CheckedScene) -> Iterator[Finding]:
         above = np.einsum("ik,jk->ji", some.normals, targets) > np.einsum("ik,ik->i", some.normals, some.points)
         lit = np.any(checked.caster.visible(some.points, some.facets, targets, candidates=above), axis=0)
         shares = [float(np.mean(a)) for a in (bright, lit & ~bright, ~lit & ~bright)]
-        text = (
-            f"posture {sample.posture}: of the surface in view {name} has {percent(shares[0])} in bright field (it is "
-            f"mirrored to the camera, within {LOBE_SIGMAS:g}σ), {percent(shares[1])} in dark field, and "
-            f"{percent(shares[2])} gets no light of it"
-        )
+        text = f"posture {sample.posture}: of the surface in view {name} has {percent(shares[0])} in bright field "
+        text += f"(mirrored to the camera, within {LOBE_SIGMAS:g}σ) and {percent(shares[1])} in dark field; "
+        text += f"{percent(shares[2])} is unlit"
         values = {"light": name, "posture": sample.posture.as_dict(), **dict(zip(names, shares, strict=True))}
         yield Finding("ok", "bright field", text, checked.rig.source.at("lights", channels[0]), values)
 
@@ -61,13 +61,33 @@ def check_camera_hole(checked: CheckedScene) -> Iterator[Finding]:
             own = _distinct([sample.view.lights[i] for i in channels])
             whole = filled.moved(sample.view.rotation.T, -sample.view.rotation.T @ sample.view.translation)
             share = float(np.mean(_meets([whole], some, ends)[0] & ~_meets(own, some, ends)[0]))
-            text = (
-                f"posture {sample.posture}: {percent(share)} of the surface in view mirrors the opening of {name} that "
-                "the camera looks through, which is a dark spot on a glossy part"
-            )
+            text = f"posture {sample.posture}: {percent(share)} of the surface in view mirrors the opening of {name} "
+            text += "that the camera looks through, which is a dark spot on a glossy part"
             values = {"light": name, "posture": sample.posture.as_dict(), "share": share}
             where = checked.rig.source.at("lights", channels[0])
             yield Finding("note" if share > _HOLE_SHARE else "ok", "camera hole", text, where, values)
+
+
+def check_mirrored_part(checked: CheckedScene) -> Iterator[Finding]:
+    """Share of the surface in view that mirrors the part, in place of the lights and the dark box; none if it is 0."""
+    if all(one.R_s == 0.0 for one in checked.scene.shown):
+        return
+    for sample in checked.samples:
+        front = np.flatnonzero(sample.surface.front)
+        if not len(front):
+            continue
+        some = sample.surface.take(front[:: max(1, len(front) // POINTS)])
+        mirrored = 2.0 * np.einsum("ik,ik->i", some.normals, some.views)[:, None] * some.normals - some.views
+        meets = checked.caster.next_hit(some.points, some.facets, mirrored) >= 0
+        share = float(np.mean(checked.glossy(some) & meets & (np.einsum("ik,ik->i", mirrored, some.facets) > 0.0)))
+        if share == 0.0:
+            continue
+        text = f"{percent(share)} of the surface in view mirrors the part itself"
+        if share > NOTED_SHARE:
+            text += ". Images without its light are too dark there: use render --bounces 1, virtual_bench.bounces and "
+            text += "inspection.bounces. Fits and plans leave this light out"
+        level = "warning" if share > WARNED_SHARE else "note" if share > NOTED_SHARE else "ok"
+        yield checked.of_posture(sample, level, "mirrored part", text, share=share)
 
 
 def light_entries(lights: Sequence[LightConfig]) -> Iterator[tuple[str, list[int]]]:
@@ -133,3 +153,73 @@ def _blocked(caster: RayCaster, some: SurfacePoints, ends: Float64) -> Bool:
     point = np.tile(np.arange(len(some), dtype=np.int32), len(ends))
     ways = {"point_index": point, "target_index": np.arange(len(point), dtype=np.int32)}
     return caster.occluded(some.points, some.facets, ends.reshape(-1, 3), **ways).reshape(len(ends), -1)
+
+
+LEAST_PERIOD_PX = 2.0  # finer stripes are aliased
+LEAST_CONTRAST = 0.05  # stripes that the lobe blurs to less are not seen, however fine
+
+
+def check_stripes(checked: CheckedScene) -> Iterator[Finding]:
+    """How much of the surface that mirrors a display's stripes shows them finer than two pixels."""
+    striped = [
+        (name, channels[0], pattern)
+        for name, channels in light_entries(checked.rig.lights)
+        if (pattern := checked.rig.lights[channels[0]].pattern) is not None and pattern.periods_mm
+    ]
+    for sample in checked.samples if striped else ():
+        pixels = _neighbours(checked, sample)
+        for name, at, pattern in striped:
+            own = sample.view.lights[at]
+            assert isinstance(own, SurfaceLight)
+            cycles = _cycles(checked.scene, own, min(pattern.periods_mm), pattern.directions, pixels)
+            if not len(cycles):
+                continue
+            share, least = float(np.mean(cycles > 1.0 / LEAST_PERIOD_PX)), 1.0 / float(cycles.max())
+            text = f"posture {sample.posture}: mirrored stripes of {name} have periods of at least {least:.3g} px, "
+            text += f"below {LEAST_PERIOD_PX:g} px on {percent(share)} of the surface that mirrors them"
+            if share > 0.0:
+                text += ", where the image is moiré and the phase is wrong: take a longer period or larger images"
+            values = {"light": name, "posture": sample.posture.as_dict(), "share": share, "least_px": least}
+            level = "warning" if share > 0.0 else "ok"
+            yield Finding(level, "stripes", text, checked.rig.source.at("lights", at, "pattern"), values)
+
+
+def _neighbours(checked: CheckedScene, sample: PostureSamples) -> list[SurfacePoints]:
+    # surface at pixels, and at their neighbours to the right and below, where all see one smooth piece of the part
+    left, top, right, bottom = screen_window(sample.view.camera, checked.scene.mesh)
+    step = max(1, math.ceil(math.sqrt((right - left) * (bottom - top) / POINTS)))
+    across, down = (np.arange(*ends, step, dtype=np.float64) + 0.5 for ends in ((left, right), (top, bottom)))
+    columns, rows = (a.ravel() for a in np.meshgrid(across, down))
+    found: list[SurfacePoints] = []
+    place = np.full((3, len(columns)), -1)
+    for k, (right_by, down_by) in enumerate(((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))):
+        camera = sample.view.camera
+        hits, surface = trace_samples(checked.caster, checked.scene.mesh, camera, columns + right_by, rows + down_by)
+        place[k, hits.ray] = np.arange(len(hits.ray))
+        found.append(surface)
+    place = place[:, (place >= 0).all(axis=0)]
+    some = [surface.take(index) for surface, index in zip(found, place, strict=True)]
+    smooth = np.ones(len(some[0]), np.bool_)
+    for one in some:
+        smooth &= one.front & (np.einsum("ij,ij->i", one.normals, some[0].normals) > CREASE_COSINE)
+    return [one.take(np.flatnonzero(smooth)) for one in some]
+
+
+def _cycles(
+    scene: Scene, light: SurfaceLight, period: float, directions: tuple[str, ...], pixels: list[SurfacePoints]
+) -> Float64:
+    # periods per pixel, along the steeper of image rows and columns, of the pixels that show stripes
+    places = [mirrored_places(surface, light) for surface in pixels]
+    u, v, distance = places[0]
+    inside = (np.abs(u) < 0.5 * light.size[0]) & (np.abs(v) < 0.5 * light.size[1])
+    # M = exp(−2(πσ|∇u|/P)²), ∇u the change of the place per tilt of the half vector, 2d where the light is met squarely
+    blur = math.pi * scene.sharpest.sigma * 2.0 * distance / period
+    with np.errstate(invalid="ignore"):
+        shown = inside & (np.exp(-2.0 * blur**2) > LEAST_CONTRAST)
+    steps = [
+        np.abs(places[k]["uv".index(direction)] - places[0]["uv".index(direction)])[shown]
+        for direction in directions
+        for k in (1, 2)
+    ]
+    cycles = np.max(steps, axis=0) / period
+    return cycles[np.isfinite(cycles)]

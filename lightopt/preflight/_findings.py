@@ -69,7 +69,7 @@ class CheckedRig:
         return self.rig.source.at(*keys)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PostureSamples:
     """What the camera sees of the part in a posture, at every `step`-th pixel of rows and columns; part frame."""
 
@@ -97,5 +97,8 @@ class CheckedScene:
             return np.ones(len(surface), np.bool_)
         return np.array([own.R_s > 0.0 for own in self.scene.reflectances])[surface.material]
 
-    def at_posture(self, index: int) -> str:
-        return self.part.source.at("postures", index)
+    def of_posture(self, sample: PostureSamples, level: Level, topic: str, text: str, **values: Any) -> Finding:
+        """A finding about a posture of the part file."""
+        index = self.samples.index(sample)
+        where, values = self.part.source.at("postures", index), {"posture": sample.posture.as_dict(), **values}
+        return Finding(level, topic, f"posture {sample.posture}: {text}", where, values)

@@ -64,12 +64,8 @@ def _points(light: PanelLight, reflectance: Reflectance, where: str) -> Finding:
     warning = coarse_points(light, reflectance)
     if warning is not None:
         return Finding("warning", "points", warning, where, values)
-    points = "1 point stands for" if found.points == 1 else f"{found.points} points stand apart by"
-    text = (
-        f"{light.name}: the panel's {points} {found.spacing:.3g} mm, the lobe of {reflectance.width_text} takes in "
-        f"{found.lobe:.3g} mm (2·distance·σ): overexposed areas about {100 * abs(found.area_error):.1f} % too "
-        f"{'small' if found.area_error < 0.0 else 'large'}"
-    )
+    text = f"{found.text_of(light, reflectance)}: overexposed areas about {100 * abs(found.area_error):.1f} % too "
+    text += "small" if found.area_error < 0.0 else "large"
     if abs(found.area_error) <= NEGLIGIBLE_ERROR:
         return Finding("ok", "points", text, where, values)
     return Finding("note", "points", f"{text}. {points_advice(light, found.enough)}", where, values)
@@ -99,11 +95,8 @@ def check_levels(checked: CheckedScene) -> Iterator[Finding]:
     same_scale = sensor.max_level == reflectance.full_scale
     scale = "" if same_scale else f", in levels of full_scale {reflectance.full_scale:g}"
     why = f" (the sensor's {sensor.saturated_from:g}{black}{scale})" if black or scale else ""
-    text = (
-        f"at exposure 1 a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light, and one that "
-        f"mirrors the whole panel of {mirrored} {shown} of specular light; saturation is at {saturation:.4g}"
-        f"{why}"
-    )
+    text = f"at exposure 1 a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light, and one "
+    text += f"that mirrors all of {mirrored} {shown} of specular light; saturation is at {saturation:.4g}{why}"
     saturates = level >= saturation
     if saturates:
         exposure = 0.5 * saturation / level
@@ -161,26 +154,16 @@ def check_facets(checked: CheckedScene) -> Iterator[Finding]:
         return
     if flat:
         wrong = found.median
-        text = (
-            f"shaded flat, with angles of {_angle(found.median)} between facets (median over curved surface; 90 % "
-            f"below {_angle(found.high)}) against a lobe of {width}"
-        )
-        advice = (
-            f": highlights break up into facets. Use normals: smooth, a STEP file, or an export with facets at most "
-            f"{_angle(visible)} apart ({wrong / visible:.2g} times shorter)"
-        )
+        text = f"shaded flat, with {_angle(found.median)} between facets (median over curved surface; 90 % below "
+        text += f"{_angle(found.high)}) against a lobe of {width}"
+        advice = ": highlights break up into facets. Use normals: smooth, a STEP file, or facets "
+        advice += f"{wrong / visible:.2g} times shorter"
     else:
         wrong = found.high
-        text = (
-            f"normals turn by {_angle(found.angle)} along an edge of {found.edge:.3g} mm (medians over curved "
-            f"surface); interpolated, they are off by about {_angle(found.median)}, at 90 % of the edges by less than "
-            f"{_angle(found.high)}, against a lobe of {width}"
-        )
-        advice = (
-            f": highlights show the mesh's facets. Use a STEP file, an export with edges "
-            f"{math.sqrt(wrong / visible):.2g} times shorter on curved surface or, where sharp edges were smoothed "
-            "over, a smaller crease_angle_deg"
-        )
+        text = f"normals turn by {_angle(found.angle)} along an edge of {found.edge:.3g} mm (medians over curved "
+        text += f"surface); interpolated, 90 % are off by less than {_angle(found.high)}, against a lobe of {width}"
+        advice = f": highlights show the mesh's facets. Use a STEP file, edges {math.sqrt(wrong / visible):.2g} times "
+        advice += "shorter or, where sharp edges were smoothed over, a smaller crease_angle_deg"
     values = {
         "sigma_rad": sigma,
         "median_angle_rad": found.angle,

@@ -26,10 +26,8 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
         area = area_in_view(checked.camera, light)
         if area > 0.0:
             clear = False
-            text = (
-                f"{light.name} stands in the camera's view and covers {area:,.0f} px ({percent(area / pixels)} of "
-                "the image), where the part is black: move it, or the camera"
-            )
+            text = f"{light.name} stands in the camera's view and covers {area:,.0f} px, {percent(area / pixels)} of "
+            text += "it, where the part is black: move it, or the camera"
             values = {"light": light.name, "pixels": area, "share": area / pixels}
             yield Finding("warning", "light in view", text, checked.at("lights", index), values)
             continue
@@ -57,10 +55,8 @@ def check_below_horizon(checked: CheckedRig) -> Iterator[Finding]:
             continue
         lowest = _lowest(light)
         if lowest < -_ROUNDING_MM:
-            text = (
-                f"a corner of {light.name} is {-lowest:.3g} mm below the table top; raise its elevation of "
-                f"{math.degrees(light.elevation):g}°, or take a smaller panel"
-            )
+            text = f"a corner of {light.name} is {-lowest:.3g} mm below the table top; raise it, or take a smaller "
+            text += "panel"
             values = {"light": light.name, "lowest_mm": lowest}
             yield Finding("warning", "light below table", text, checked.at("lights", index), values)
             continue
@@ -94,9 +90,9 @@ def check_collisions(checked: CheckedRig) -> Iterator[Finding]:
         meeting = next(((p, q) for p in moved[i] for q in moved[j] if lights_meet(p, q)), None)
         if meeting is not None:
             reported.add(entries)
+            angles = [(p.name, math.degrees(p.elevation), math.degrees(p.azimuth)) for p in meeting]
             places = " and ".join(
-                f"{p.name} at elevation {math.degrees(p.elevation):.3g}°, azimuth {math.degrees(p.azimuth):.3g}°"
-                for p in meeting
+                f"{name} at elevation {up:.3g}°, azimuth {azimuth:.3g}°" for name, up, azimuth in angles
             )
             text = f"within their ranges {a.name} and {b.name} ({sizes}) can cross each other: {places}"
             yield Finding("note", "lights collide", text, checked.at("lights", j), {"lights": [a.name, b.name]})
@@ -123,9 +119,7 @@ def _moved(rig: RigConfig, index: int, step: float) -> list[PanelLight]:
 
 def _steps(ends: tuple[float, float], step: float) -> list[float]:
     low, high = ends
-    if low == high:
-        return [low]
-    return [float(angle) for angle in np.linspace(low, high, 1 + math.ceil((high - low) / step))]
+    return np.linspace(low, high, 1 + math.ceil((high - low) / step)).tolist()
 
 
 def _close_pairs(moved: list[list[PanelLight]]) -> Iterator[tuple[int, int]]:
@@ -176,10 +170,8 @@ def check_hidden_part(checked: CheckedScene) -> Iterator[Finding]:
         if not count:
             continue
         pixels, share = count * sample.step**2, count / len(hidden)
-        text = (
-            f"posture {sample.posture}: {light.name} stands between camera and part and hides about {pixels:,} px "
-            f"({percent(share)}) of it, which is black in images"
-        )
+        text = f"posture {sample.posture}: {light.name} stands before the part and hides about {pixels:,} px of it, "
+        text += f"{percent(share)}, which is black in images"
         values = {"light": light.name, "posture": sample.posture.as_dict(), "pixels": pixels, "share": share}
         yield Finding("warning", "light in view", text, checked.rig.source.at("lights", at), values)
 

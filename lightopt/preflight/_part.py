@@ -1,4 +1,4 @@
-"""The mesh: its size and unit, repairs, back faces, and the surface that no camera ray reaches."""
+"""The part: its size and unit, its mesh, surface that no camera ray reaches, and its regions."""
 
 import math
 from collections.abc import Iterator
@@ -51,33 +51,24 @@ def check_mesh(checked: CheckedScene) -> Iterator[Finding]:
     open_edges = int(np.count_nonzero(found.uses == 1))
     tangled = int(np.count_nonzero(found.uses > 2))
     values = {"triangles": len(mesh.faces), "open_edges": open_edges, "nonmanifold_edges": tangled}
-    text = counted(len(mesh.faces), "triangle")
-    if not open_edges and not tangled:
-        yield Finding("ok", "mesh", f"{text}, a closed surface", where, values)
-        return
-    kinds: list[str] = []
-    if open_edges:
-        kinds.append(f"{counted(open_edges, 'edge')} of one triangle only (backs of faces are black where they show)")
-    if tangled:
-        kinds.append(f"{counted(tangled, 'edge')} shared by three or more triangles")
-    text += f", not a closed surface: {' and '.join(kinds)}. It renders as it is"
-    yield Finding("note", "mesh", text, where, values)
+    text = f"{counted(len(mesh.faces), 'triangle')}, a closed surface"
+    if open_edges or tangled:
+        text = f"{counted(len(mesh.faces), 'triangle')}, not a closed surface: {counted(open_edges, 'edge')} of one "
+        text += f"triangle only, {counted(tangled, 'edge')} of three or more. It renders as it is, backs of faces black"
+    yield Finding("note" if open_edges or tangled else "ok", "mesh", text, where, values)
 
 
 def check_back_faces(checked: CheckedScene) -> Iterator[Finding]:
     """How much of the part's image shows backs of faces, which are black."""
-    for index, sample in enumerate(checked.samples):
+    for sample in checked.samples:
         back = int(np.count_nonzero(~sample.surface.front))
         if back <= BACK_FACE_SHARE * len(sample.surface):
             continue
         pixels = back * sample.step**2
         share = back / len(sample.surface)
-        text = (
-            f"posture {sample.posture}: about {pixels:,} px ({percent(share)} of the part's image) show the back of "
-            "faces and will be black; close the surface, give it a thickness, or turn its faces outwards"
-        )
-        values = {"posture": sample.posture.as_dict(), "pixels": pixels, "share": share}
-        yield Finding("warning", "back faces", text, checked.at_posture(index), values)
+        text = f"about {pixels:,} px ({percent(share)} of the part's image) show the back of faces and will be black; "
+        text += "close the surface, give it a thickness, or turn its faces outwards"
+        yield checked.of_posture(sample, "warning", "back faces", text, pixels=pixels, share=share)
 
 
 BUDGET = 200_000  # patches that are checked; a mesh with more triangles is checked triangle by triangle
@@ -116,13 +107,12 @@ def check_unseen_surface(checked: CheckedScene) -> Iterator[Finding]:
         "unseen_upper_share": unseen_top / top if top > 0.0 else 0.0,
     }
     where = checked.part.source.at("postures")
-    many = len(checked.samples)
-    in_any = "in the only posture" if many == 1 else f"in any of the {many} postures"
     if unseen == 0.0:
         text = f"the camera sees all of the part's {total:.4g} mm²"
         yield Finding("ok", "unseen surface", text, where, values)
         return
-    text = f"the camera does not see {unseen:.4g} mm² {in_any}, {percent(unseen / total)} of the part's {total:.4g} mm²"
+    text = f"the camera does not see {unseen:.4g} mm² in any posture, {percent(unseen / total)} of the part's "
+    text += f"{total:.4g} mm²"
     if unseen_top == 0.0:
         yield Finding("ok", "unseen surface", f"{text}, none of it on the upper side", where, values)
         return
@@ -133,10 +123,7 @@ def check_unseen_surface(checked: CheckedScene) -> Iterator[Finding]:
     low, high = corners.min(axis=0), corners.max(axis=0)
     values["unseen_upper_box_mm"] = [low.tolist(), high.tolist()]
     box = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("XYZ", low, high, strict=True))
-    text += (
-        f"; of the upper side it is {unseen_top:.4g} mm² or {percent(share)}, {facing(mean / unseen_top)}, "
-        f"within {box} mm in posture (0°, 0°)"
-    )
+    text += f"; of the upper side {unseen_top:.4g} mm², {percent(share)}, {facing(mean / unseen_top)}, within {box} mm"
     level: Level = "warning" if share > WARNING_SHARE else "note"
     if level == "warning":
         text += ". Add postures that turn it to the camera"
@@ -156,3 +143,58 @@ def facing(mean: Float64) -> str:
         if abs(value) > _CLEAR_COMPONENT
     ]
     return f"facing {' and '.join(words)}" if words else "facing several ways"
+
+
+_WITHOUT_DIRECTION = 0.1  # share of a brushed surface from which on a direction along its normal is worth a warning
+
+
+def check_regions(checked: CheckedScene) -> Iterator[Finding]:
+    """Area of each region, and its share of the pixels that show the part; nothing for a part without regions."""
+    material, regions = checked.scene.mesh.material, checked.scene.regions
+    if material is None:
+        return
+    area = np.bincount(material, geometry.face_areas(checked.scene.mesh), len(regions) + 1)
+    pixels = np.zeros(len(regions) + 1)
+    for sample in checked.samples:
+        seen = sample.surface.material
+        assert seen is not None
+        pixels += sample.step**2 * np.bincount(seen[sample.surface.front], minlength=len(pixels))
+    shares = pixels / max(float(pixels.sum()), 1.0)
+    names = ["outside the regions", *(region.name for region in regions)]
+    texts = [
+        f"{name} {own:.4g} mm² ({percent(own / area.sum())}), {percent(share)} of the pixels"
+        for name, own, share in zip(names, area.tolist(), shares.tolist(), strict=True)
+    ]
+    text = "of the surface, and of the pixels that show it in all postures: " + "; ".join((*texts[1:], texts[0]))
+    where, values = checked.part.source.at("regions"), dict(zip(names, shares.tolist(), strict=True))
+    yield Finding("ok", "regions", text, where, values)
+    if area[0] == 0.0:
+        text = "no surface is outside the regions: the part's own reflectance is not used"
+        yield Finding("note", "regions", text, checked.part.source.at("reflectance"))
+    for number, region in enumerate(regions):
+        if not pixels[number + 1]:
+            text = f"the camera does not see {region.name}: check where the region is, or add postures that show it"
+            yield Finding("warning", "regions", text, checked.part.source.at("regions", number))
+
+
+def check_brushing(checked: CheckedScene) -> Iterator[Finding]:
+    """How much of a brushed surface in view has no direction, since the brushing is along its normal."""
+    for number, own in enumerate(checked.scene.reflectances):
+        if own.model.across_ratio == 1.0:
+            continue
+        pixels = without = 0
+        for sample in checked.samples:
+            surface = sample.surface
+            assert surface.across is not None
+            seen = surface.front if surface.material is None else surface.front & (surface.material == number)
+            pixels += int(seen.sum())
+            without += int(np.sum(seen & ~surface.across.any(axis=1)))
+        if not pixels:
+            continue
+        share, keys = without / pixels, ("reflectance",) if number == 0 else ("regions", number - 1, "reflectance")
+        text = f"the lobe is {own.model.across_ratio:.3g} times as wide across the brushing; it has a direction on "
+        text += f"{percent(1.0 - share)} of this surface in view"
+        if share > _WITHOUT_DIRECTION:
+            text += ", and is along the normal on the rest: directions are in the mesh file's coordinates"
+        kind = "warning" if share > _WITHOUT_DIRECTION else "ok"
+        yield Finding(kind, "brushing", text, checked.part.source.at(*keys, "brushing"), {"share": 1.0 - share})

@@ -9,8 +9,11 @@ from lightopt.scene._build import (
     build_scene as build_scene,
     build_sensor as build_sensor,
     build_stage as build_stage,
+    guess_unit as guess_unit,
+    is_absurd as is_absurd,
     part_postures as part_postures,
     unit_hint as unit_hint,
+    view_size as view_size,
 )
 from lightopt.scene._camera import (
     Distortion as Distortion,
@@ -31,16 +34,18 @@ from lightopt.scene._camera import (
     through_lens as through_lens,
     typical_blur as typical_blur,
 )
-from lightopt.scene._collisions import lights_meet as lights_meet
 from lightopt.scene._defects import (
     angle_outside_range as angle_outside_range,
     build_catalogue as build_catalogue,
     defect_facts as defect_facts,
     place_defects as place_defects,
 )
-from lightopt.scene._image_area import area_in_view as area_in_view, obstructions as obstructions
+from lightopt.scene._image_area import (
+    area_in_view as area_in_view,
+    lights_meet as lights_meet,
+    obstructions as obstructions,
+)
 from lightopt.scene._lights import display_picture as display_picture
-from lightopt.scene._part_size import guess_unit as guess_unit, is_absurd as is_absurd, view_size as view_size
 from lightopt.scene._point_spacing import (
     coarse_points as coarse_points,
     coarse_warnings as coarse_warnings,
@@ -57,9 +62,9 @@ from lightopt.scene._scene import (
     view_from_part as view_from_part,
     with_reflectances as with_reflectances,
 )
-from lightopt.scene._stage import Stage as Stage
-from lightopt.scene._stage_travel import (
+from lightopt.scene._stage import (
     VIRTUAL_DEG_PER_S as VIRTUAL_DEG_PER_S,
+    Stage as Stage,
     pace_text as pace_text,
     travel_order as travel_order,
     travel_s as travel_s,

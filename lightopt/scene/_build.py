@@ -2,14 +2,15 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from lightopt.config import CameraConfig, PartConfig, ReflectanceConfig, RigConfig, load_part, load_rig
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
@@ -38,7 +39,6 @@ from lightopt.scene._camera import (
 from lightopt.scene._defects import outside_stage_range, place_defects
 from lightopt.scene._image_area import obstructions
 from lightopt.scene._lights import build_lights
-from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._reflectance_table import table_lobes
 from lightopt.scene._regions import mesh_of_regions
 from lightopt.scene._scene import PartRegion, Placement, Scene, view_from_part
@@ -110,13 +110,10 @@ def build_scene(
 def _reflectances(part: PartConfig, *, seen: bool) -> tuple[Reflectance, tuple[PartRegion, ...]]:
     # `seen`: whether the part shows itself or its surroundings, for which its white level counts
     base = part.reflectance
-    regions = tuple(
-        PartRegion(
-            name=region.name, reflectance=_reflectance(part, region.reflectance, "regions", i, "reflectance", seen=seen)
-        )
-        for i, region in enumerate(part.regions)
-    )
-    reflectance = _reflectance(part, base, "reflectance", seen=seen)
+    read = partial(_reflectance, part, seen=seen)
+    own = [read(one.reflectance, "regions", i, "reflectance") for i, one in enumerate(part.regions)]
+    regions = tuple(PartRegion(name=one.name, reflectance=each) for one, each in zip(part.regions, own, strict=True))
+    reflectance = read(base, "reflectance")
     if regions and base.white_level is None:
         # a white surface is as bright everywhere: as where the part reflects most
         most = max(white_level(one) for one in (reflectance, *(region.reflectance for region in regions)))
@@ -127,7 +124,12 @@ def _reflectances(part: PartConfig, *, seen: bool) -> tuple[Reflectance, tuple[P
 
 def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, seen: bool) -> Reflectance:
     full_scale, white = part.reflectance.full_scale, part.reflectance.white_level
-    lobes = () if own.table is None else _lobes_of_table(part, own.table, *keys)
+    lobes: tuple[tuple[float, float], ...] = ()
+    if own.table is not None:
+        try:
+            lobes = table_lobes(part.source.resolve(own.table))
+        except InputError as error:
+            raise InputError(f"{part.source.at(*keys, 'table')}: {error.args[0]}") from None
     model = SpecularModel(
         name=own.model,
         wide_share=own.R_s_wide / own.R_s if own.R_s_wide is not None and own.R_s > 0.0 else 0.0,
@@ -150,10 +152,9 @@ def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, see
         white_level=white,
     )
     if seen and white is not None and white < (least := least_white_level(reflectance)):
-        raise InputError(
-            f"{part.source.at('reflectance', 'white_level')}: expected at least {least:.4g}, found {white:g}: with the "
-            f"coefficients of {part.source.at(*keys)} the part would reflect more light than it gets"
-        )
+        why = f"with the coefficients of {part.source.at(*keys)} the part would reflect more light than it gets"
+        where = part.source.at("reflectance", "white_level")
+        raise InputError(f"{where}: expected at least {least:.4g}, found {white:g}: {why}")
     return reflectance
 
 
@@ -167,13 +168,6 @@ def _brushing(own: ReflectanceConfig) -> Brushing | None:
     if given.around_axis is not None:
         return RoundBrushing(np.array(given.around_axis.point_mm), np.array(given.around_axis.direction))
     return CurvedBrushing(np.array(given.along_curve_mm))
-
-
-def _lobes_of_table(part: PartConfig, table: str, *keys: str | int) -> tuple[tuple[float, float], ...]:
-    try:
-        return table_lobes(part.source.resolve(table))
-    except InputError as error:
-        raise InputError(f"{part.source.at(*keys, 'table')}: {error.args[0]}") from None
 
 
 def build_camera(rig: RigConfig) -> PinholeCamera:
@@ -224,10 +218,8 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
         camera = pose_camera(position=np.array(c.pose.position_mm, np.float64), rotation=rotation, **image)
     columns, rows = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     if not np.isfinite(pixel_directions(camera, columns.ravel(), rows.ravel())).all():
-        raise InputError(
-            f"{rig.source.at('camera', 'distortion')}: this lens model folds the image over inside the frame, so that "
-            "some pixels look nowhere; expected coefficients of a calibration that covered the whole image"
-        )
+        why = "this lens model folds the image over; expected a calibration that covered the whole image"
+        raise InputError(f"{rig.source.at('camera', 'distortion')}: {why}")
     return camera
 
 
@@ -276,9 +268,7 @@ def _postures(rig: RigConfig, part: PartConfig, chosen: Sequence[Posture] | None
         named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
     else:
         named = [(posture, "posture") for posture in chosen]
-    problems = [problem for posture, where in named for problem in outside_stage_range(rig, posture, where=where)]
-    if problems:
-        raise InputError(*problems)
+    refuse(problem for posture, where in named for problem in outside_stage_range(rig, posture, where=where))
     return tuple(posture for posture, _ in named)
 
 
@@ -346,29 +336,84 @@ def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ..
     for posture in scene.postures:
         camera = view_from_part(scene, posture).camera
         if points_inside(camera.position[None], scene.mesh)[0]:
-            raise InputError(
-                f"{where}: the camera, {rig.camera.distance_mm:g} mm from the origin, is inside the part, which "
-                f"measures {size} mm; check the mesh's units and the part's placement",
-                *hint,
-            )
+            text = f"the camera, {rig.camera.distance_mm:g} mm from the origin, is inside the part, {size} mm large"
+            raise InputError(f"{where}: {text}; check the mesh's units and the part's placement", *hint)
         framing = frame_part(camera, scene.mesh)
         if framing.outside:
-            outside.append(
-                f"{where}: in posture {posture} the part, {size} mm, lies wholly outside the camera's view of "
-                f"{camera.width} × {camera.height} px; check units and placement"
-            )
+            view = f"{camera.width} × {camera.height} px"
+            text = f"the part, {size} mm, lies wholly outside the camera's view of {view}; check units and placement"
+            outside.append(f"{where}: in posture {posture} {text}")
         elif not framing.inside:
             sides = zip(("left", "top", "right", "bottom"), framing.excess, strict=True)
-            by = ", ".join(
-                f"{excess:.3g} px ({excess * framing.footprint[0]:.3g} mm) at the {side}"
-                for side, excess in sides
-                if excess > 0.0
-            )
-            warnings.append(
-                f"posture {posture}: the part leaves the view by {by}"
-                if by
-                else "; ".join((f"posture {posture}: the part, {size} mm, reaches behind the camera", *hint))
-            )
+            over = [(side, excess, excess * framing.footprint[0]) for side, excess in sides if excess > 0.0]
+            by = ", ".join(f"{excess:.3g} px ({mm:.3g} mm) at the {side}" for side, excess, mm in over)
+            text = f"the part leaves the view by {by}" if by else f"the part, {size} mm, reaches behind the camera"
+            warnings.append("; ".join([f"posture {posture}: {text}", *([] if by else hint)]))
     if outside:
         raise InputError(*outside, *hint)
     return tuple(warnings)
+
+
+# a part whose longest side is not between these shares of the view's shorter side is suspected of a wrong unit
+ABSURD = (1.0 / 15.0, 2.5)
+
+SENSIBLE = (0.15, 1.3)  # a unit is proposed where it brings the part's longest side between these shares
+
+
+@dataclass(frozen=True)
+class UnitGuess:
+    """What other units would make of a part that does not fit the view at all.
+
+    likely: Those that would make sense of it
+    """
+
+    unit: str
+    likely: tuple[str, ...]
+    text: str
+
+
+def view_size(camera: PinholeCamera) -> tuple[float, float] | None:
+    """Width and height of the view along the image's middle lines on the table [mm]; None where a ray misses it."""
+    w, h = float(camera.width), float(camera.height)
+    directions = pixel_directions(camera, np.array([0.0, w, 0.5 * w, 0.5 * w]), np.array([0.5 * h, 0.5 * h, 0.0, h]))
+    down = -directions[:, 2]
+    if down.min() <= 1e-9:
+        return None
+    at = camera.position + directions * (camera.position[2] / down)[:, None]
+    return float(np.linalg.norm(at[1] - at[0])), float(np.linalg.norm(at[3] - at[2]))
+
+
+def is_absurd(longest: float, view: float) -> bool:
+    """Whether a part of this longest side [mm] is far too small or large for a view of this shorter side [mm]."""
+    return not ABSURD[0] <= longest / view <= ABSURD[1]
+
+
+def likely_units(longest: float, view: float, unit: str) -> tuple[str, ...]:
+    """Units that would make sense of a part that does not fit the view at all; none where it does.
+
+    longest: The part's longest side as it is read now [mm]
+    view: The view's shorter side [mm]
+    """
+    if not is_absurd(longest, view):
+        return ()
+    shares = {name: longest / view * mm / MM_PER_UNIT[unit] for name, mm in MM_PER_UNIT.items()}
+    return tuple(name for name, share in shares.items() if SENSIBLE[0] <= share <= SENSIBLE[1])
+
+
+def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | None:
+    """Units that the part's file is more probably in; None where the part fits the view, or no unit explains it.
+
+    longest: Its longest side as it is read now [mm]
+    view: The view's shorter side [mm]
+    """
+    # formats that carry their unit: GLB is in metres, STEP is converted to millimetres as it is read
+    unit = part.mesh.units or ("m" if part.mesh.file.lower().endswith(".glb") else "mm")
+    likely = likely_units(longest, view, unit)
+    if not likely:
+        return None
+    ratios = {name: MM_PER_UNIT[name] / MM_PER_UNIT[unit] for name in likely}
+    factors = {name: f"{ratio:.4g}" if ratio >= 1.0 else f"1/{1.0 / ratio:.4g}" for name, ratio in ratios.items()}
+    sizes = " or ".join(f"{name} ({longest * ratios[name]:.4g} mm, a factor of {factors[name]})" for name in likely)
+    read = f"Read as {unit}, the part's longest side is {longest:.4g} mm"
+    text = f"a wrong unit? {read}; it would be about as large as the view if the file were in {sizes}"
+    return UnitGuess(unit, likely, text)

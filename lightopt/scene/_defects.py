@@ -1,5 +1,6 @@
 """The defects of a part file, put on the part's surface."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ import numpy as np
 
 from lightopt.config import DefectConfig, PartConfig, PixelPlaceConfig, RigConfig
 from lightopt.core.arrays import Float64
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import Posture
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, PlacedDefect, tangent_direction
 from lightopt.geometry import RayCaster, SurfaceFinder, SurfacePlace, resolve_hits, surface_place
@@ -47,11 +48,9 @@ def place_defects(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[Place
             x_axis=scene.placement.rotation[:, 0],
             y_axis=scene.placement.rotation[:, 1],
         )
-        placed.append(
-            PlacedDefect(name=defect.name, shape=defect.shape, position=place.point, normal=place.normal, along=along)
-        )
-    if problems:
-        raise InputError(*problems)
+        at = {"position": place.point, "normal": place.normal, "along": along}
+        placed.append(PlacedDefect(name=defect.name, shape=defect.shape, **at))
+    refuse(problems)
     return tuple(placed)
 
 
@@ -66,13 +65,8 @@ def build_catalogue(part: PartConfig) -> tuple[CatalogueEntry, ...]:
     else:
         catalogue = tuple(entry.entry for entry in part.defect_catalogue)
         places = [part.source.at("defect_catalogue", i, "sigma_factor") for i in range(len(catalogue))]
-    problems = [
-        problem
-        for where, entry in zip(places, catalogue, strict=True)
-        for problem in _sigma_problems(part, entry.shape.sigma_factor, where)
-    ]
-    if problems:
-        raise InputError(*problems)
+    wrong = (_sigma_problems(part, one.shape.sigma_factor, at) for at, one in zip(places, catalogue, strict=True))
+    refuse(itertools.chain(*wrong))
     return catalogue
 
 
@@ -145,10 +139,8 @@ class _Search:
         most = min(SNAP_MM, SNAP_SHARE * float(np.max(np.subtract(*mesh.bounds[::-1]))))
         if distance > most:
             near = ", ".join(f"{x:.4g}" for x in placement.to_file(place.point))
-            raise InputError(
-                f"{where}: expected a place on the part's surface, within {most:.3g} mm; the nearest, [{near}], is "
-                f"{distance:.3g} mm away; positions are in the coordinates of {self.part.mesh.file}, in mm"
-            )
+            text = f"the nearest, [{near}], is {distance:.3g} mm away; coordinates are those of {self.part.mesh.file}"
+            raise InputError(f"{where}: expected a place on the part's surface, within {most:.3g} mm; {text}")
         return place
 
     def seen(self, where: str, at: PixelPlaceConfig) -> SurfacePlace:
@@ -157,24 +149,18 @@ class _Search:
         column, row = at.pixel
         camera, mesh = view_from_part(self.scene, posture).camera, self.scene.mesh
         if column >= camera.width or row >= camera.height:
-            problems.append(
-                f"{where}: expected a pixel of the image, {camera.width} × {camera.height}, found [{column}, {row}]"
-            )
-        if problems:
-            raise InputError(*problems)
+            size = f"{camera.width} × {camera.height}"
+            problems.append(f"{where}: expected a pixel of the image, {size}, found [{column}, {row}]")
+        refuse(problems)
         directions = pixel_directions(camera, np.array([column + 0.5]), np.array([row + 0.5]))
         face = self.caster.first_hit(camera.position, directions)
         hits = resolve_hits(face, camera.position, directions, mesh.vertices, mesh.faces)
+        pixel = f"in posture {posture} pixel [{column}, {row}]"
         if not len(hits.face):
-            raise InputError(
-                f"{where}: in posture {posture} pixel [{column}, {row}] does not see the part; choose one that does"
-            )
+            raise InputError(f"{where}: {pixel} does not see the part; choose one that does")
         place = surface_place(mesh, int(hits.face[0]), float(hits.u[0]), float(hits.v[0]))
         if place.normal @ directions[0] >= 0.0:
-            raise InputError(
-                f"{where}: in posture {posture} pixel [{column}, {row}] sees the back of a face; choose one that sees "
-                "the outside"
-            )
+            raise InputError(f"{where}: {pixel} sees the back of a face; choose one that sees the outside")
         return place
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from lightopt.config import LightConfig, RigConfig, points_problem, standing_at
 from lightopt.core.arrays import Float64
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import rotation_from_vector
 from lightopt.images import read_png
 from lightopt.lights import (
@@ -48,9 +48,8 @@ def build_lights(
     Raises InputError: A name that the rig does not have
     """
     known = [light.name for light in rig.lights]
-    unknown = [name for name in names or () if name not in known]
-    if unknown:
-        raise InputError(*(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown))
+    there = f"in {rig.source.path}; it has {', '.join(known)}"
+    refuse(f'no light "{name}" {there}' for name in names or () if name not in known)
     chosen = [light for light in rig.lights if names is None or light.name in names]
     return tuple(_light(rig, one, points) for one in chosen)
 
@@ -117,33 +116,31 @@ def _or(value: float | None, default: float) -> float:
     return default if value is None else value
 
 
+def _given(*values: float | None) -> list[float]:
+    # of keys that the light's kind needs
+    return [value for value in values if value is not None]
+
+
 def _elements(light: LightConfig) -> tuple[Float64, Float64 | None, tuple[float, float]]:
     # elements of a channel and of the whole light where that has others, and the sides of the rectangle around it
     size = light.size_mm or (0.0, 0.0)
     match light.kind:
         case "ring":
-            assert light.inner_radius_mm is not None
-            assert light.outer_radius_mm is not None
-            lean = math.radians(_or(light.ring_tilt_deg, 0.0))
-            height = (light.outer_radius_mm - light.inner_radius_mm) * math.tan(lean)
-            profile = (light.inner_radius_mm, 0.5 * height), (light.outer_radius_mm, -0.5 * height)
-            return *_around(light, profile), _square(light.outer_radius_mm)
+            inner, outer = _given(light.inner_radius_mm, light.outer_radius_mm)
+            height = (outer - inner) * math.tan(math.radians(_or(light.ring_tilt_deg, 0.0)))
+            return *_around(light, ((inner, 0.5 * height), (outer, -0.5 * height))), _square(outer)
         case "low_angle_ring":
-            assert light.radius_mm is not None
-            assert light.height_mm is not None
-            profile = (light.radius_mm, 0.5 * light.height_mm), (light.radius_mm, -0.5 * light.height_mm)
-            return *_around(light, profile), _square(light.radius_mm)
+            radius, height = _given(light.radius_mm, light.height_mm)
+            return *_around(light, ((radius, 0.5 * height), (radius, -0.5 * height))), _square(radius)
         case "spot":
-            assert light.half_angle_deg is not None
-            radius = light.distance_mm * math.tan(math.radians(light.half_angle_deg))
+            (half_angle,) = _given(light.half_angle_deg)
+            radius = light.distance_mm * math.tan(math.radians(half_angle))
             return cone_elements((0.0, 0.0), (radius, 0.0), (0.0, 2.0 * math.pi), (4, 1)), None, _square(radius)
         case "dome":
             return _dome(light)
         case "tunnel":
-            assert light.radius_mm is not None
-            assert light.length_mm is not None
-            elements = half_pipe_elements(light.radius_mm, light.length_mm, _or(light.slot_mm, 0.0))
-            return elements, None, (light.length_mm, 2.0 * light.radius_mm)
+            radius, length = _given(light.radius_mm, light.length_mm)
+            return half_pipe_elements(radius, length, _or(light.slot_mm, 0.0)), None, (length, 2.0 * radius)
         case "flat_dome" if light.camera_hole_mm is not None:
             return frame_elements(size, light.camera_hole_mm), None, size
         case "led_array":
@@ -159,9 +156,9 @@ def _square(radius: float) -> tuple[float, float]:
 def _cells(size: tuple[float, float]) -> tuple[int, int]:
     # elements of a rectangle, not much longer than wide
     ratio = size[0] / size[1]
-    return (
-        (ACROSS, max(1, min(ALONG, round(ACROSS / ratio)))) if ratio >= 1.0 else (max(1, round(ALONG * ratio)), ALONG)
-    )
+    if ratio >= 1.0:
+        return ACROSS, max(1, min(ALONG, round(ACROSS / ratio)))
+    return max(1, round(ALONG * ratio)), ALONG
 
 
 def _turn(light: LightConfig) -> tuple[tuple[float, float], int]:
@@ -181,15 +178,14 @@ def _around(
 
 
 def _dome(light: LightConfig) -> tuple[Float64, Float64 | None, tuple[float, float]]:
-    assert light.radius_mm is not None
-    turn, around = _turn(light)
-    hole = math.acos(min(1.0, 0.5 * _or(light.camera_hole_mm, 0.0) / light.radius_mm))
+    (radius,), (turn, around) = _given(light.radius_mm), _turn(light)
+    hole = math.acos(min(1.0, 0.5 * _or(light.camera_hole_mm, 0.0) / radius))
     up = math.radians(_or(light.lower_elevation_deg, 0.0)), hole
-    own = sphere_elements(light.radius_mm, turn, up, (around, UP_DOME))
-    size, segments = _square(light.radius_mm), light.segments or 1
+    own = sphere_elements(radius, turn, up, (around, UP_DOME))
+    size, segments = _square(radius), light.segments or 1
     if segments == 1:
         return own, None, size
-    whole = sphere_elements(light.radius_mm, (0.0, 2.0 * math.pi), up, (around * segments, UP_DOME))
+    whole = sphere_elements(radius, (0.0, 2.0 * math.pi), up, (around * segments, UP_DOME))
     leak = _or(light.leak, 0.0)
     if leak == 0.0:
         return own, whole, size
@@ -204,18 +200,13 @@ def _dome(light: LightConfig) -> tuple[Float64, Float64 | None, tuple[float, flo
 def _led(light: LightConfig, size: tuple[float, float]) -> tuple[Float64, Float64]:
     assert light.rows is not None
     assert light.columns is not None
-    assert light.led_mm is not None
-    counts, side = (light.columns, light.rows), light.led_mm
-    leds = [
-        plane_elements((side, side), (1, 1), centre=(_offset(size[0], i, counts[0]), _offset(size[1], j, counts[1])))
-        for j in range(light.rows)
-        for i in range(light.columns)
-    ]
+    across, along = (
+        [side * ((i + 0.5) / count - 0.5) for i in range(count)]
+        for side, count in zip(size, (light.columns, light.rows), strict=True)
+    )
+    side = _or(light.led_mm, 0.0)
+    leds = [plane_elements((side, side), (1, 1), centre=(u, v)) for v in along for u in across]
     return leds[light.channel], np.concatenate(leds)
-
-
-def _offset(size: float, index: int, count: int) -> float:
-    return size * ((index + 0.5) / count - 0.5)
 
 
 def _pattern(folder: Path, light: LightConfig) -> Pattern:

@@ -45,6 +45,12 @@ class PointSpacing:
         """Whether the highlight falls apart into spots: two Gaussians are two peaks from 2 standard deviations on."""
         return self.points > 1 and self.spacing > 2.0 * self.lobe
 
+    def text_of(self, light: PanelLight, reflectance: Reflectance) -> str:
+        """The spacing of a panel's points and the width of a lobe, in words."""
+        points = "1 point stands for" if self.points == 1 else f"{self.points} points stand apart by"
+        lobe = f"the lobe of {reflectance.width_text} takes in {self.lobe:.3g} mm (2·distance·σ)"
+        return f"{light.name}: the panel's {points} {self.spacing:.3g} mm, {lobe}"
+
 
 def point_spacing(light: PanelLight, sigma: float) -> PointSpacing | None:
     """How coarse a panel's point lights are for a lobe of width σ; None for the converged panel.
@@ -86,17 +92,11 @@ def coarse_points(light: PanelLight, reflectance: Reflectance) -> str | None:
     found = point_spacing(light, reflectance.sigma)
     if found is None or abs(found.area_error) <= COARSE_SHARE:
         return None
-    share = 100.0 * abs(found.area_error)
-    error = (
-        "separate spots instead of one highlight, whose levels and areas are not the panel's"
-        if found.separate
-        else f"overexposed areas about {share:.0f} % too {'small' if found.area_error < 0 else 'large'}"
-    )
-    points = "1 point stands for" if found.points == 1 else f"{found.points} points stand apart by"
-    return (
-        f"{light.name}: the panel's {points} {found.spacing:.3g} mm, but a lobe of {reflectance.width_text} takes in "
-        f"only {found.lobe:.3g} mm (2·distance·σ): {error}. {points_advice(light, found.enough)}"
-    )
+    size = "small" if found.area_error < 0 else "large"
+    error = f"overexposed areas about {100.0 * abs(found.area_error):.0f} % too {size}"
+    if found.separate:
+        error = "separate spots instead of one highlight, whose levels and areas are not the panel's"
+    return f"{found.text_of(light, reflectance)}: {error}. {points_advice(light, found.enough)}"
 
 
 def like_panels(lights: Sequence[PanelLight]) -> tuple[tuple[int, ...], ...]:

@@ -35,10 +35,7 @@ def table_lobes(path: Path) -> tuple[tuple[float, float], ...]:
     except InputError as failed:
         raise InputError(f"{path}: {failed.args[0]}") from None
     if error > LARGEST_ERROR:
-        raise InputError(
-            f"{path}: {len(lobes)} Gaussian lobes follow this table only to {error:.0%}; expected a lobe that falls "
-            "smoothly with the angle, without noise"
-        )
+        raise InputError(f"{path}: {len(lobes)} Gaussian lobes follow it to {error:.0%} only; expected a smooth lobe")
     return lobes
 
 

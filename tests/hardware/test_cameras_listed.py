@@ -131,15 +131,15 @@ def test_every_driver_that_rig_files_may_name_is_there() -> None:
 
 BAD = [
     ("{driver: genicam}", 'missing key "producer"'),
-    ("{driver: aravis, producer: x.cti}", "only driver: genicam has this"),
-    ("{driver: genicam, producer: x.cti, packet_size: 1500}", "only driver: aravis has this"),
-    ("{driver: virtual, gain: 3}", "only driver: aravis and driver: genicam have this"),
-    ("{driver: virtual, trigger: none}", "only driver: aravis and driver: genicam have this"),
+    ("{driver: aravis, producer: x.cti}", "driver aravis has no such key; it belongs to genicam"),
+    ("{driver: genicam, producer: x.cti, packet_size: 1500}", "driver genicam has no such key; it belongs to aravis"),
+    ("{driver: virtual, gain: 3}", "driver virtual has no such key; it belongs to aravis, genicam"),
+    ("{driver: virtual, trigger: none}", "driver virtual has no such key; it belongs to aravis, genicam"),
     ("{driver: aravis, trigger: hardware}", "auto, software or none"),
     ("{driver: aravis, offset_px: [1, -1]}", "two whole numbers of pixels"),
     ("{driver: genicam, producer: x.cti, port: virtual}", "only driver: aravis has a simulated camera"),
     ("{driver: aravis, packet_size: 100}", "bytes, from 576 to 65535"),
-    ("{driver: aravis, folder: x}", "only driver: folder has this"),
+    ("{driver: aravis, folder: x}", "driver aravis has no such key; it belongs to folder"),
 ]
 
 

@@ -353,7 +353,7 @@ def test_a_rig_that_is_no_rig(cli, bench, snapshot, content, said):
 def test_a_missing_file_and_what_may_be_meant(cli, bench, snapshot, name, command):
     (bench.folder / name).rename(bench.folder / f"my-{name}")
     (message,) = refuse(cli, bench, snapshot, command=command)
-    assert message == f'{bench.folder / name}: no such file; did you mean "{bench.folder / ("my-" + name)}"?'
+    assert message == f'{bench.folder / name}: no such file; did you mean "my-{name}"?'
 
 
 def test_a_folder_for_a_file(cli, bench, snapshot):

@@ -49,7 +49,7 @@ def sealed(monkeypatch):
 
 
 BAD = [
-    ("driver: ccs", "driver: cs", [], 'makers, found "cs"; did you mean "ccs"?'),
+    ("driver: ccs", "driver: cs", [], 'makers, found "cs"'),
     ("port: virtual, channels", "port: /dev/nowhere, channels", [], "no port /dev/nowhere on this computer; there"),
     ("    light3: {controller: main, channel: 3, level: 150}\n", "", [], "light3"),
     ("channel: 3", "channel: 1", [], "channel"),

@@ -176,38 +176,36 @@ def test_the_terminal_shows_the_table(optimized, cli):
     header = next(k for k, line in enumerate(lines) if line.startswith("posture "))
     assert re.split("  +", lines[header]) == [
         *("posture", "best for", "light1", "light2", "light3", "coverage", "paper"),
-        *("left out", "runner-up", "ties", "near best", "combinations"),
+        *("left out", "runner-up", "ties / near best", "combinations"),
     ]
     # every cell is what result.json says
     rows = [re.split("  +", line.strip()) for line in lines[header + 1 : header + 5]]
     expected = []
     for group in result_of(optimized.out)["results"]:
         posture = group["postures"][0]
-        first = [f"({posture['elevation_deg']:g}°, {posture['rotation_deg']:g}°)".replace("-", "−")]
-        for answer in group["objectives"]:
+        where = f"posture ({posture['elevation_deg']:g}°, {posture['rotation_deg']:g}°)".replace("-", "−")
+        for place, answer in enumerate(group["objectives"]):
             covered, levels = (answer["scores_under"][name] for name in ("coverage", "paper"))
             area, points = group["inspectable_area_um2"], 0 if group["grain"] >= 0.01 else 1
             grain = group["grain"] * area
-            gap = area_text(answer["gap"], grain) if first else f"{answer['gap']:,}"
+            gap = area_text(answer["gap"], grain) if place == 0 else f"{answer['gap']:,}"
             gap = gap if gap.startswith("<") else f"−{gap}"
             left_out = 100 * group["left_out_of_visible_area"]
             near = answer["near_best"]
             assert near["at_least"] is False
             expected.append(
                 [
-                    *first,
+                    where,
                     answer["objective"],
                     *(f"{one['elevation_deg']:g}°, {one['azimuth_deg']:g}°" for one in answer["lights"]),
                     f"{area_text(covered, grain)} ({100 * covered / area:.{points}f} %)",
                     f"{levels:,}",
                     f"{left_out:.{points}f} %",
                     gap if answer["gap"] else "equal",
-                    f"{answer['ties']:,}",
-                    f"{near['combinations']:,}",
+                    f"{answer['ties']:,} / {near['combinations']:,}",
                     "12",
                 ]
             )
-            first = []
     assert [[cell.replace("-10", "−10") for cell in row] for row in rows] == expected
 
 
@@ -350,7 +348,7 @@ def test_a_limit_is_said_with_its_bound(three, cli):
     assert answer["proven"] is (answer["bound"] == answer["score"])
     assert f"with {answer['combinations']['left']} left; the best found scores {answer['score']:,}" in ran.err
     row = next(line for line in ran.out.splitlines() if " mm² (" in line)
-    assert f"  ≥ {answer['ties']}  ≥ {answer['near_best']['combinations']}  " in re.sub("  +", "  ", row)
+    assert f"  ≥ {answer['ties']} / ≥ {answer['near_best']['combinations']}  " in re.sub("  +", "  ", row)
     assert answer["near_best"]["at_least"] is True
     assert "< 10 mm²  " in row, "the gap is below what so few patches can tell"
 
@@ -491,7 +489,6 @@ def test_nothing_usable_gives_no_optimum(three, cli, R_d, said):
     ran = cli("optimize", three.rig, three.part, "-o", three.out, *FEW, "--posture", "0,0", "--objective", "paper")
     assert ran.status == 1
     assert said in ran.err
-    assert "all 0" in ran.out
     (answer,) = result_of(three.out)["results"][0]["objectives"]
     assert answer["lights"] is None
     assert said in answer["reason"]

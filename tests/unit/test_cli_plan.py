@@ -13,7 +13,8 @@ import pytest
 from planned import CATALOGUE, FEW, LIGHTS, PLAN, made_once, prepared
 
 from lightopt.cli._main import run
-from lightopt.cli._optimize_tables import show_plan
+from lightopt.cli._optimize import show_plan
+from lightopt.cli._terminal import VERBOSE
 from lightopt.config import load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.design import PlanResult, share_text
@@ -438,13 +439,15 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
 def test_exposures_that_the_target_takes_are_reported(capsys, why, expected):
     shots = (FurtherExposure(posture=Posture(0.0, 0.0), exposure=0.25, gain=0.004, reason=why),)
     brackets = Brackets(before=0.9, after=0.904, further=shots, least_gain=0.01, grain=0.005)
-    show_plan(PlanResult(brackets=brackets), verbose=False)
+    show_plan(PlanResult(brackets=brackets))
     reported = capsys.readouterr().out
     assert "with exposure 1 alone 90.0 %" in reported
     assert f"An exposure is planned if it {expected}" in reported
     assert "0.4 % " in reported
     # no digit that the patches do not support
-    show_plan(PlanResult(brackets=replace(brackets, grain=0.02)), verbose=True)
+    told = VERBOSE.set(True)
+    show_plan(PlanResult(brackets=replace(brackets, grain=0.02)))
+    VERBOSE.reset(told)
     reported = capsys.readouterr().out
     assert "< 1 % " in reported
     assert not re.search(r"\d\.\d+ %", reported)

@@ -7,13 +7,16 @@ import sys
 
 import pytest
 
-from lightopt.cli._terminal import set_up_log, show_progress
+from lightopt.cli._terminal import QUIET, set_up_log, show_progress
 
 
-@pytest.mark.parametrize("quiet", [True, False])
-def test_nothing_is_shown_where_nobody_looks(quiet):
-    with show_progress(quiet=quiet) as report:
+@pytest.mark.parametrize("terminal", [True, False])
+def test_nothing_is_shown_where_nobody_looks(terminal, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    told = QUIET.set(terminal)
+    with show_progress() as report:
         assert report is None
+    QUIET.reset(told)
 
 
 def test_the_bar_shows_the_stage_and_begins_anew_with_the_next(monkeypatch):
@@ -21,7 +24,7 @@ def test_the_bar_shows_the_stage_and_begins_anew_with_the_next(monkeypatch):
     shown, begun = [], []
     monkeypatch.setattr("rich.progress.Progress.update", lambda self, task, **facts: shown.append(facts))
     monkeypatch.setattr("rich.progress.Progress.reset", lambda self, task: begun.append(len(shown)))
-    with show_progress(quiet=False) as report:
+    with show_progress() as report:
         assert report is not None
         for stage, share in (("paper", 0.1), ("paper", 0.9), ("coverage", 0.0), ("coverage", 0.5)):
             report(stage, share)

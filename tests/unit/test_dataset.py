@@ -12,7 +12,7 @@ import pytest
 
 from lightopt import load_part, load_rig
 from lightopt.config import RangesConfig
-from lightopt.dataset import DatasetOptions, _dataset, _draws, _masks, _pose, _visibility
+from lightopt.dataset import DatasetOptions, _dataset, _draws, _formats, _pose, _visibility
 from lightopt.defects import expected_change
 from lightopt.images import read_exr, read_png
 from lightopt.rendering import render_posture
@@ -149,7 +149,7 @@ def filled(segmentation):
     if isinstance(segmentation, dict):
         assert segmentation["size"] == [height, width]
         assert sum(segmentation["counts"]) == width * height
-        mask.reshape(-1)[_masks.pixels_of(segmentation)] = True
+        mask.reshape(-1)[_formats.pixels_of(segmentation)] = True
         return mask
     y, x = np.mgrid[:height, :width] + 0.5
     for polygon in segmentation:
@@ -166,16 +166,16 @@ def test_outlines_and_run_lengths_are_the_mask():
         mask = np.zeros((height, width), np.bool_)
         mask[40:60, 70:90] = rng.random((20, 20)) < density
         pixels = np.flatnonzero(mask)
-        runs = _masks.run_lengths(pixels, height, width)
+        runs = _formats.run_lengths(pixels, height, width)
         np.testing.assert_array_equal(filled(runs), mask)
-        shapes = _masks.outlines(pixels, width)
+        shapes = _formats.outlines(pixels, width)
         if shapes is not None:
             np.testing.assert_array_equal(filled(shapes), mask)
     ring = np.zeros((height, width), np.bool_)
     ring[10:20, 10:20], ring[13:16, 13:16] = True, False
-    assert _masks.outlines(np.flatnonzero(ring), width) is None
+    assert _formats.outlines(np.flatnonzero(ring), width) is None
     corners = np.array([0, width - 1, (height - 1) * width, height * width - 1])
-    np.testing.assert_array_equal(_masks.pixels_of(_masks.run_lengths(corners, height, width)), corners)
+    np.testing.assert_array_equal(_formats.pixels_of(_formats.run_lengths(corners, height, width)), corners)
 
 
 @pytest.mark.parametrize("view", VIEWS)
@@ -413,7 +413,7 @@ def test_a_folder_with_files_of_others_is_refused(made, tmp_path, cli):
     (tmp_path / "light1").mkdir()
     ran = cli(*command(made, tmp_path), "--force")
     assert ran.status == 2
-    assert ran.err == (f"error: {tmp_path} has light1, which no dataset lists; remove it, or choose another folder\n")
+    assert ran.err == (f"error: {tmp_path} has light1, which no dataset lists; choose another folder\n")
 
 
 # --- what is wrong
@@ -512,7 +512,7 @@ def test_stacks_have_what_the_images_have(bench, cli):
                 np.testing.assert_array_equal(file["levels"][number, light], image)
             np.testing.assert_array_equal(file["fused"][number], read_png(bench.out / sample["files"]["fused"]))
             for label, defect in enumerate(sample["defects"], 1):
-                own = _masks.pixels_of(defect["mask"])
+                own = _formats.pixels_of(defect["mask"])
                 assert (file["defect"][number].reshape(-1)[own] == label).mean() > 0.9
 
 

@@ -208,7 +208,7 @@ def test_lights_of_the_written_rig_do_not_move(tmp_path, cli):
 def test_a_rig_and_a_part_are_not_asked_for(tmp_path, cli):
     ran = cli("optimize", "--from-images", "rig.yaml", "part.yaml", str(tmp_path), "-o", str(tmp_path / "out"))
     assert ran.status == 2
-    assert "rig.yaml, part.yaml: lights are chosen from image sets; give no rig and part file" in ran.err
+    assert "rig.yaml, part.yaml: lights are chosen from image sets; --rig names" in ran.err
 
 
 def test_no_defective_sample_is_said(tmp_path):

@@ -17,7 +17,7 @@ from lightopt.preflight import _part, check_scene
 from lightopt.preflight._findings import CheckResult
 from lightopt.preflight._highlights import facet_angles, interpolation_errors
 from lightopt.preflight._part import facing
-from lightopt.scene._part_size import likely_units
+from lightopt.scene._build import likely_units
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

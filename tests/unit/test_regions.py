@@ -252,7 +252,7 @@ PAINT = Reflectance(R_d=80.0, R_s=2000.0, sigma=0.1)
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (f"{BOX}\n", "", "missing key: give one of colour, group,"),
+        (f"{BOX}\n", "", 'missing key "colour", "group"'),
         ("    box_mm", "    group: lid\n    box_mm", "is given|group and box_mm are given|only one"),
         ("high: [100, 0, 100]", "high: [100, -200, 100]", "expected three numbers above those of low"),
         ("sigma_rad: 0.1}", "sigma_rad: 0.1, full_scale: 99}", "regions have full_scale of the part's own reflectance"),

@@ -17,5 +17,5 @@ from lightopt.report.design._plan import (
     posture_table as posture_table,
     tolerance_table as tolerance_table,
 )
-from lightopt.report.design._report import design_report as design_report
+from lightopt.report.design._report import best_table as best_table, design_report as design_report
 from lightopt.report.design._surface import blind_pictures as blind_pictures

@@ -33,7 +33,7 @@ def design_page(output: design.DesignOutput) -> Page:
         Section(heading="Images of the best set", blocks=image_blocks(output)),
         Section(heading="Score against the angles", blocks=curve_blocks(output)),
         Section(heading="Tolerances of the angles", blocks=_plan.tolerance_blocks(output)),
-        Section(heading="Scores", blocks=[scores_table(output)]),
+        Section(heading="Scores", blocks=[best_table(output)]),
         Section(heading="Assumptions", blocks=fact_blocks(output)),
     ]
     rig, part = output.result.rig.name, output.result.part.name
@@ -69,7 +69,7 @@ def answer_blocks(output: design.DesignOutput) -> list[Block]:
     return [*blocks, Warnings(texts=output.warnings)]
 
 
-def scores_table(output: design.DesignOutput) -> Table:
+def best_table(output: design.DesignOutput) -> Table:
     """The best set of every objective, scored under all."""
     names = [answer.objective.name for answer in output.result.results[0].answers]
     answers = [(one, answer) for one in output.result.results for answer in one.answers if answer.nothing is None]

@@ -1,16 +1,22 @@
+"""Commands that measure a rig, and tell whether it has changed."""
+
 from __future__ import annotations
 
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._common import model_option
-from lightopt.cli._terminal import echo, echo_paths, run_context, show_page_table
+from lightopt.cli._common import model_option, output_option
+from lightopt.cli._terminal import VERBOSE, echo, echo_paths, run_context, show_page_table
 from lightopt.core.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
+    from lightopt.config import RigConfig
     from lightopt.estimate.verification import Verification
+
 
 MOST_ROWS = 4  # of each table without `--verbose`; verify.json has all of them
 
@@ -20,14 +26,8 @@ def verify(
     part: common.PartFile,
     images: common.Images,
     out: common.Out,
-    baseline: Path | None = model_option(
-        None, metavar="SET", help="Known good image set of the same part: report what has changed since."
-    ),
-    plan: Path | None = model_option(
-        None,
-        metavar="FILE",
-        help="result.json of optimize --light-tolerance or --pose-tolerance: its tolerances are limits.",
-    ),
+    baseline: Path | None = model_option(None, metavar="SET", help="Known good image set: report changes since it."),
+    plan: Path | None = model_option(None, metavar="FILE", help="result.json of optimize: its tolerances as limits."),
     limit: list[str] | None = model_option(
         None,
         "--limit",
@@ -37,14 +37,10 @@ def verify(
         show_default="see docs/how-to/verify.md",
     ),
     register: common.Register = True,
-    history: Path | None = common.output_option(
-        None, metavar="DIR", help="Add a row for this run to history.csv in DIR, and draw history.png."
-    ),
+    history: Path | None = output_option(None, metavar="DIR", help="Add this run to history.csv in DIR; draw it (PNG)"),
     report: common.Report = True,
     force: common.Force = False,
     threads: common.Threads = None,
-    quiet: common.Quiet = False,
-    verbose: common.Verbose = False,
 ) -> None:
     """Compare captured IMAGES with the prediction and name what has changed on the rig.
 
@@ -66,13 +62,12 @@ def verify(
     folder = verification.verify_folder(
         out, loaded_rig, loaded_part, image_set, baseline=good, limits=limits, register=register, force=force
     )
-    with run_context(quiet=quiet, threads=threads) as run:
+    with run_context(threads) as run:
         result = verification.verify_set(
             loaded_rig, loaded_part, image_set, baseline=good, limits=limits, register=register, run=run
         )
     run.warn(*result.warnings)
-    if not quiet:
-        _show(result, verbose=verbose)
+    _show(result)
     written: list[Path] = []
     if report:
         page = verification_report(result, part=loaded_part.name, rig=loaded_rig.name, provenance=folder.made_from)
@@ -82,7 +77,7 @@ def verify(
         name = image_set.folder.resolve().name
         rows = verification.append_history(history, result, name=name, when=datetime.now(timezone.utc))
         written += [history / verification.HISTORY_NAME, history_chart(rows, history / "history.png")]
-    echo_paths(written, quiet=quiet)
+    echo_paths(*written)
     if not result.within_tolerances:
         raise CheckFailed(result.answer)
 
@@ -107,16 +102,79 @@ def _limits(given: list[str]) -> dict[str, float]:
     return values
 
 
-def _show(result: Verification, *, verbose: bool) -> None:
+def _show(result: Verification) -> None:
     from lightopt.report import findings_table, lights_table
 
     echo(result.answer if result.within_tolerances else "the rig has left its tolerances")
-    most = None if verbose else MOST_ROWS
     if result.findings:
-        show_page_table(findings_table(result), most=most)
-    for finding in result.findings[:most]:
+        show_page_table(findings_table(result), most=MOST_ROWS)
+    for finding in result.findings[: None if VERBOSE.get() else MOST_ROWS]:
         if finding.remedy:
             echo(f"to tell {finding.cause}: {finding.remedy}")
-    show_page_table(lights_table(result), most=most)
-    if not verbose and max(len(result.findings), len(result.lights)) > MOST_ROWS:
+    show_page_table(lights_table(result), most=MOST_ROWS)
+    if not VERBOSE.get() and max(len(result.findings), len(result.lights)) > MOST_ROWS:
         echo("--verbose shows all rows")
+
+
+def calibrate(
+    rig: common.RigFile,
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="FOLDER", help="Calibration folder: targets.yaml and image sets.", show_default=False),
+    ],
+    plan: bool = output_option(
+        False, "--plan", help="Write what to capture: targets.yaml, a board to print, parts with postures, commands."
+    ),
+    report: common.Report = True,
+    force: common.Force = False,
+    threads: common.Threads = None,
+) -> None:
+    """Measure camera, stage, panels and sensor of RIG from images of targets on its stage.
+
+    Reads the image sets in FOLDER that are there: board (a printed ChArUco board: camera and stage axes), ball (a
+    bearing ball: position, direction and size of each panel), plate (a matt white plate: gains, fall-off, vignetting),
+    sensor-a and sensor-b (two captures alike, with dark frames: noise, black level). Writes rig.calibrated.yaml,
+    calibration.json and report.html into FOLDER. Boards need the extra: pip install 'lightopt[opencv]'.
+
+    Example: lightopt calibrate rig.yaml calibration --plan
+    """
+    from lightopt.config import load_rig
+
+    loaded = load_rig(rig)
+    if plan:
+        _plan(loaded, folder, force=force)
+        return
+    from lightopt.estimate.rig_calibration import REPORT_NAME, calibrate_rig, figures, write_calibration
+    from lightopt.images import write_text_atomic
+    from lightopt.report import calibration_lines, calibration_report
+
+    with run_context(threads) as run:
+        found = calibrate_rig(loaded, folder, run=run)
+    run.warn(*found.warnings)
+    written = [*write_calibration(found, force=force)]
+    if report:
+        write_text_atomic(folder / REPORT_NAME, calibration_report(found, figures(found)), overwrite=force)
+        written.append(folder / REPORT_NAME)
+    for what, text in calibration_lines(found):
+        echo(f"{what}: {text}")
+    if found.unobservable:
+        echo(f"not shown by these images, and as filed: {', '.join(found.unobservable)}")
+    if found.board is not None and found.board.next_posture is not None:
+        posture, rms = found.board.next_posture
+        echo(f"a view at {posture} would help most: {found.board.predicted_rms:.2g} → {rms:.2g} px")
+    echo_paths(*written)
+
+
+def _plan(loaded: RigConfig, folder: Path, *, force: bool) -> None:
+    from lightopt.estimate.rig_calibration import plan_calibration
+    from lightopt.report import board_sheet
+
+    planned = plan_calibration(loaded, folder, force=force)
+    if planned.board is not None:
+        for suffix in (".pdf", ".png"):
+            board_sheet(planned.board, folder / f"board{suffix}")
+    echo(f"{planned.images} images to capture, and two sets of one posture for the sensor")
+    for number, text in enumerate((*planned.targets, "capture and calibrate:"), start=1):
+        echo(f"{number}. {text}")
+    for command in planned.commands:
+        echo(f"  {command}")
