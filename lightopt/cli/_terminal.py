@@ -111,7 +111,7 @@ def show_progress() -> Generator[StageShare | None]:
     from lightopt.core.kernels import compiled_before
 
     if not compiled_before():
-        typer.echo("first use on this machine: the compiler takes up to half a minute, once", err=True)
+        typer.echo("first use on this machine: the compiler takes up to a minute, once", err=True)
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 

@@ -22,6 +22,7 @@ MOST_SAMPLES = 1_000_000
 LEAST_R_D = 1e-6  # a trace of diffuse light, far below what a camera detects: it is where a light reaches
 
 Range = tuple[float, float]
+_END = int | float | None  # of an interval; None where the fit does not determine it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,32 +73,39 @@ class Factors:
 def factors_of(ranges: RangesConfig, rig: RigConfig, part: PartConfig) -> Factors:
     """The limits of factors: by the intervals of a fit and of a calibrated rig where there are some, else the ranges'.
 
-    Raises InputError: the fit is none
+    Raises InputError: the fit is none, or an interval of it is none
     """
     fit = {} if ranges.fit is None else _read_fit(ranges.source.resolve(ranges.fit))
     values, fitted_gains = fit.get("values") or {}, fit.get("gains") or {}
     own = part.reflectance
     calibrated = {} if rig.calibration is None else rig.calibration.intervals
 
-    def limits(found: object, value: float, default: Range) -> Range:
+    def limits(name: str, found: object, value: float, default: Range) -> Range:
         ends: Any = found.get("interval_95") if isinstance(found, dict) else found
-        if not isinstance(ends, (list, tuple)) or value <= 0.0:
+        if ends is None or value <= 0.0:
             return default
+        if not (isinstance(ends, list | tuple) and len(ends) == 2 and all(isinstance(one, _END) for one in ends)):
+            raise InputError(
+                f"{ranges.source.path}: {ranges.fit}: {name}: expected interval_95: [low, high], found {ends}"
+            )
         low, high = ends
         return default if low is None or high is None else (max(0.0, low / value), high / value)
 
     gains = {
         light.name: limits(
-            fitted_gains.get(light.name) or calibrated.get(f"{light.name} gain"), light.gain, ranges.gain
+            f"gain of {light.name}",
+            fitted_gains.get(light.name) or calibrated.get(f"{light.name} gain"),
+            light.gain,
+            ranges.gain,
         )
         for light in rig.lights
     }
     widths = {"sigma_rad": own.sigma_rad, "alpha": own.alpha, "width_factor": own.width_factor if own.table else None}
     key, width = next((key, width) for key, width in widths.items() if width is not None)
     return Factors(
-        R_d=limits(values.get("R_d"), own.R_d, ranges.R_d),
-        R_s=limits(values.get("R_s"), own.R_s, ranges.R_s),
-        sigma=limits(values.get(key), width, ranges.sigma),
+        R_d=limits("R_d", values.get("R_d"), own.R_d, ranges.R_d),
+        R_s=limits("R_s", values.get("R_s"), own.R_s, ranges.R_s),
+        sigma=limits(key, values.get(key), width, ranges.sigma),
         gains=gains,
     )
 
@@ -107,7 +115,8 @@ def _read_fit(path: Path) -> dict[str, Any]:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as the fit.json of a fit: {error}") from error
-    if not (isinstance(found, dict) and str(found.get("format", "")).startswith("lightopt-fit/")):
+    right = isinstance(found, dict) and str(found.get("format", "")).startswith("lightopt-fit/")
+    if not right or not all(isinstance(found.get(key) or {}, dict) for key in ("values", "gains")):
         raise InputError(f'{path}: expected the fit.json that a fit wrote, of format "lightopt-fit/1"')
     return found
 

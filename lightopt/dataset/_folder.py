@@ -47,11 +47,10 @@ class DatasetFolder:
     def complete(self) -> Mapping[str, Any] | None:
         """The manifest, if all files are there that it and the poses list; else None."""
         old = self._old
-        if old is None or not old.get("complete"):
+        if old is None or not old.get("complete") or not isinstance(old.get("poses"), int):
             return None
-        poses = [self.record(number) for number in range(int(old["poses"]))]
-        there = all(poses) and all((self.folder / name).is_file() for name in old["files"])
-        return old if there else None
+        poses = [self.record(number) for number in range(old["poses"])]
+        return old if all(poses) and self._has_files(old) else None
 
     def begin(self, views: Sequence[str]) -> None:
         """Write the manifest of a dataset without files, unless one is continued; remove the one that is replaced."""
@@ -64,9 +63,12 @@ class DatasetFolder:
     def record(self, number: int) -> dict[str, Any] | None:
         """What is known of a pose; None where any of its files is missing."""
         found = _read(self.folder / record_name(number))
-        if found is None or not all((self.folder / name).is_file() for name in found["files"]):
-            return None
-        return found
+        return found if found is not None and self._has_files(found) else None
+
+    def _has_files(self, document: Mapping[str, Any]) -> bool:
+        # a file that was edited lists nothing, or anything
+        names = document.get("files")
+        return isinstance(names, list) and all(isinstance(n, str) and (self.folder / n).is_file() for n in names)
 
     def write_record(self, number: int, record: Mapping[str, Any]) -> None:
         """Complete a pose, all of whose files are written."""

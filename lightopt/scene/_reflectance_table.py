@@ -35,7 +35,9 @@ def table_lobes(path: Path) -> tuple[tuple[float, float], ...]:
     except InputError as failed:
         raise InputError(f"{path}: {failed.args[0]}") from None
     if error > LARGEST_ERROR:
-        raise InputError(f"{path}: {len(lobes)} Gaussian lobes follow it to {error:.0%} only; expected a smooth lobe")
+        raise InputError(
+            f"{path}: a sum of Gaussian lobes follows it only to {100.0 * error:.0f} %; expected a smooth lobe"
+        )
     return lobes
 
 

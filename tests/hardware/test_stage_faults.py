@@ -190,7 +190,7 @@ def test_grbl_alarms_are_not_cleared(pool: Pool, code: int, silent: bool) -> Non
         stage.move_to(START)
     stage.close()
     if silent:  # the next program finds it still silent
-        with pytest.raises(HardwareError, match="waits for a reset"):
+        with pytest.raises(HardwareError, match="or a limit alarm \\(press its reset button"):
             open_kind("grbl", pool.of(name).ports[name])
     else:
         again = open_kind("grbl", pool.of(name).ports[name])

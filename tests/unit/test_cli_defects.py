@@ -151,7 +151,7 @@ def test_too_many_too_few_and_those_already_there_are_refused(cli, catalogue):
     assert ran.status == 2
     assert "defects: this part file lists defects already" in ran.err
     ran = scatter(cli, catalogue, ".")
-    assert "expected the name of a part file to write, found a folder" in ran.err
+    assert "expected the name of a file to write, found a folder" in ran.err
 
 
 def test_without_defects_the_images_are_those_of_the_good_part(cli, catalogue, snapshot):

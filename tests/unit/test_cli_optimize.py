@@ -279,8 +279,7 @@ def test_common_lights_and_common_elevation(three, cli):
     assert (ran.status, ran.err) == (0, "")
     result = result_of(three.out)
     assert [len(group["postures"]) for group in result["results"]] == [2]
-    # a set for many postures is one narrow cell
-    assert any(line.startswith("all 2    paper ") for line in ran.out.splitlines())
+    assert any(line.startswith("all 2 postures  paper ") for line in ran.out.splitlines())
     (answer,) = result["results"][0]["objectives"]
     assert answer["lights"][0]["elevation_deg"] == answer["lights"][2]["elevation_deg"]
     assert answer["combinations"]["total"] == 4 * 3

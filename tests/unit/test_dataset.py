@@ -388,6 +388,9 @@ def test_a_stopped_run_goes_on_and_a_finished_one_is_left_alone(made, tmp_path, 
     next((folder / "light1" / "images").rglob("*.png")).unlink()
     assert "(3 of them existed already)" in cli(*command(made, folder)).out
     assert snapshot(folder) == snapshot(made.out)
+    (folder / "poses" / "pose-000001.json").write_text('{"files": 1}', encoding="utf-8")
+    assert "(3 of them existed already)" in cli(*command(made, folder)).out
+    assert snapshot(folder) == snapshot(made.out)
     monkeypatch.setattr(_dataset, "build_scene", None)
     assert "(4 of them existed already)" in cli(*command(made, folder)).out
 
@@ -498,6 +501,23 @@ def test_intervals_of_a_fit_and_of_a_calibrated_rig_are_limits(bench):
     assert found.sigma == pytest.approx((0.4, 0.55))
 
 
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"R_d": {"interval_95": [1.0]}}, "fit.json: R_d: expected interval_95: [low, high], found [1.0]"),
+        ({"R_d": {"interval_95": ["a", 1.0]}}, "fit.json: R_d: expected interval_95: [low, high], found ['a', 1.0]"),
+        ({"R_d": 45.0}, "fit.json: R_d: expected interval_95: [low, high], found 45.0"),
+        ([45.0], "expected the fit.json that a fit wrote"),
+    ],
+)
+def test_a_fit_that_was_edited_wrongly_is_refused(bench, cli, values, words):
+    with_catalogue(bench).edit("ranges.yaml", "defective: 0.8", "fit: fit.json")
+    (bench.folder / "fit.json").write_text(json.dumps({"format": "lightopt-fit/1", "values": values}), encoding="utf-8")
+    ran = cli(*command(bench))
+    assert ran.status == 2
+    assert words in ran.err
+
+
 def test_stacks_have_what_the_images_have(bench, cli):
     h5py = pytest.importorskip("h5py")
     with_catalogue(bench)
@@ -521,7 +541,7 @@ def test_postures_without_samples_and_parts_that_leave_the_view_are_said(bench, 
     with_catalogue(bench)
     ranges = bench.folder / "ranges.yaml"
     ranges.write_text(RANGES.replace("shift_mm: 0.5", "shift_mm: 60"), encoding="utf-8")
-    wanted = "the part leaves the view in 1 pose of 1, as in pose 0; lower shift_mm of the ranges' pose"
+    wanted = "the part leaves the view in 1 pose of 1, as in pose 0; lower shift_mm of the ranges"
     for again in (False, True):  # the second run goes on with what is there
         if again:
             manifest = bench.out / "dataset.json"
@@ -529,5 +549,5 @@ def test_postures_without_samples_and_parts_that_leave_the_view_are_said(bench, 
             manifest.write_text(json.dumps({**content, "complete": False}), encoding="utf-8")
         ran = cli(*command(bench, images=2))
         assert ran.status == 0, ran.err
-        assert "no sample is in posture (-10°, 170°); more samples, or fewer samples per pose, show it" in ran.err
+        assert "no sample is in posture (-10°, 170°); more samples, or fewer samples per pose, help" in ran.err
         assert wanted in ran.err

@@ -151,7 +151,6 @@ def test_nothing_off_is_nothing_lost():
         ({"pose_deg": 17.0}, "option 'pose_deg': expected degrees from 0 to 16, found 17"),
         ({"light_deg": math.nan}, "option 'light_deg': expected degrees from 0 to 16, found nan"),
         ({"tolerance_target": 1.0}, "option 'tolerance_target': expected a share"),
-        ({"draws": 0}, "draws: expected at least 1"),
     ],
 )
 def test_bad_tolerances_are_refused(arguments, expected):

@@ -83,7 +83,7 @@ def test_a_material_of_the_merl_database_is_read(tmp_path):
         ("5,1\n6,0.5\n7,0.4\n8,0.1\n9,0\n", "expected ascending angles from 0"),
         ("0,1\n1,0.5\n2,-0.4\n3,0.1\n4,0\n", "expected values of 0 and above"),
         ("0,0.1\n1,0.5\n2,1\n3,0.1\n4,0\n", "expected a lobe that is greatest at the least angle"),
-        ("\n".join(f"{d},{1.0 if d < 20 else 0.0}" for d in range(40)), "Gaussian lobes follow this table only to"),
+        ("\n".join(f"{d},{1.0 if d < 20 else 0.0}" for d in range(40)), "a sum of Gaussian lobes follows it only to"),
     ],
 )
 def test_what_is_no_table_is_said(tmp_path, text, words):

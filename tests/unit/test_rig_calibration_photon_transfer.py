@@ -107,10 +107,7 @@ def test_what_is_wrong_with_the_frames_is_said():
     swapped = [*pairs[:3], replace(pairs[3], second=pairs[6].second), *pairs[4:]]
     refused(r"pair at exposure 0\.3: the frames differ by .* exposure or light changed", pairs=swapped)
     moved, _ = frames(EIGHT_BITS, rng, exposures=(0.3,), level=np.roll(flat((128, 160)), 40, axis=1))
-    refused(
-        "has a pattern: something moved",
-        pairs=[*pairs[:3], replace(pairs[3], second=moved[0].second), *pairs[4:]],
-    )
+    refused("has a pattern: something moved", pairs=[*pairs[:3], replace(pairs[3], second=moved[0].second), *pairs[4:]])
     bright, _ = frames(EIGHT_BITS, rng, exposures=np.linspace(0.8, 3.0, 12))
     refused("pairs are above dark and below 70% of saturation .* shorter exposures", pairs=bright)
     refused("expected whole levels from 0 to 127", bit_depth=7)
