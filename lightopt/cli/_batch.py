@@ -29,10 +29,16 @@ def batch(
     jobs: Annotated[Path, typer.Argument(metavar="JOBS", help="Batch file (YAML): rigs, parts, jobs.")],
     out: common.Out,
     workers: int | None = workers_option(
-        None, metavar="N", min=1, help="Number of processes; 1: this one, without Dask.", show_default="all processors"
+        None,
+        metavar="N",
+        min=1,
+        help="Number of processes, or of jobs of the batch system; 1: this process, without Dask.",
+        show_default="all processors",
     ),
     threads: int = workers_option(1, metavar="N", min=1, help="Threads of each command; no result depends on it."),
-    scheduler: str | None = workers_option(None, metavar="ADDRESS", help="Dask scheduler such as tcp://10.0.0.5:8786."),
+    scheduler: str | None = workers_option(
+        None, metavar="ADDRESS", help="Use the workers of this Dask scheduler, such as tcp://10.0.0.5:8786."
+    ),
     slurm: bool = workers_option(False, "--slurm", help="Start workers as Slurm jobs (dask-jobqueue)."),
     kubernetes: bool = workers_option(False, "--kubernetes", help="Start workers on Kubernetes (dask-kubernetes)."),
 ) -> None:

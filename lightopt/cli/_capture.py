@@ -28,7 +28,9 @@ def capture(
     ),
     dark: bool = selection_option(False, "--dark", help="Also capture dark frames, and subtract them in the EXR."),
     home: bool = hardware_option(False, "--home", help="Home the stage first."),
-    check_lights: bool = hardware_option(True, "--check-lights/--no-check-lights", help="Verify each image's light."),
+    check_lights: bool = hardware_option(
+        True, "--check-lights/--no-check-lights", help="Verify that each image is lit by its own light."
+    ),
     check_repeatability: bool = hardware_option(
         False, "--check-repeatability", help="Repeat the first image at the end, to detect lost steps of the stage."
     ),

@@ -80,16 +80,27 @@ def fit_specular(
     register: common.Register = False,
     free: Free = None,
     points: str | None = model_option(
-        None, metavar="M,…", help=f"{common.POINTS_HELP} A list, such as 1,4,9: select the best.", show_default=AS_RIG
+        None,
+        metavar="M,…",
+        help=f"{common.POINTS_HELP} With a list such as 1,4,9, fit each number and select the best.",
+        show_default=AS_RIG,
     ),
     pixels: Pixels = 1_500_000,
     model: Model | None = model_option(
-        None, metavar="|".join(get_args(Model)), help="Form of the lobe; auto: the best.", show_default=AS_PART
+        None,
+        metavar="|".join(get_args(Model)),
+        help="Form of the specular lobe; auto: the one that predicts left-out lights best.",
+        show_default=AS_PART,
     ),
     diffuse: Diffuse | None = model_option(
-        None, metavar="|".join(get_args(Diffuse)), help="Form of the diffuse component.", show_default=AS_PART
+        None,
+        metavar="|".join(get_args(Diffuse)),
+        help="Form of the diffuse component. exponent, oren-nayar: fit the exponent or the roughness as well.",
+        show_default=AS_PART,
     ),
-    validate: bool = model_option(True, "--validate/--no-validate", help="Cross-validate: each light from the others."),
+    validate: bool = model_option(
+        True, "--validate/--no-validate", help="Cross-validate: predict each light from the others."
+    ),
     lambda_s1: float = paper_option(0.005, metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels."),
     lambda_s2: float = paper_option(0.05, metavar="SHARE", help="λ_s2: tolerance of the total specular brightness."),
     start_rs: float = paper_option(255.0, metavar="LEVEL", help="Starting value of R_s."),

@@ -50,10 +50,16 @@ def overlap(
 def compare(
     golden: Path = typer.Argument(..., metavar="A", help="Golden EXR, PNG or image set (folder or manifest.json)."),
     new: Path = typer.Argument(..., metavar="B", help="New EXR, PNG or image set."),
-    absolute: float = threshold_option(0.05, metavar="LEVEL", help="Threshold, in addition to --relative times A."),
+    absolute: float = threshold_option(
+        0.05, metavar="LEVEL", help="A pixel differs if B deviates from A by more than this plus --relative times A."
+    ),
     relative: float = threshold_option(0.001, metavar="SHARE", help="Relative part of the threshold; see --absolute."),
-    max_share: float = threshold_option(0.001, metavar="SHARE", help="Share of the part's pixels that may differ."),
-    geometry_absolute: float = threshold_option(0.001, metavar="MM", help="Threshold of geometry and patch tables."),
+    max_share: float = threshold_option(
+        0.001, metavar="SHARE", help="Share of the part's pixels, in A or B, that may differ."
+    ),
+    geometry_absolute: float = threshold_option(
+        0.001, metavar="MM", help="Threshold of geometry images and patch tables."
+    ),
     min_iou: float | None = threshold_option(
         None, metavar="IOU", help="Minimum IoU of the saturated areas.", show_default="not checked"
     ),
@@ -61,7 +67,10 @@ def compare(
         None, metavar="LEVEL", help="Level from which a pixel is saturated.", show_default="as the files say"
     ),
     diff: Path | None = output_option(
-        None, metavar="PATH", help="Write a difference picture (PNG), or a folder of them. Red: B higher; blue: lower."
+        None,
+        metavar="PATH",
+        help="Write a difference picture (PNG), or a folder of them. Red: B is higher; blue: lower; green: "
+        "saturated in A only; magenta: in B only.",
     ),
     json_file: common.JsonFile = None,
     force: common.Force = False,

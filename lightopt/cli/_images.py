@@ -22,7 +22,9 @@ def render(
     posture: common.Postures = None,
     exposures: common.Exposures = "1",
     points: common.Points = None,
-    noise: int | None = model_option(None, metavar="SEED", help="Add shot and read noise to the PNGs, by this seed."),
+    noise: int | None = model_option(
+        None, metavar="SEED", help="Add shot and read noise to the PNGs, with this random seed."
+    ),
     shadows: common.Shadows = True,
     defects: bool = model_option(True, "--defects/--no-defects", help="Render the defects listed in PART."),
     supersample: int = model_option(1, metavar="N", min=1, help="Cast N × N rays per pixel."),
@@ -84,8 +86,12 @@ def dataset(
         None, metavar="FILE", help="What is randomised, and within which limits (YAML).", show_default="see the how-to"
     ),
     exposure: str = model_option("1", metavar="X", help="Relative exposure time, such as 1/4."),
-    false_alarms: float = model_option(0.05, metavar="N", help="False alarms per posture that visibility stands for."),
-    fusion: str = output_option("paper", metavar="RULE", help="Fusion: paper, median, minimum, second-largest, none."),
+    false_alarms: float = model_option(
+        0.05, metavar="N", help="False alarms per posture at which a defect counts as visible."
+    ),
+    fusion: str = output_option(
+        "paper", metavar="RULE", help="Rule of the fused image: paper, median, minimum, second-largest or none."
+    ),
     stacks: bool = output_option(False, "--stacks", help="Also write the images of each pose as HDF5 (needs h5py)."),
     force: common.Force = False,
     threads: common.Threads = None,
@@ -135,8 +141,12 @@ def import_(
     mesh_units: Literal["um", "mm", "cm", "m", "inch", "ft"] | None = model_option(
         None, metavar="UNIT", help="Unit of the mesh file: um, mm, cm, m, inch or ft."
     ),
-    sphere: float | None = model_option(None, metavar="RADIUS", min=1e-3, help="Sphere as the part [mm], at the mask."),
-    mask: Path | None = model_option(None, metavar="FILE", help="Picture of the part in white; the rest is blackened."),
+    sphere: float | None = model_option(
+        None, metavar="RADIUS", min=1e-3, help="The part is a sphere [mm], at the mask's disc."
+    ),
+    mask: Path | None = model_option(
+        None, metavar="FILE", help="Image of the part, white on black; the rest is blackened."
+    ),
     gamma: Literal["linear", "srgb"] | None = model_option(
         None, metavar="NAME", help="Encoding of the levels: linear or srgb.", show_default="linear"
     ),
@@ -191,7 +201,13 @@ def inverse_pattern(
         None, metavar="θ,φ", help="Tilt and rotation of the part [deg].", show_default="the first posture of PART"
     ),
     pixels: str = model_option("64x48", metavar="WxH", help="Columns and rows of the picture."),
-    period: float = model_option(16.0, "--period-px", metavar="N", min=0.0, help="Period in the image [px]; 0: flat."),
+    period: float = model_option(
+        16.0,
+        "--period-px",
+        metavar="N",
+        min=0.0,
+        help="Period of the regular pattern in the camera's image [px]; 0 for a flat one, which hides slopes.",
+    ),
     force: common.Force = False,
 ) -> None:
     """Compute the picture on a display whose reflection in a good part is a regular pattern of known levels.

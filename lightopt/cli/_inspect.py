@@ -34,30 +34,41 @@ def inspect(
     ],
     out: common.Out,
     detector: str = model_option(
-        "catalogue", metavar="residual|catalogue|template", help="Score pixels, also whole shapes, or dots and lines."
+        "catalogue",
+        metavar="residual|catalogue|template",
+        help="residual: measured minus predicted level; catalogue: also whole defects of the part's catalogue; "
+        "template: dots and lines in the synthetic image.",
     ),
     reference: str = model_option(
         "model",
         metavar="model|good-parts|self",
-        help="Compare with the model, good parts, or each place with its surroundings.",
+        help="What images are compared with. model: mesh and reflectance; good-parts: what a calibration "
+        "learned; self: the surroundings of each place.",
     ),
     fusion: str = model_option(
-        "paper", metavar="paper|median|minimum|second-largest|none", help="Rule of the image without highlights."
+        "paper",
+        metavar="paper|median|minimum|second-largest|none",
+        help="Rule that fuses images into the synthetic image without highlights.",
     ),
     false_alarms: float | None = model_option(
         None,
         metavar="N",
-        help="Expected false alarms per posture; with a calibration the share of good parts with one, from 1e-9 to 1.",
+        help="Expected false alarms per posture from noise alone, from 1e-9 to 1; with a calibration, share of "
+        "good parts with a false alarm in a posture.",
         show_default="0.05",
     ),
     min_images: common.MinImages = 2,
     register: common.Register = True,
-    calibrate: bool = calibration_option(False, "--calibrate", help="Write calibration.json of IMAGES of good parts."),
+    calibrate: bool = calibration_option(
+        False, "--calibrate", help="Write calibration.json from IMAGES of good parts; do not inspect them."
+    ),
     calibration: Path | None = calibration_option(
         None, metavar="FILE", help="Use this calibration.json; its false-alarm rate becomes the default."
     ),
     evaluate: bool = output_option(
-        False, "--evaluate", help="Compare with ground truth (labels, or defects of a set's part file): truth.json."
+        False,
+        "--evaluate",
+        help="Compare with ground truth (labels of the sets, or defects of their part files) and write truth.json.",
     ),
     fail_on_defect: bool = output_option(False, "--fail-on-defect", help="Exit status 1 if a part is NG."),
     report: common.Report = True,

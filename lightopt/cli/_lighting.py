@@ -27,13 +27,19 @@ def compare_lighting(
         "flat-dome, tunnel, coaxial, spot, led-array, display, binary-stripes, grid-backlight, dome-sines.",
     ),
     posture: common.Postures = None,
-    choose_postures: int | None = system_option(None, metavar="N", help="Choose the N best postures of each system."),
-    exposures: str | None = system_option(None, metavar="X,…", help="Further exposure times to try, such as 1/16,1/4."),
+    choose_postures: int | None = system_option(
+        None, metavar="N", help="Choose the N best postures of each system from its stage's range."
+    ),
+    exposures: str | None = system_option(
+        None, metavar="X,…", help="Candidate relative exposure times in addition to 1, such as 1/16,1/4,4,16."
+    ),
     step: float = system_option(10.0, metavar="DEG", help="Step of the angles within the lights' ranges."),
     min_images: int = system_option(2, metavar="K", min=1, help="Number of images that must show a defect."),
     false_alarms: float = system_option(0.05, metavar="N", help="False alarms per posture, the same for all systems."),
     patches: int = system_option(2000, metavar="N", min=1, help="Target number of visible surface patches."),
-    tolerances: bool = system_option(True, "--tolerances/--no-tolerances", help="How far lights and part may be off."),
+    tolerances: bool = system_option(
+        True, "--tolerances/--no-tolerances", help="Compute how far lights and part may be off."
+    ),
     points: common.Points = None,
     report: bool = output_option(True, "--report/--no-report", help="Write a report for each system as well."),
     force: common.Force = False,
@@ -99,19 +105,28 @@ def optimize_from_images(
     sets: Sets,
     out: common.Out,
     region: Path | None = sample_option(
-        None, "--region", metavar="PNG", help="Where to inspect: not 0.", show_default="where the part is seen"
+        None,
+        "--region",
+        metavar="PNG",
+        help="Picture that is not 0 where the part is to be inspected.",
+        show_default="where the part is seen",
     ),
     images: int = choice_option(4, "--images", "-k", metavar="N", min=1, help="Number of images to take of a part."),
     mix: bool = choice_option(False, "--mix", help="Show several lights in an image, each with a weight."),
     false_alarms: float = choice_option(
         0.05, metavar="N", help="Expected false alarms per posture, from 1e-9 to 1: when a defect counts as found."
     ),
-    max_combinations: int = choice_option(50_000_000, metavar="N", min=1, help="Stop after N choices with a bound."),
+    max_combinations: int = choice_option(
+        50_000_000, metavar="N", min=1, help="Stop after about N choices of lights and report a bound."
+    ),
     rig: Path | None = output_option(
         None, "--rig", metavar="RIG", help="Rig file of the lights; written with the programme as rig.optimized.yaml."
     ),
     compare: Path | None = output_option(
-        None, "--compare", metavar="SET", help="Set captured with the programme, to compare with what is synthesised."
+        None,
+        "--compare",
+        metavar="SET",
+        help="Image set captured with this programme, to compare with the synthesised images.",
     ),
     report: common.Report = True,
     force: common.Force = False,

@@ -34,9 +34,14 @@ def optimize(
     out: common.Out,
     posture: common.Postures = None,
     step: float = light_option(5.0, metavar="DEG", help="Step of the angles within the lights' ranges."),
-    common_elevation: bool = light_option(False, "--common-elevation", help="Use the same elevation for all lights."),
+    common_elevation: bool = light_option(
+        False, "--common-elevation", help="Use the same elevation for all lights that move in elevation."
+    ),
     common_lights: bool = light_option(
-        True, "--common-lights/--lights-per-posture", help="One set of positions for all postures, or one for each."
+        True,
+        "--common-lights/--lights-per-posture",
+        help="Use one set of light positions for all postures, or one for each, so that the lights are moved "
+        "between postures.",
     ),
     max_combinations: int | None = light_option(
         None, metavar="N", help="Stop after about N combinations and report a bound.", show_default="200000000"
@@ -45,7 +50,7 @@ def optimize(
         None,
         "--objective",
         metavar="coverage|paper|detectability",
-        help="Score of a combination; repeatable. The first one determines the positions.",
+        help="Score of a combination of positions; repeatable. The first one determines the light positions.",
         show_default="coverage, paper",
     ),
     shade_below: str = objective_option(
@@ -55,10 +60,12 @@ def optimize(
         None, metavar="K", min=1, help="detectability: number of images that must show a defect.", show_default="2"
     ),
     false_alarms: float | None = objective_option(
-        None, metavar="N", help="detectability: false alarms per posture, from 1e-9 to 1.", show_default="0.05"
+        None, metavar="N", help="detectability: expected false alarms per posture, from 1e-9 to 1.", show_default="0.05"
     ),
     calibration: Path | None = objective_option(
-        None, metavar="FILE", help="detectability: threshold and false-alarm rate of this calibration.json of inspect."
+        None,
+        metavar="FILE",
+        help="detectability: take threshold and false-alarm rate from this calibration.json of inspect --calibrate.",
     ),
     choose_postures: int | None = posture_option(
         None, metavar="N", help="Choose the N postures with the best joint detectability. With --target: at most N."
@@ -66,27 +73,46 @@ def optimize(
     target: str | None = posture_option(
         None, metavar="SHARE", help="Choose the fewest postures that reach this detectability, such as 0.95 or 95%."
     ),
-    posture_step: float | None = posture_option(None, metavar="DEG", help="Step of the postures.", show_default="22.5"),
-    allow_outside: float | None = posture_option(
-        None, metavar="PX", help="Pixels of the part beyond the image in a candidate posture.", show_default="10"
+    posture_step: float | None = posture_option(
+        None, metavar="DEG", help="Step of the candidate postures.", show_default="22.5"
     ),
-    exposures: str | None = exposure_option(None, metavar="X,…", help="Further exposures to try, such as 1/16,1/4."),
+    allow_outside: float | None = posture_option(
+        None,
+        metavar="PX",
+        help="Pixels by which the part may extend beyond the image in a candidate posture.",
+        show_default="10",
+    ),
+    exposures: str | None = exposure_option(
+        None, metavar="X,…", help="Candidate relative exposure times in addition to 1, such as 1/16,1/4,4,16."
+    ),
     exposure_gain: float | None = exposure_option(
-        None, metavar="POINTS", help="Least gain of an exposure [percentage points of detectability].", show_default="1"
+        None,
+        metavar="POINTS",
+        help="Least increase of detectability for each further exposure [percentage points].",
+        show_default="1",
     ),
     light_tolerance: float | None = tolerance_option(
-        None, metavar="DEG", help="Report the loss of score if elevation and azimuth of each light are off by this."
+        None,
+        metavar="DEG",
+        help="Report the loss of score if elevation and azimuth of each light are off by up to this angle.",
     ),
     pose_tolerance: float | None = tolerance_option(
-        None, metavar="DEG", help="Report the loss of score if tilt and rotation of the part are off by this."
+        None,
+        metavar="DEG",
+        help="Report the loss of score if tilt and rotation of the part are off by up to this angle.",
     ),
     tolerance_target: str | None = tolerance_option(
-        None, metavar="SHARE", help="Report the tolerances that keep this share.", show_default="0.95"
+        None,
+        metavar="SHARE",
+        help="Report the widest tolerances that keep this share of the score.",
+        show_default="0.95",
     ),
     points: common.Points = None,
     shadows: common.Shadows = True,
     patches: common.Patches = None,
-    keep_matrix: bool = output_option(False, "--keep-matrix", help="Write and reuse the matrices (matrix.npz)."),
+    keep_matrix: bool = output_option(
+        False, "--keep-matrix", help="Write the luminance matrices (matrix.npz), and reuse existing ones."
+    ),
     images: bool = output_option(True, "--images/--no-images", help="Render images with the best light positions."),
     report: common.Report = True,
     ranking_rows: int = output_option(100, metavar="N", help="Rows of ranking.csv per posture and objective."),

@@ -26,8 +26,14 @@ def verify(
     part: common.PartFile,
     images: common.Images,
     out: common.Out,
-    baseline: Path | None = model_option(None, metavar="SET", help="Known good image set: report changes since it."),
-    plan: Path | None = model_option(None, metavar="FILE", help="result.json of optimize: its tolerances as limits."),
+    baseline: Path | None = model_option(
+        None, metavar="SET", help="Known good image set of the same part: report what has changed since."
+    ),
+    plan: Path | None = model_option(
+        None,
+        metavar="FILE",
+        help="result.json of optimize --light-tolerance or --pose-tolerance: its tolerances are limits.",
+    ),
     limit: list[str] | None = model_option(
         None,
         "--limit",
@@ -37,7 +43,9 @@ def verify(
         show_default="see docs/how-to/verify.md",
     ),
     register: common.Register = True,
-    history: Path | None = output_option(None, metavar="DIR", help="Add this run to history.csv in DIR; draw it (PNG)"),
+    history: Path | None = output_option(
+        None, metavar="DIR", help="Add a row for this run to history.csv in DIR, and draw history.png."
+    ),
     report: common.Report = True,
     force: common.Force = False,
     threads: common.Threads = None,

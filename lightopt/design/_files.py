@@ -72,7 +72,7 @@ def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bo
     Removed are files inside the folder only, and image sets by their manifests; captured images, kept matrices and what
     no list names stay. `listed` is as in result.json.
 
-    Returns whether there was a previous run.
+    Returns whether a report that is there is of a previous run.
     """
     previous = [
         found for name, kind in _KINDS.items() if (found := images.read_listing(folder / name, kind)) is not None
@@ -90,7 +90,7 @@ def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bo
                 for emptied in (home, home.parent):
                     with suppress(OSError):  # something else is in it, or it is gone
                         emptied.rmdir()
-    return bool(previous)
+    return any({"file": REPORT_NAME} in _entries(document, "files") for document in previous)
 
 
 def _entries(document: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
@@ -178,7 +178,8 @@ class DesignOutput:
     overlaps: tuple[images.Overlap, ...]  # saturated regions of the images, in the order of the postures
     warnings: tuple[str, ...]
     paths: tuple[Path, ...]  # result.json, ranking.csv, further files, rigs, report: those to come, too
-    replaces: bool  # whether a report and a result.json that are there are replaced
+    force: bool  # whether files that are there and differ are replaced
+    replace_report: bool  # whether a report that is there is replaced
 
     @property
     def patches(self) -> PatchTable:
@@ -205,7 +206,7 @@ def write_design(
     listed = _listed(rigs, sets, overlaps=len(result.candidates.names) > 1)
     report = [REPORT_NAME] if result.options.report else []
     listed["files"] = [{"file": name} for name in (*files, *report)]
-    replaces = begin_writing(folder, listed, force=force)
+    report_is_ours = begin_writing(folder, listed, force=force)
     ranking = ranking_csv(result.results, result.candidates)
     for name, content in ((RANKING_NAME, ranking), *((path, text) for path, _, text in rigs), *files.items()):
         _write(folder / name, content, force)
@@ -219,7 +220,8 @@ def write_design(
         overlaps=tuple(overlaps),
         warnings=tuple(dict.fromkeys((*result.warnings, *run.warnings))),
         paths=tuple(folder / name for name in names),
-        replaces=force or replaces,
+        force=force,
+        replace_report=force or report_is_ours,
     )
 
 
@@ -229,8 +231,8 @@ def finish_design(output: DesignOutput, report: str | None = None) -> None:
     if (report is not None) != output.result.options.report:
         raise ValueError("a report is given where, and only where, the options ask for one")
     if report is not None:
-        images.write_text_atomic(folder / REPORT_NAME, report, overwrite=output.replaces)
-    _write_json(folder / RESULT_NAME, output.document, overwrite=output.replaces)
+        images.write_text_atomic(folder / REPORT_NAME, report, overwrite=output.replace_report)
+    _write_json(folder / RESULT_NAME, output.document, overwrite=output.force)
     images.remove_file(folder / UNFINISHED_NAME)
 
 

@@ -421,7 +421,7 @@ def test_plain_shapes_have_an_answer_or_an_error_in_words(three, cli, shape, obj
     if shape == "sheet" or (shape, objective) == ("torus", "detectability"):
         # in so small an image all of the torus is a silhouette or a crease
         assert ran.status == 2
-        assert "the camera sees no patch off edges at up to 80° to its normal" in ran.err
+        assert "the camera sees no surface, away from edges, at less than 80° to its normal" in ran.err
         assert not (three.out / "result.json").exists()
         return
     assert ran.status == 0, ran.err

@@ -15,7 +15,7 @@ from test_cli_optimize import result_of, with_lights
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import versions
 from lightopt.core.transforms import Posture
-from lightopt.design import LuminanceMatrix, OptimizeOptions
+from lightopt.design import LuminanceMatrix, OptimizeOptions, finish_design, optimize, write_design
 from lightopt.design._files import begin_writing
 from lightopt.design.responses import _posture_matrices as _matrices
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest
@@ -112,6 +112,19 @@ def test_a_malformed_result_removes_nothing_of_others(tmp_path, content, snapsho
     assert not result.exists()
     (folder / "unfinished.json").unlink()
     assert snapshot(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", ["report.html", "result.json"])
+def test_without_force_a_previous_run_does_not_open_files_of_others(three, name):
+    options = replace(ONE, images=False, report=name == "report.html")
+    result = optimize(three.rig, three.part, three.out, options=options)
+    three.out.mkdir()
+    (three.out / name).write_text("of a person", encoding="utf-8")
+    unfinished = {"format": "lightopt-unfinished/1", "files": []}
+    (three.out / "unfinished.json").write_text(json.dumps(unfinished), encoding="utf-8")
+    with pytest.raises(InputError, match=f"{name}: exists with other content"):
+        finish_design(write_design(result), "page" if options.report else None)
+    assert (three.out / name).read_text(encoding="utf-8") == "of a person"
 
 
 @pytest.mark.slow

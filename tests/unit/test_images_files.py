@@ -316,6 +316,11 @@ def test_missing_folder_and_folder_in_the_way_are_named(folder, writer):
     assert [path.name for path in folder.iterdir()] == ["taken"]
 
 
+def test_a_name_that_no_file_can_have_is_an_input_error(folder: Path):
+    with pytest.raises(InputError, match="cannot be written: File name too long"):
+        write_text_atomic(folder / ("a" * 300), "text")
+
+
 def test_read_only_folder_is_reported(read_only_folder, writer):
     with pytest.raises(InputError, match="denied"):
         writer(read_only_folder / "a")

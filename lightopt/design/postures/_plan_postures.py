@@ -66,7 +66,7 @@ def choose_with_exposures(
 ) -> PostureChoice:
     """Choose postures and lights, and which further exposures are planned; figures are of the planned images.
 
-    whole, drawn, postures, start, candidates, request, run: As for :func:`lightopt.design.choose_postures`;
+    whole, drawn, postures, start, candidates, request, run: As for :func:`choose_postures`;
         evaluators of exposure 1.
     Returns the choice of the planned images; bounds and all candidates' share hold for any of the exposures. Where a
     target cannot be reached, what was chosen for all exposures, without brackets.

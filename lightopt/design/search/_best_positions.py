@@ -53,7 +53,7 @@ def answer_set(
     """The best light positions for postures that share them: each objective is optimised, and scored under all."""
     for matrix, posture in zip(matrices, postures, strict=True):
         if not len(matrix.areas):
-            sight = f"no patch off edges at up to {GRAZING_DEG:g}° to its normal"
+            sight = f"no surface, away from edges, at less than {GRAZING_DEG:g}° to its normal"
             raise InputError(f"posture {posture}: the camera sees {sight}; check the part's placement and the posture")
     thresholds, candidates = source.problem.thresholds, source.problem.candidates
     answers: list[ObjectiveResult] = []

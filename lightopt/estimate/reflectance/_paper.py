@@ -132,7 +132,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
     plain &= samples.diffuse[samples.sample] > 0.0
     counts = np.bincount(samples.image[plain], minlength=len(samples.images))
     if not counts.any():
-        raise InputError("no diffuse-only pixel: add images under other lights, or lower the angle `away`")
+        raise InputError("no diffuse-only pixel: add images under other lights, or lower option 'away'")
     # the image without specular reflection, or with the least of it: that with the largest share of such pixels
     share = counts / np.maximum(np.bincount(samples.image, minlength=len(samples.images)), 1)
     image = int(np.argmax(share))
@@ -162,7 +162,9 @@ def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progr
     image = int(np.argmax(counts))
     measured = int(counts[image])
     if measured == 0:
-        raise InputError("no saturated pixel in any image: expose longer, or use the default method")
+        raise InputError(
+            "no saturated pixel in any image, and the method compares them: expose longer, or use the default method"
+        )
     mine = samples.select(samples.image == image)
     factor = float(mine.facts.factor[image])
     diffuse = factor * R_d * mine.diffuse[mine.sample]
@@ -180,10 +182,13 @@ def paper_specular(samples: Samples, options: PaperOptions, *, R_d: float, progr
         progress(len(steps) / len(sigmas))
     reached = [step for step in steps if step.reached]
     if not reached:
-        raise InputError(f"section 4.3 does not converge: at no σ are {measured} pixels saturated; raise λ_s1")
+        within = f"within λ_s1 = {options.lambda_s1:g} of the {measured} measured"
+        reason = f"at no σ does the number of saturated pixels come {within}"
+        raise InputError(f"section 4.3 does not converge: {reason}; raise λ_s1, or use the default method")
     best = min(reached, key=lambda step: abs(step.brightness - 1.0))  # S_2
     if (off := abs(best.brightness - 1.0)) > options.lambda_s2:
-        raise InputError(f"section 4.3 does not converge: the brightness is {100.0 * off:.1f} % off; raise λ_s2")
+        reason = f"the total specular brightness stays {100.0 * off:.1f} % off, and λ_s2 = {options.lambda_s2:g}"
+        raise InputError(f"section 4.3 does not converge: {reason}; raise it, or use the default method")
     alike = sorted(step.sigma for step in reached if abs(step.brightness - 1.0) <= options.lambda_s2)
     name = samples.images[image].name
     return PaperSpecular(best.R_s, best.sigma, name, measured, tuple(steps), matching_sigmas=tuple(alike))

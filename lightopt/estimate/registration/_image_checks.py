@@ -183,7 +183,8 @@ def _other_cause(seen: Array, model: Array, full: Bool) -> str:
     share = float(full.mean())
     if share > MOST_SATURATED:
         return f"{100.0 * share:.0f} % of their evaluable pixels are saturated; capture them with a shorter exposure"
-    return "check that rig, part, placement and postures are those of the images, and fit the reflectance first"
+    same = "check that rig, part, placement and postures are those of the images"
+    return f"{same}, and fit the reflectance first (lightopt fit-specular)"
 
 
 def _rms(values: Array) -> float:

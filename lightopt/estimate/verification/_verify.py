@@ -215,9 +215,11 @@ def plan_limits(path: Path, rig: RigConfig) -> dict[str, float]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
         widest = [(str(w["what"]), str(w["angle"]), float(w["degrees"])) for w in found["tolerances"][-1]["widest"]]
-    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}; give result.json of a plan") from error
+    except (ValueError, KeyError, TypeError, IndexError) as error:
         raise InputError(
-            f"{path}: no tolerance analysis can be read: {error}; expected result.json of lightopt optimize "
+            f"{path}: no tolerance analysis in it; expected result.json of lightopt optimize "
             "--light-tolerance or --pose-tolerance"
         ) from error
     if zero := [what for what, _, degrees in widest if degrees <= 0.0]:

@@ -263,9 +263,8 @@ def read_calibration(path: Path) -> Calibration:
             "lightopt wrote, with its maps beside it"
         ) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(
-            f"{path}: not a calibration that lightopt wrote: {type(error).__name__} at {error}; calibrate again"
-        ) from error
+        found = f"{error} is missing" if isinstance(error, KeyError) else error
+        raise InputError(f"{path}: not a calibration that lightopt wrote: {found}; calibrate again") from error
 
 
 def _posture(path: Path, one: Mapping[str, Any], sets: int) -> CalibratedPosture:

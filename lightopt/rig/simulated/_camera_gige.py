@@ -161,7 +161,7 @@ def _reserve_port() -> socket.socket:
         except OSError:
             taken.close()
             if time.monotonic() > end:
-                raise ValueError("another simulated GigE camera runs on this computer, where one can") from None
+                raise ValueError("another simulated GigE camera runs on this computer; there is room for one") from None
             time.sleep(0.1)
         else:
             return taken
