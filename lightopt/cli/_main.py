@@ -17,7 +17,7 @@ import typer.core
 
 from lightopt.cli._process import DEBUG, DEFECT, INTERRUPTED, debugging, report_unexpected, system_refused
 from lightopt.cli._terminal import echo_error, version_wanted
-from lightopt.core.errors import LightoptError, error_text
+from lightopt.core.errors import LightoptError, did_you_mean, error_text
 from lightopt.core.interrupts import interrupt
 
 WRONG_INPUT = 2
@@ -163,7 +163,8 @@ def _failed(error: BaseException) -> int:
         return error.exit_status
     if isinstance(error, _UsageError):
         context = getattr(error, "ctx", None)
-        echo_error(error.format_message())  # pyright: ignore[reportAttributeAccessIssue]
+        text: str = error.format_message()  # pyright: ignore[reportAttributeAccessIssue]
+        echo_error(_expectation(text, error.__cause__) or text)
         if context is not None:
             echo_error(f"see: {context.command_path} --help", label="")
         return WRONG_INPUT
@@ -174,6 +175,32 @@ def _failed(error: BaseException) -> int:
         return WRONG_INPUT
     report_unexpected(error)
     return DEFECT
+
+
+def _expectation(text: str, cause: BaseException | None) -> str | None:
+    # what the parser says of a value, as the other commands' messages are; None for what is no value
+    from pydantic import ValidationError
+
+    option = re.match(r"Invalid value for '([^']+)'", text)
+    if option is None or not isinstance(cause, ValidationError):
+        return None
+    problem = cause.errors(include_url=False)[0]
+    found, limits = problem["input"], problem.get("ctx", {})
+    words: list[str] = re.findall(r"'([^']*)'", problem["msg"])[1:]
+    expected = {
+        "int_parsing": "a whole number",
+        "int_from_float": "a whole number",
+        "float_parsing": "a number",
+        "greater_than_equal": f"{limits.get('ge')} or more",
+        "greater_than": f"more than {limits.get('gt')}",
+        "less_than_equal": f"{limits.get('le')} or less",
+        "less_than": f"less than {limits.get('lt')}",
+        "value_error": " or ".join(filter(None, (", ".join(words[:-1]), *words[-1:]))),
+    }.get(problem["type"])
+    if not expected:
+        return None
+    shown = f'"{found}"' if isinstance(found, str) else f"{found}"
+    return f"{option[1]}: expected {expected}, found {shown}{did_you_mean(str(found), words)}"
 
 
 @contextmanager

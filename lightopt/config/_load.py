@@ -16,7 +16,7 @@ from lightopt.config._camera import CameraDeviceConfig
 from lightopt.config._edit import referenced_files
 from lightopt.config._fields import mapping
 from lightopt.config._hardware import ChannelConfig, ControllerConfig, HardwareConfig
-from lightopt.config._part import PartConfig
+from lightopt.config._part import MESH_SUFFIXES, PartConfig
 from lightopt.config._pose import POSE_REPLACES
 from lightopt.config._ranges import RangesConfig
 from lightopt.config._rig import RigConfig
@@ -43,6 +43,8 @@ def load_rig(path: Path | str) -> RigConfig:
 
 def load_part(path: Path | str) -> PartConfig:
     """Read a part file as :func:`load_rig` does; ``source.resolve(part.mesh.file)`` is its mesh, which must exist."""
+    if Path(path).suffix.lower() in MESH_SUFFIXES and Path(path).is_file():
+        raise InputError(f"{path}: a mesh; expected a part file (YAML) that names it as mesh.file")
     return load_file(Path(path), PartConfig, "lightopt-part/1")
 
 

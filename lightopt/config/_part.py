@@ -37,13 +37,13 @@ class InspectionConfig(Frozen):
 
 _UNITLESS = (".stl", ".ply", ".obj")
 _STEP = (".step", ".stp")
-_SUFFIXES = (*_UNITLESS, ".glb", *_STEP)
+MESH_SUFFIXES = (*_UNITLESS, ".glb", *_STEP)
 
 
 class MeshConfig(Frozen):
     """The file with the part's shape, and how its surface is read."""
 
-    file: Annotated[fields.Text, fields.file_of(*_SUFFIXES)]
+    file: Annotated[fields.Text, fields.file_of(*MESH_SUFFIXES)]
     """Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp."""
     units: Literal["um", "mm", "cm", "m", "inch", "ft"] | None = Field(default=None, validate_default=True)
     """Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and .obj, which contain none.

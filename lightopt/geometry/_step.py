@@ -19,6 +19,7 @@ from lightopt.geometry._glb import glb_triangle_count, parse_glb, split_glb
 from lightopt.geometry._mesh_formats import RawMesh, check_budget, joined
 
 _LARGEST_MM, _SMALLEST_MM = 1000.0, 0.1
+_FINEST_SHARE = 2e-6  # of the part's size: a finer tolerance takes millions of triangles, and hours
 _MM_PER_GLB_UNIT = 1000.0
 _MATERIAL = re.compile(r"mat_\d+")
 
@@ -59,7 +60,13 @@ def read_step(
         _Tessellation(path, chord_tolerance_mm, angular_tolerance, relative=False, faces=pieces) as fine_one,
     ):
         size, _ = coarse.result(deadline)
-        _check_size(name, parse_glb(name, size), declared_unit_mm(data))
+        largest = _check_size(name, parse_glb(name, size), declared_unit_mm(data))
+        if chord_tolerance_mm < _FINEST_SHARE * largest:
+            raise InputError(
+                f"{name}: triangles within {chord_tolerance_mm:.2g} mm of a part of {largest:.4g} mm are too many. The "
+                "tolerance is mesh.chord_tolerance_mm, or without it a share of a pixel's footprint: check distance_mm "
+                "and pixel_size_um of the camera"
+            )
         fine, output = fine_one.result(deadline)
     check_budget(name, glb_triangle_count(name, split_glb(name, fine)[0]), max_triangles)
     raw = joined(name, parse_glb(name, fine), "STEP", repeats_vertices=True)
@@ -75,7 +82,8 @@ def declared_unit_mm(data: bytes) -> float | None:
     return next(iter(declared)) if len(declared) == 1 else None
 
 
-def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float | None) -> None:
+def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float | None) -> float:
+    # returns the largest side [mm]
     if not parts:
         raise InputError(f"{name}: the STEP file has no surfaces or solids, or they could not be tessellated")
     low = np.min([part["vertices"].min(axis=0) for part in parts], axis=0)
@@ -83,7 +91,7 @@ def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float
     size = (high - low) * _MM_PER_GLB_UNIT
     largest = float(size.max())
     if _SMALLEST_MM <= largest <= _LARGEST_MM:
-        return
+        return largest
     unit = "" if declared is None else f" (the file declares {unit_name(declared)})"
     true = {mistake: largest / mistake if largest > _LARGEST_MM else largest * mistake for mistake in (1000.0, 25.4)}
     likely = " or ".join(f"{mm:.3g} mm with a unit mistake of {mistake:g}" for mistake, mm in true.items())

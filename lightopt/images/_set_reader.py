@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float32
-from lightopt.core.errors import InputError, refuse
+from lightopt.core.errors import InputError, did_you_mean, refuse
 from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.images._image_files import Levels, read_exr, read_png
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest, read_manifest
@@ -103,6 +103,9 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
     Raises InputError: the manifest is missing or wrong, or files are missing or changed; with one message per problem.
     """
     path = Path(path)
+    if not path.exists():
+        beside = [one.name for one in path.parent.iterdir()] if path.parent.is_dir() else []
+        raise InputError(f"{path}: no such folder; expected an image set{did_you_mean(path.name, beside)}")
     manifest_path = path / MANIFEST_NAME if path.is_dir() else path
     if path.is_dir() and not manifest_path.exists():
         patterns = (f"*/{MANIFEST_NAME}", f"*/*/{MANIFEST_NAME}")

@@ -16,6 +16,8 @@ LOST_RANGE = 0.25
 
 SMALL_WELL = 1000.0  # electrons at saturation below which shot noise alone is over 3 % of the level
 
+MOST_MAGNIFICATION, LEAST_PIXEL_UM = 20.0, 0.3  # beyond these a length has probably another unit
+
 # what is blurred over more than a pixel is out of focus; a larger share of the surface seen is worth a warning
 FOCUS_PX, MOST_OUT_OF_FOCUS = 1.0, 0.05
 
@@ -32,7 +34,10 @@ def check_lens(checked: CheckedRig) -> Iterator[Finding]:
     key = next(key for key in keys if getattr(camera, key) is not None)
     text = f"image distance {b:.4g} mm: focal length {focal:.4g} mm focused at {a:g} mm; magnification {b / a:.3g}"
     values = {"image_distance_mm": b, "focal_length_mm": focal, "magnification": b / a}
-    yield Finding("ok", "lens", text, checked.at("camera", key), values)
+    if b / a > MOST_MAGNIFICATION:
+        text += f", which no lens of a machine has: is the distance of {a:g} mm in another unit?"
+        key = "distance_mm"
+    yield Finding("ok" if b / a <= MOST_MAGNIFICATION else "warning", "lens", text, checked.at("camera", key), values)
 
 
 def check_depth_of_field(checked: CheckedRig) -> Iterator[Finding]:
@@ -57,7 +62,11 @@ def check_resolution(checked: CheckedRig) -> Iterator[Finding]:
     """A pixel's footprint at the origin, where the camera looks."""
     footprint = pixel_footprint(checked.camera, checked.rig.camera.distance_mm)
     text = f"a pixel's footprint at the table is {footprint:.3g} mm ({1000 * footprint:.3g} µm)"
-    yield Finding("ok", "resolution", text, checked.at("camera", "pixel_size_um"), {"footprint_mm": footprint})
+    pixel_um = checked.rig.camera.pixel_size_um
+    level: Level = "ok" if pixel_um >= LEAST_PIXEL_UM else "warning"
+    if level == "warning":
+        text += f"; no sensor has pixels of {pixel_um:g} µm: are they in another unit?"
+    yield Finding(level, "resolution", text, checked.at("camera", "pixel_size_um"), {"footprint_mm": footprint})
 
 
 def check_field_of_view(checked: CheckedRig) -> Iterator[Finding]:

@@ -30,6 +30,26 @@ def test_the_rig_alone(cli, bench):
     assert str(bench.part) not in ran.out
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("distance_mm: 550", "distance_mm: 0.55", "magnification 100, which no lens of a machine has"),
+        ("pixel_size_um: 44", "pixel_size_um: 0.044", "no sensor has pixels of 0.044 µm: are they in another unit?"),
+    ],
+)
+def test_lengths_of_the_camera_in_another_unit_are_warned_of(cli, bench, old, new, said):
+    bench.edit("rig.yaml", old, new)
+    ran = cli("check", bench.rig)
+    assert ran.status == 0
+    assert said in ran.out
+
+
+def test_a_mesh_in_place_of_the_part_file(cli, bench):
+    ran = cli("check", bench.rig, bench.mesh)
+    assert ran.status == 2
+    assert "a mesh; expected a part file (YAML) that names it as mesh.file" in ran.err
+
+
 def test_quiet_keeps_warnings_only(cli, bench):
     bench.edit("part.yaml", "sigma_rad: 0.0475", "sigma_rad: 0.003")
     loud = cli("check", bench.rig, bench.part).out.splitlines()

@@ -78,7 +78,7 @@ def test_schema_of_something_else(cli):
     ran = cli("schema", "camera")
     assert ran.status == 2
     assert ran.err.startswith("error: ")
-    assert "'camera'" in ran.err
+    assert 'found "camera"' in ran.err
     assert "lightopt schema --help" in ran.err
 
 
@@ -117,7 +117,12 @@ def test_version(cli):
         (("render", "rig.yaml"), "Missing argument 'PART'"),
         (("render", "rig.yaml", "part.yaml"), "Missing option '--out'"),
         (("render", "rig.yaml", "part.yaml", "-o", "out", "--exposur", "1"), "--exposures"),
-        (("render", "rig.yaml", "part.yaml", "-o", "out", "--threads", "two"), "'--threads'"),
+        (
+            ("render", "rig.yaml", "part.yaml", "-o", "out", "--threads", "two"),
+            '--threads: expected a whole number, found "two"',
+        ),
+        (("dataset", "rig.yaml", "part.yaml", "-o", "out", "--images", "0"), '--images: expected 1 or more, found "0"'),
+        (("schema", "prat"), 'KIND: expected rig, part, ranges or batch, found "prat"; did you mean "part"?'),
         (("render", "rig.yaml", "part.yaml", "other.yaml", "-o", "out"), "other.yaml"),
         (("compare", "a"), "Missing argument 'B'"),
     ],

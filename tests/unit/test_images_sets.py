@@ -565,8 +565,9 @@ def test_missing_and_changed_files_are_reported_all_at_once(whole: Path, tmp_pat
 def test_folder_without_a_set_is_reported(tmp_path: Path):
     with pytest.raises(InputError, match=r"no manifest\.json, which says what each picture shows"):
         read_image_set(tmp_path)
-    with pytest.raises(InputError, match="nowhere"):
-        read_image_set(tmp_path / "nowhere")
+    (tmp_path / "images").mkdir()
+    with pytest.raises(InputError, match='imags: no such folder; expected an image set; did you mean "images"'):
+        read_image_set(tmp_path / "imags")
 
 
 def test_geometry_is_read_by_channel(whole: Path):

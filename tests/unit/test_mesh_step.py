@@ -207,10 +207,17 @@ def test_timeout_says_what_was_tried_and_what_to_do(tmp_path, monkeypatch):
     refused(
         tmp_path,
         ball(),
-        r"(fine tessellation \(chord tolerance 1e-06 mm|coarse).* stopped after 1.5 s in all. Use a coarser",
-        chord_tolerance_mm=1e-6,
+        r"(fine tessellation \(chord tolerance 0.0001 mm|coarse).* stopped after 1.5 s in all. Use a coarser",
+        chord_tolerance_mm=1e-4,
         angular_tolerance=1e-3,
     )
+
+
+def test_a_tolerance_by_the_footprint_of_a_wrong_camera_is_refused_at_once(tmp_path):
+    """A camera whose distance is in metres has pixels of nanometres; the kernel would take hours, and say nothing."""
+    begun = time.monotonic()
+    refused(tmp_path, ball(), "check distance_mm and pixel_size_um of the camera", chord_tolerance_mm=1e-5)
+    assert time.monotonic() - begun < 30.0
 
 
 def test_a_wrong_unit_ends_the_fine_tessellation_at_once(tmp_path, monkeypatch):
