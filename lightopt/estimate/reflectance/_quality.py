@@ -190,6 +190,7 @@ def _reasons(found: Estimate, *, placed: bool) -> str:
     samples = found.criterion.samples
     lights = set(samples.facts.light[samples.image].tolist())
     reasons = ["another shape of the lobe or of the diffuse reflection", "dirt", "the mesh's normals"]
+    reasons.append("camera or lights elsewhere than the rig file says (lightopt verify tells)")
     if not placed:
         reasons.append("the part's placement (register the part)")
     # of one light alone R_d and R_s are its gain
