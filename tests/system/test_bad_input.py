@@ -386,11 +386,11 @@ OPTIONS = {
     "posture NaN": (("--posture", "0,nan"), 'found "0,nan"'),
     "posture twice": (("--posture", "0,82", "--posture", "0,82.0"), "the same posture was given twice"),
     "unknown light": (("--light", "light2"), "it has light1, light3"),
-    "supersample zero": (("--supersample", "0"), "Invalid value for '--supersample'"),
+    "supersample zero": (("--supersample", "0"), "--supersample: expected"),
     "supersample too many": (("--supersample", "1000"), "found 1000"),
-    "threads zero": (("--threads", "0"), "Invalid value for '--threads'"),
+    "threads zero": (("--threads", "0"), "--threads: expected"),
     "negative seed": (("--noise", "-3"), "noise: expected a seed of 0 or more, found -3"),
-    "no patches": (("--patches", "0"), "Invalid value for '--patches'"),
+    "no patches": (("--patches", "0"), "--patches: expected"),
 }
 
 

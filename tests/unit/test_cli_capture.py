@@ -61,7 +61,7 @@ BAD = [
     ("", "", ["--exposures", "1/100000"], r"exposure 1e-05 is 0.08 µs .* outside the camera's 10 to 1e\+07 µs"),
     ("", "", ["--exposures", "1,1"], "--exposures: the same one was given twice"),
     ("", "", ["--exposures", "700"], "light1: would be on for .* longer than max_on_s 5"),
-    ("", "", ["--average", "0"], "Invalid value for '--average'"),
+    ("", "", ["--average", "0"], "--average: expected"),
     ("", "", ["--average", "1001"], "--average: expected 1 to 1000 frames, found 1001"),
     ("camera: {driver: virtual}", "camera: {driver: folder, folder: nowhere}", [], "nowhere"),
 ]

@@ -194,7 +194,7 @@ def test_other_false_alarms_and_other_noise_are_other_matrices_and_other_results
     [
         (("--min-images", "2"), "--min-images: has no effect without --objective detectability"),
         (("--false-alarms", "1"), "--false-alarms: has no effect without --objective detectability"),
-        (("--objective", "detectability", "--min-images", "0"), "Invalid value for '--min-images'"),
+        (("--objective", "detectability", "--min-images", "0"), "--min-images: expected"),
         (("--objective", "detectability", "--min-images", "4"), "seen in 4 images, and the rig has 3 lights only"),
         (("--objective", "detectability", "--false-alarms", "0"), "--false-alarms: expected a number from 1e-9 to 1"),
         (("--objective", "detectability", "--false-alarms", "nan"), "--false-alarms: expected a number from 1e-9 to 1"),

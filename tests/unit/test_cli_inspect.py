@@ -541,8 +541,8 @@ def test_sixteen_bits_and_exposures_and_sets_without_exr_will_do(cli, bench, tmp
         (("--detector", "magic"), "--detector: expected residual or catalogue or template"),
         (("--fusion", "mean"), "--fusion: expected paper, median, minimum, second-largest or none"),
         (("--false-alarms", "0"), "--false-alarms: expected a number from 1e-9 to 1"),
-        (("--min-images", "0"), "Invalid value for '--min-images'"),
-        (("--threads", "0"), "Invalid value for '--threads'"),
+        (("--min-images", "0"), "--min-images: expected"),
+        (("--threads", "0"), "--threads: expected"),
         (("--detector", "template", "--fusion", "none"), "--fusion must not be none"),
     ],
 )

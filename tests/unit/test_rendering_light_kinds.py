@@ -292,6 +292,10 @@ NAMES = sorted({"bar", "ring", "dome", "flat_dome", "tunnel", "spot", "display"}
 @example(name="dome", elevation=20.0, azimuth=146.64, factor=0.83, sigma=0.125, seed=3)
 # the tunnel bends so much that its middle says little of where it is mirrored
 @example(name="tunnel", elevation=20.0, azimuth=0.0, factor=0.875, sigma=0.0078125, seed=394)
+# known: a narrow lobe that grazes a bent element loses its flank, here 4 levels of a highlight of 1000 at one point
+@example(name="tunnel", elevation=20.0, azimuth=0.0, factor=1.0, sigma=0.00390625, seed=119).xfail(
+    raises=AssertionError, reason="the window of a bent element is sought from one place"
+)
 @given(
     name=st.sampled_from(NAMES),
     elevation=st.floats(20, 90),
