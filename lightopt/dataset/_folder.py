@@ -8,7 +8,7 @@ from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
-from lightopt.images import make_folder, remove_file, write_text_atomic
+from lightopt.images import make_folder, paths_inside, read_listing, remove_file, write_text_atomic
 
 MANIFEST, FORMAT = "dataset.json", "lightopt-dataset/1"
 INVISIBLE = "invisible"  # folder of images whose defects none can find
@@ -29,8 +29,8 @@ class DatasetFolder:
     def __init__(self, folder: Path, made_from: Mapping[str, Any], *, names: list[str], force: bool) -> None:
         self.folder = folder
         self._made_from: Mapping[str, Any] = json.loads(json.dumps(made_from))
-        old = _read(folder / MANIFEST)
-        if old is not None and str(old.get("format", "")).startswith("lightopt-dataset/"):
+        old = read_listing(folder / MANIFEST, FORMAT.partition("/")[0])
+        if old is not None:
             before = old.get("provenance")
             changed = differences(before if isinstance(before, Mapping) else {}, self._made_from)
             if changed and not force:
@@ -94,20 +94,18 @@ class DatasetFolder:
 
     def _remove(self, old: Mapping[str, Any]) -> None:
         # the records last: they know the files
-        names = [name for name in old.get("files", []) if isinstance(name, str)]
+        names = _entries(old, "files")
         records = sorted((self.folder / "poses").glob("pose-*.json"))
         for record in records:
-            names += (_read(record) or {}).get("files", [])
+            names += _entries(_read(record) or {}, "files")
         # and of poses that a stopped run did not complete
-        views = [f"{view}/{own}/**/{_NUMBER}*" for view in old.get("views", []) for own in _OF_SAMPLES]
+        views = [f"{view}/{own}/**/{_NUMBER}*" for view in _entries(old, "views") for own in _OF_SAMPLES]
         for pattern in (*views, f"poses/pose-{_NUMBER}.exr", f"stacks/pose-{_NUMBER}.h5"):
             names += [str(path.relative_to(self.folder)) for path in self.folder.glob(pattern) if path.is_file()]
         root, folders = self.folder.resolve(), set[Path]()
-        for name in names:
-            path = (self.folder / name).resolve()
-            if path.is_relative_to(root):
-                remove_file(path)
-                folders.update(one for one in path.parents if one != root and one.is_relative_to(root))
+        for path in paths_inside(self.folder, names):
+            remove_file(path)
+            folders.update(one for one in path.parents if one != root and one.is_relative_to(root))
         for record in records:
             remove_file(record)
         remove_file(self.folder / MANIFEST)
@@ -119,6 +117,12 @@ class DatasetFolder:
 def record_name(number: int) -> str:
     """Name of the file that describes a pose."""
     return f"poses/pose-{number:06}.json"
+
+
+def _entries(document: Mapping[str, Any], key: str) -> list[Any]:
+    # of a list in a file that may have been edited
+    found = document.get(key)
+    return list(found) if isinstance(found, list) else []
 
 
 def _read(path: Path) -> dict[str, Any] | None:

@@ -93,8 +93,8 @@ class RegionAtPoints:
 class BoxRegion:
     """The surface inside a box."""
 
-    low: tuple[float, float, float]  # its corners [mm]
-    high: tuple[float, float, float]  # its corners [mm]
+    low: tuple[float, float, float]  # corner of the least coordinates [mm]
+    high: tuple[float, float, float]  # corner of the greatest coordinates [mm]
 
     def cut(self, loaded: LoadedMesh, *, most: int) -> LoadedMesh:
         """With edges along the sides of the box, where these cut faces; `most` faces are not exceeded."""

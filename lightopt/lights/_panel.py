@@ -24,12 +24,12 @@ class PanelLight:
     """A rectangular panel, in whichever frame its vectors are given (world or part)."""
 
     name: str
-    elevation: float  # where its centre stands, world frame [rad]
-    azimuth: float  # where its centre stands, world frame [rad]
+    elevation: float  # of the direction to its centre, world frame [rad]
+    azimuth: float  # of the direction to its centre, world frame [rad]
     distance: float  # panel centre to origin [mm]
     centre: Float64  # [mm], shape (3,)
-    across: Float64  # unit vectors of its sides, shape (3,); e_φ and e_θ of a panel that faces the origin
-    along: Float64  # unit vectors of its sides, shape (3,); e_φ and e_θ of a panel that faces the origin
+    across: Float64  # unit vector of one side, shape (3,); e_φ of a panel that faces the origin
+    along: Float64  # unit vector of the other side, shape (3,); e_θ of a panel that faces the origin
     # unit vector across × along, shape (3,), from the origin to a panel that faces it; it shines along −outward
     outward: Float64
     size: tuple[float, float]  # sides along `across` and `along` [mm]
@@ -155,8 +155,8 @@ class PanelNumbers(NamedTuple):
     """A panel in the part's frame; a point of it is ``centre + s·across + t·along`` with s, t in [−½, ½]."""
 
     centre: Vector
-    across: Vector  # as long as the panel's sides [mm]
-    along: Vector  # as long as the panel's sides [mm]
+    across: Vector  # one side [mm]
+    along: Vector  # the other side [mm]
     outward: Vector
     distance: float  # at which the fall-off is 1 [mm]
     inverse_square: bool

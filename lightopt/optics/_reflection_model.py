@@ -66,8 +66,8 @@ class Lobe(NamedTuple):
     shares: tuple[float, float, float, float, float]  # their heights, in the unit of `share`
     # 1/(2σ²) of these lobes [rad⁻²], of which each is wider than the one before
     inverses: tuple[float, float, float, float, float]
-    n: float  # complex refractive index n + ik of a metal; 0 where reflection does not depend on the angle
-    k: float  # complex refractive index n + ik of a metal; 0 where reflection does not depend on the angle
+    n: float  # of the complex refractive index n + ik of a metal; 0 where reflection does not depend on the angle
+    k: float  # its imaginary part; 0 likewise
     normal_reflectance: float  # Fresnel reflectance of the metal at normal incidence
     widening: float  # (σ_across/σ)² of a brushed surface, whose lobe is as much wider across the brushing; 1 of others
     # unit vector across the brushing, in the tangent plane, times √(1 − 1/widening); 0 where the lobe is alike all

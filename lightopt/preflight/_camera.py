@@ -34,10 +34,11 @@ def check_lens(checked: CheckedRig) -> Iterator[Finding]:
     key = next(key for key in keys if getattr(camera, key) is not None)
     text = f"image distance {b:.4g} mm: focal length {focal:.4g} mm focused at {a:g} mm; magnification {b / a:.3g}"
     values = {"image_distance_mm": b, "focal_length_mm": focal, "magnification": b / a}
+    level: Level = "ok"
     if b / a > MOST_MAGNIFICATION:
+        level, key = "warning", "distance_mm"
         text += f", which no lens of a machine has: is the distance of {a:g} mm in another unit?"
-        key = "distance_mm"
-    yield Finding("ok" if b / a <= MOST_MAGNIFICATION else "warning", "lens", text, checked.at("camera", key), values)
+    yield Finding(level, "lens", text, checked.at("camera", key), values)
 
 
 def check_depth_of_field(checked: CheckedRig) -> Iterator[Finding]:
@@ -63,8 +64,9 @@ def check_resolution(checked: CheckedRig) -> Iterator[Finding]:
     footprint = pixel_footprint(checked.camera, checked.rig.camera.distance_mm)
     text = f"a pixel's footprint at the table is {footprint:.3g} mm ({1000 * footprint:.3g} µm)"
     pixel_um = checked.rig.camera.pixel_size_um
-    level: Level = "ok" if pixel_um >= LEAST_PIXEL_UM else "warning"
-    if level == "warning":
+    level: Level = "ok"
+    if pixel_um < LEAST_PIXEL_UM:
+        level = "warning"
         text += f"; no sensor has pixels of {pixel_um:g} µm: are they in another unit?"
     yield Finding(level, "resolution", text, checked.at("camera", "pixel_size_um"), {"footprint_mm": footprint})
 

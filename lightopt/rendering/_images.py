@@ -60,8 +60,8 @@ class LightImage:
 
     light: str
     level: Float32  # linear, unclipped, noise-free [grey level], shape (height, width)
-    diffuse: Float32 | None = None  # its two components [grey level], or None without `layers`
-    specular: Float32 | None = None  # its two components [grey level], or None without `layers`
+    diffuse: Float32 | None = None  # diffuse component [grey level], or None without `layers`
+    specular: Float32 | None = None  # specular component [grey level], or None without `layers`
     # level of a pixel's centre minus the mean over the pixel, shape (height, width); None without `averaged`, and with
     # a lens of finite aperture, whose images are means over pixels
     inside: Float32 | None = None
@@ -98,8 +98,8 @@ class PostureImages:
 class PixelLevels:
     """Some pixels of the images of a posture, k of them: means over their area."""
 
-    diffuse: Float64  # direct light under each light [grey level], shape (lights, k)
-    specular: Float64  # direct light under each light [grey level], shape (lights, k)
+    diffuse: Float64  # diffuse part of the direct light of each light [grey level], shape (lights, k)
+    specular: Float64  # specular part of the direct light of each light [grey level], shape (lights, k)
     defect: Float64  # share of each pixel that each of the scene's defects takes, shape (defects, k)
 
 

@@ -50,8 +50,8 @@ class ConvergedLight(NamedTuple):
     """A panel in the part's frame, and how bright its light is on a surface."""
 
     panel: PanelNumbers
-    diffuse_level: float  # grey levels per unit of the two terms: R_d and R_s times the panel's total weight
-    specular_level: float  # grey levels per unit of the two terms: R_d and R_s times the panel's total weight
+    diffuse_level: float  # grey levels per unit of the diffuse term: R_d times the panel's total weight
+    specular_level: float  # grey levels per unit of the specular term: R_s times the panel's total weight
     lobe: Lobe  # of the specular term
     form: DiffuseForm  # of the diffuse term
     # Gauss–Legendre nodes a side that the whole panel needs for its fall-off and emission; a cell needs fewer
@@ -62,8 +62,8 @@ class Squares(NamedTuple):
     """Squares of the panel that are divided into a grid, q of them; several may belong to one surface point."""
 
     point: Int32  # surface point of each, shape (q,)
-    s: Float64  # lower corner, in units of the panel's sides, from 0 to 1; shape (q,)
-    t: Float64  # lower corner, in units of the panel's sides, from 0 to 1; shape (q,)
+    s: Float64  # lower corner along s, in units of the panel's sides, from 0 to 1; shape (q,)
+    t: Float64  # lower corner along t, in units of the panel's sides, from 0 to 1; shape (q,)
     cell: float  # side of the grid's cells, in the same units
 
 

@@ -41,8 +41,8 @@ T = TypeVar("T")
 class PosturePixels:
     """What the pixel centres of one posture's images look at, k of them."""
 
-    posture: Posture  # of the part; camera and lights in the part's frame
-    view: PartView  # of the part; camera and lights in the part's frame
+    posture: Posture  # of the part
+    view: PartView  # camera and lights in the part's frame
     row: Int32  # of each pixel, shape (k,)
     column: Int32  # of each pixel, shape (k,)
     surface: SurfacePoints  # where the rays meet the part, part frame

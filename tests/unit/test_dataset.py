@@ -381,6 +381,8 @@ def test_a_stopped_run_goes_on_and_a_finished_one_is_left_alone(made, tmp_path, 
     assert cli(*command(made, tmp_path / "other", images=2, seed=4), "--force").status == 0
     assert cli(*command(made, tmp_path / "new", images=2, seed=4)).status == 0
     assert snapshot(tmp_path / "other") == snapshot(tmp_path / "new"), "nothing of the pose that was stopped is left"
+    (tmp_path / "other" / "poses" / "pose-000000.json").write_text('{"files": 1}', encoding="utf-8")
+    assert cli(*command(made, tmp_path / "other", images=2, seed=5), "--force").status == 0
     ran = cli(*command(made, folder))
     assert (ran.status, ran.err) == (0, "")
     assert ran.out.startswith("12 samples, 24 images, 4 poses (")

@@ -53,8 +53,8 @@ def in_cells(lengths: Float32 | Float64, cell: float) -> Float32:
 class ImagePatches(NamedTuple):
     """The p patches of a posture in its image."""
 
-    column: Float32  # of their middles [cells], shape (p,)
-    row: Float32  # of their middles [cells], shape (p,)
+    column: Float32  # columns of their middles [cells], shape (p,)
+    row: Float32  # rows of their middles [cells], shape (p,)
     owner: Int32  # patch that each cell of the image sees, −1 for none, shape (rows, columns)
     cell: float  # side of a cell [px]
     classes: Int32  # of foreshortening, shape (p,); patches of a class follow each other where that is to be fast

@@ -189,8 +189,12 @@ def _reasons(found: Estimate, *, placed: bool) -> str:
     # other possible causes, without what was fitted already
     samples = found.criterion.samples
     lights = set(samples.facts.light[samples.image].tolist())
-    reasons = ["another shape of the lobe or of the diffuse reflection", "dirt", "the mesh's normals"]
-    reasons.append("camera or lights elsewhere than the rig file says (lightopt verify tells)")
+    reasons = [
+        "another shape of the lobe or of the diffuse reflection",
+        "dirt",
+        "the mesh's normals",
+        "camera or lights elsewhere than the rig file says (lightopt verify tells)",
+    ]
     if not placed:
         reasons.append("the part's placement (register the part)")
     # of one light alone R_d and R_s are its gain
