@@ -86,8 +86,9 @@ ELEMENT_ERROR = 0.005  # of what an element adds, which others add to [grey leve
 MOST_R_S_SIGMA_2 = 1e3  # R_s·σ² of fits, where R_s is not known [grey level]
 NEGLIGIBLE_LEVEL = 0.02  # elements whose highlight is less are not divided [grey level]
 STEPS = 6  # Newton steps to where the lobe is brightest
-FAR_OFF = 1.5  # of the negligible exponent: where the quadratic form's least is more, so is the exponent
-FIRST_FAR_OFF = 4.0  # times that of the form at the middle of an element, which may bend much
+# of the negligible exponent: where the quadratic form's least is more, so is the exponent, though an element may bend
+# much between the place of the form and that of its least
+FAR_OFF = 24.0
 NEAR = 0.02  # of an element's sides: steps that are less end the search
 MOST_ENDS, _RINGS, TAIL_GROWTH = 24, 11, 3.2  # of the pieces that a side is taken in for a lobe with tails
 _CROSSING_STEPS, _CROSSING_NEAR = 20, 1e-9  # of the search for the horizon, and how near it is, as a share of a side
@@ -338,14 +339,14 @@ def _nearest(at: SurfacePoint, e: Element, area: Rectangle, lobe: Lobe, far: flo
     s, t = 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1)
     wide, high = area.s1 - area.s0, area.t1 - area.t0
     near = Exponent(s, t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for round_ in range(STEPS):
+    for _ in range(STEPS):
         q, along_s, along_t = element_place(e, s, t)
         near = exponent_at(at, s, t, q, along_s, along_t, lobe)
         _, _, a, b, c, gs, gt, least = near
         ns, nt = least_in_box(near, area)
         ds, dt = ns - s, nt - t
         there = least + 2.0 * (gs * ds + gt * dt) + a * ds * ds + 2.0 * b * ds * dt + c * dt * dt
-        if there > (far if round_ else FIRST_FAR_OFF * far):
+        if there > far:
             return Exponent(s, t, a, b, c, gs, gt, np.inf)
         if max(abs(ds) / wide, abs(dt) / high) < NEAR:
             return near
@@ -356,7 +357,7 @@ def _nearest(at: SurfacePoint, e: Element, area: Rectangle, lobe: Lobe, far: flo
 @kernel
 def _add_gaussian(to: _Sum, area: Rectangle, lobe: Lobe, most: float, share: float) -> None:
     # adds a share of the light of one Gaussian lobe
-    near = _nearest(to.at, to.e, area, lobe, FAR_OFF * most + 1.0)
+    near = _nearest(to.at, to.e, area, lobe, FAR_OFF * (most + 1.0))
     s, t, a, _, c, gs, gt, least = near
     if least > most:
         return

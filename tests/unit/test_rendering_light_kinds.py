@@ -292,6 +292,7 @@ NAMES = sorted({"bar", "ring", "dome", "flat_dome", "tunnel", "spot", "display"}
 @example(name="dome", elevation=20.0, azimuth=146.64, factor=0.83, sigma=0.125, seed=3)
 # the tunnel bends so much that its middle says little of where it is mirrored
 @example(name="tunnel", elevation=20.0, azimuth=0.0, factor=0.875, sigma=0.0078125, seed=394)
+@example(name="tunnel", elevation=20.0, azimuth=0.0, factor=1.0, sigma=0.00390625, seed=119)
 @given(
     name=st.sampled_from(NAMES),
     elevation=st.floats(20, 90),
@@ -301,16 +302,6 @@ NAMES = sorted({"bar", "ring", "dome", "flat_dome", "tunnel", "spot", "display"}
     seed=st.integers(0, 10_000),
 )
 def test_light_of_any_pose(name: str, elevation: float, azimuth: float, factor: float, sigma: float, seed: int) -> None:
-    _require_the_integral(name, elevation, azimuth, factor, max(sigma, 0.006) if name == "tunnel" else sigma, seed)
-
-
-@pytest.mark.xfail(reason="the window of an element that bends much is sought from one place")
-def test_a_narrow_lobe_that_grazes_a_tunnel_keeps_its_flank() -> None:
-    """It loses 4 levels of a highlight of 1000 at one point; quartered elements do not."""
-    _require_the_integral("tunnel", 20.0, 0.0, 1.0, 0.00390625, 119)
-
-
-def _require_the_integral(name: str, elevation: float, azimuth: float, factor: float, sigma: float, seed: int) -> None:
     file, words = KINDS[name]
     place = at(factor * words["distance"], elevation, azimuth)
     light = built(**file | place[0])[0]
@@ -320,6 +311,25 @@ def _require_the_integral(name: str, elevation: float, azimuth: float, factor: f
     R_s = TOP / (8.0 * np.pi * sigma**2 * ref.emitter(**words | place[1]).radiance)
     off = np.abs(R_D * (found[0] - expected[0]) + R_s * (found[1] - expected[1]))
     assert np.all(off <= np.maximum(0.1, 0.001 * (R_D * expected[0] + R_s * expected[1])))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["dome", "flat_dome", "ring", "spot", "tunnel"])
+def test_narrow_lobes_lose_hardly_any_highlight_in_any_pose(name: str) -> None:
+    """60 poses, σ from 0.003 to 0.02, against elements divided in sixteen: at most one point in 10,000 is off."""
+    rng, wrong_points = np.random.default_rng(1), []
+    file, words = KINDS[name]
+    for seed in range(60):
+        factor, elevation, azimuth = rng.uniform(0.8, 1.2), rng.uniform(20.0, 90.0), rng.uniform(0.0, 360.0)
+        sigma = float(np.exp(rng.uniform(np.log(0.003), np.log(0.02))))
+        place = at(factor * words["distance"], elevation, azimuth)
+        light = built(**file | place[0])[0]
+        fine = replace(light, elements=quartered(quartered(light.elements)))
+        surface = sphere(1000, seed=seed)
+        R_s = TOP / (8.0 * np.pi * sigma**2 * ref.emitter(**words | place[1]).radiance)
+        found, more = (R_s * layers(surface, [one], sigma)[1, 0] for one in (light, fine))
+        wrong_points.append(np.abs(found - more) > np.maximum(0.1, 0.001 * more))
+    assert np.mean(wrong_points) <= 1e-4
 
 
 @pytest.mark.parametrize("sigma", SIGMAS)
