@@ -179,12 +179,11 @@ def _failed(error: BaseException) -> int:
 
 def _expectation(text: str, cause: BaseException | None) -> str | None:
     # what the parser says of a value, as the other commands' messages are; None for what is no value
-    from pydantic import ValidationError
-
     option = re.match(r"Invalid value for '([^']+)'", text)
-    if option is None or not isinstance(cause, ValidationError):
+    errors = getattr(cause, "errors", None)  # pydantic's ValidationError
+    if option is None or errors is None:
         return None
-    problem = cause.errors(include_url=False)[0]
+    problem = errors()[0]
     found, limits = problem["input"], problem.get("ctx", {})
     words: list[str] = re.findall(r"'([^']*)'", problem["msg"])[1:]
     expected = {
