@@ -89,7 +89,8 @@ STEPS = 6  # Newton steps to where the lobe is brightest
 # of the negligible exponent: where the quadratic form's least is more, so is the exponent, though an element may bend
 # much between the place of the form and that of its least
 FAR_OFF = 24.0
-NEAR = 0.02  # of an element's sides: steps that are less end the search
+# the search for it ends where a step is less than this share of the element's sides, and the exponent so near its least
+NEAR, NEAR_EXPONENT = 0.02, 0.5
 MOST_ENDS, _RINGS, TAIL_GROWTH = 24, 11, 3.2  # of the pieces that a side is taken in for a lobe with tails
 _CROSSING_STEPS, _CROSSING_NEAR = 20, 1e-9  # of the search for the horizon, and how near it is, as a share of a side
 _SIDE_BY_SIDE = 512  # points whose numbers are in the processor's nearest cache together
@@ -348,10 +349,10 @@ def _nearest(at: SurfacePoint, e: Element, area: Rectangle, lobe: Lobe, far: flo
         there = least + 2.0 * (gs * ds + gt * dt) + a * ds * ds + 2.0 * b * ds * dt + c * dt * dt
         if there > far:
             return Exponent(s, t, a, b, c, gs, gt, np.inf)
-        if max(abs(ds) / wide, abs(dt) / high) < NEAR:
+        if max(abs(ds) / wide, abs(dt) / high) < NEAR and least - there < NEAR_EXPONENT:
             return near
         s, t = ns, nt
-    return Exponent(s, t, near.a, near.b, near.c, near.gs, near.gt, near.least)
+    return near
 
 
 @kernel

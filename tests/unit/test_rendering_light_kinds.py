@@ -313,6 +313,17 @@ def test_light_of_any_pose(name: str, elevation: float, azimuth: float, factor: 
     assert np.all(off <= np.maximum(0.1, 0.001 * (R_D * expected[0] + R_s * expected[1])))
 
 
+def test_a_narrow_peak_near_the_edge_of_an_element_keeps_its_light() -> None:
+    """The step to the peak is a small share of the element's sides, but many widths of the lobe."""
+    file, words = KINDS["tunnel"]
+    place = at(1.1325 * words["distance"], 24.390254579953776, 297.1756128216801)
+    light, sigma = built(**file | place[0])[0], 0.0041
+    surface = sphere(1000, seed=21).take([57, 153, 943])
+    found, expected = layers(surface, [light], sigma)[1, 0], expected_layers(surface, words | place[1], sigma)[1, 0]
+    assert expected.max() > 5e-5
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3 * expected.max())
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", ["dome", "flat_dome", "ring", "spot", "tunnel"])
 def test_narrow_lobes_lose_hardly_any_highlight_in_any_pose(name: str) -> None:
