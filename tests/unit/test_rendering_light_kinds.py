@@ -319,7 +319,7 @@ def test_a_narrow_peak_near_the_edge_of_an_element_keeps_its_light() -> None:
     place = at(1.1325 * words["distance"], 24.390254579953776, 297.1756128216801)
     light, sigma = built(**file | place[0])[0], 0.0041
     surface = sphere(1000, seed=21).take([57, 153, 943])
-    found, expected = layers(surface, [light], sigma)[1, 0], expected_layers(surface, words | place[1], sigma)[1, 0]
+    found, expected = layers(surface, [light], sigma)[1, 0], expected_layers(surface, words | place[1], sigma)[1]
     assert expected.max() > 5e-5
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3 * expected.max())
 
