@@ -12,8 +12,9 @@ array of its mixed differences along the lights' candidates, ±1 at the place of
 (:class:`Differences`). All defects of a patch are processed as one word: those that
 rise at the same places cost no more than one. Lights with one candidate only shift v for the defects they show.
 
-Patches where units change nearly everywhere are added up combination by combination; the last light's positions share
-the sum of the others.
+Pairs that all combinations cover, or none does, are decided beforehand: most of them. Patches where the units of the
+others change nearly everywhere are added up combination by combination; the last light's positions share the sum of the
+others.
 """
 
 import math
@@ -112,13 +113,19 @@ def combination_sums(
     count = threads or available_processors()
     units = np.arange(needed + 1, dtype=np.int64)
     values = np.stack([units // needed, units][: 2 if benefit and needed > 1 else 1])
-    tables, left = _count_run_sums(lights, weights, values, count, progress)
+    least, most = (
+        weights.sum_counts((reduced(positions, axis=0) for positions in lights), needed)
+        for reduced in (np.bitwise_and.reduce, np.bitwise_or.reduce)
+    )
+    always, undecided = weights.sum_of(least[-1]), most[0 if benefit else -1] & ~least[-1]
+    tables, left = _count_run_sums(lights, undecided, weights, values, count, progress)
     covered, each = tables[0], tables[-1]  # where one unit is needed both are the same
     if left.any():
-        plain = _added_up([positions[:, :, left] for positions in lights], weights.of(left), needed, count, progress)
+        some = [positions[:, :, left] & undecided[left] for positions in lights]
+        plain = _added_up(some, weights.of(left), needed, count, progress)
         # not in place
         covered, each = covered + plain[0], each + plain[1 if benefit else 0]
-    return covered, each
+    return covered + always, each + always * (needed if benefit else 1)
 
 
 def _added_up(
@@ -180,10 +187,16 @@ def _last(
 
 
 def _count_run_sums(
-    counts: Sequence[PositionCounts], weights: PairWeights, values: Int64, threads: int, progress: Share | None
+    counts: Sequence[PositionCounts],
+    undecided: Words,
+    weights: PairWeights,
+    values: Int64,
+    threads: int,
+    progress: Share | None,
 ) -> tuple[Int64, Bool]:
-    """Σ weight of the pair · value of its units of evidence, for all combinations.
+    """Σ weight of the pair · value of its units of evidence over undecided pairs, for all combinations.
 
+    undecided: Shape (p, words).
     values: Of 0, 1, … units; more than the last have its value. One row per table, shape (v, n + 1).
     Returns tables: Shape (v, combinations), the last light's candidates varying fastest.
     Returns left: Patches that the tables omit since their flags change at too many places, shape (p,).
@@ -206,12 +219,14 @@ def _count_run_sums(
         above = np.zeros((most_images, end - start, width), np.uint64)
         for flags in (layer[0] for layer in fixed):
             add_units(above, flags[:, start:end])
-        shown = np.concatenate([~above[:1], above[:-1] & ~above[1:], above[-1:]])
+        own_pairs = undecided[start:end]
+        shown = np.concatenate([~above[:1], above[:-1] & ~above[1:], above[-1:]]) & own_pairs
         # candidates of all moving lights one after the other, patches first: what a patch needs lies together
         rows = np.zeros((end - start, width, levels, sum(len(layer) for layer in moving)), np.uint64)
         first = np.cumsum([0, *(len(layer) for layer in moving)])
         for layer, at in zip(moving, first, strict=False):
-            rows[:, :, : layer.shape[1], at : at + len(layer)] = layer[:, :, start:end].transpose(2, 3, 1, 0)
+            flags = layer[:, :, start:end] & own_pairs
+            rows[:, :, : layer.shape[1], at : at + len(layer)] = flags.transpose(2, 3, 1, 0)
         planes, rules, areas = (weights.masks, weights.factors), (coefficients, matters), weights.areas[start:end]
         with differences.borrowed() as own:
             _scatter(own, strides, first, rows, shown, areas, planes, rules, most, left[start:end])
