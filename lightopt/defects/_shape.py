@@ -13,11 +13,12 @@ scratch   the same across: a V with a rounded bottom and rounded lips
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.core.kernels import kernel
 
 DefectKind = Literal["scratch", "dent", "bump", "pit", "blister", "stain", "haze"]
 
@@ -85,41 +86,84 @@ def _rise(kind: DefectKind) -> float:
     return 1.0 - BLEND
 
 
+class Profile(NamedTuple):
+    """A shape in numbers."""
+
+    strip: bool  # with round ends, not an ellipse
+    half_length: float  # [mm]
+    half_width: float  # [mm]
+    wall: int  # _BOWL, _BLISTER, _CONE or _FLAT
+    rise: float  # tangent of the steepest slope, outwards: negative for a bump and a blister
+
+
+_FLAT, _BOWL, _BLISTER, _CONE = 0, 1, 2, 3
+_WALLS = {"dent": _BOWL, "bump": _BOWL, "blister": _BLISTER, "pit": _CONE, "scratch": _CONE}
+
+
+def profile_of(shape: DefectShape) -> Profile:
+    """The shape in numbers."""
+    rise = math.tan(shape.slope) * (-1.0 if shape.kind in ("bump", "blister") else 1.0)
+    wall = _WALLS.get(shape.kind, _FLAT)
+    return Profile(shape.kind == "scratch", 0.5 * shape.length, 0.5 * shape.width, wall, rise)
+
+
+@kernel
+def _from_middle(profile: Profile, x: float) -> float:
+    # along the length, from the middle line of a strip
+    if not profile.strip:
+        return x
+    half = profile.half_length - profile.half_width
+    return x - min(max(x, -half), half)
+
+
+@kernel
+def place_in_outline(profile: Profile, x: float, y: float) -> float:
+    """ρ at a place x along the length and y across [mm]: 0 in the middle, 1 on the outline."""
+    half = profile.half_width if profile.strip else profile.half_length
+    return math.hypot(_from_middle(profile, x) / half, y / profile.half_width)
+
+
+@kernel
+def gradient_in_outline(profile: Profile, x: float, y: float) -> tuple[float, float]:
+    """Slopes along x and along y, at a place [mm], of the height above the undisturbed surface."""
+    rho = place_in_outline(profile, x, y)
+    if rho >= 1.0 or rho <= 0.0 or profile.wall == _FLAT:
+        return 0.0, 0.0
+    if profile.wall == _CONE:
+        steepness = min(min(rho, 1.0 - rho) / BLEND, 1.0)
+    else:
+        top = BLISTER_TOP if profile.wall == _BLISTER else 0.0
+        steepness = math.sin(math.pi * max((rho - top) / (1.0 - top), 0.0))
+    # the slope is that of ρ in units of 1 / (width / 2)
+    half = profile.half_width if profile.strip else profile.half_length
+    along = _from_middle(profile, x) * profile.half_width / (half * half * rho)
+    return profile.rise * steepness * along, profile.rise * steepness * (y / (profile.half_width * rho))
+
+
+@kernel
+def _places(profile: Profile, x: Float64, y: Float64) -> Float64:
+    places = np.empty(len(x))
+    for i in range(len(x)):
+        places[i] = place_in_outline(profile, x[i], y[i])
+    return places
+
+
+@kernel
+def _gradients(profile: Profile, x: Float64, y: Float64) -> tuple[Float64, Float64]:
+    along, across = np.empty(len(x)), np.empty(len(x))
+    for i in range(len(x)):
+        along[i], across[i] = gradient_in_outline(profile, x[i], y[i])
+    return along, across
+
+
 def radial_place(shape: DefectShape, x: Float64, y: Float64) -> Float64:
     """ρ at places x along the length and y across [mm]: 0 in the middle, 1 on the outline, shape (k,)."""
-    if shape.kind == "scratch":
-        return np.hypot(x - _on_middle_line(shape, x), y) / (0.5 * shape.width)
-    return np.hypot(x / (0.5 * shape.length), y / (0.5 * shape.width))
+    return _places(profile_of(shape), x, y)
 
 
 def height_gradient(shape: DefectShape, x: Float64, y: Float64) -> tuple[Float64, Float64]:
     """Slopes along x and along y of the height above the undisturbed surface, each of shape (k,)."""
-    rho = radial_place(shape, x, y)
-    steepness = np.where(rho < 1.0, _relative_slope(shape, rho), 0.0)
-    # the height falls off as ρ grows; d(ρ)/dx in units of 1 / (width/2)
-    outwards = 1.0 if shape.kind in ("bump", "blister") else -1.0
-    fall = -outwards * math.tan(shape.slope) * steepness
-    if shape.kind == "scratch":
-        across_x, across_y = x - _on_middle_line(shape, x), y
-        scale = 1.0 / np.where(rho > 0.0, rho * 0.5 * shape.width, 1.0)
-        return fall * across_x * scale, fall * across_y * scale
-    a, b = 0.5 * shape.length, 0.5 * shape.width
-    scale = b / np.where(rho > 0.0, rho, 1.0)
-    return fall * x / a**2 * scale, fall * y / b**2 * scale
-
-
-def _relative_slope(shape: DefectShape, rho: Float64) -> Float64:
-    if shape.kind in ("dent", "bump", "blister"):
-        top = BLISTER_TOP if shape.kind == "blister" else 0.0
-        return np.sin(math.pi * np.clip((rho - top) / (1.0 - top), 0.0, 1.0))
-    if shape.kind in ("pit", "scratch"):
-        return np.clip(np.minimum(rho, 1.0 - rho) / BLEND, 0.0, 1.0)
-    return np.zeros_like(rho)
-
-
-def _on_middle_line(shape: DefectShape, x: Float64) -> Float64:
-    half = 0.5 * (shape.length - shape.width)
-    return np.clip(x, -half, half)
+    return _gradients(profile_of(shape), x, y)
 
 
 SIZES: Final = (0.6, 1.0, 1.6)  # sizes that are tested, as multiples of an entry's; the slope stays

@@ -10,8 +10,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Index, Int32
-from lightopt.defects._shape import SHAPE_KINDS, SIZES, CatalogueEntry, DefectShape, height_gradient, radial_place
+from lightopt.core.arrays import Float64, Index, Int32, Int64
+from lightopt.core.kernels import kernel
+from lightopt.defects._shape import (
+    SHAPE_KINDS,
+    SIZES,
+    CatalogueEntry,
+    DefectShape,
+    Profile,
+    gradient_in_outline,
+    place_in_outline,
+    profile_of,
+)
 
 # cosines of the angle to the normal in so many steps of this ratio, and directions within half a turn
 FORESHORTENING, COSINES, AZIMUTHS = 0.85, 11, 8
@@ -92,7 +102,7 @@ PLANNING_GRID = HypothesisGrid(directions=8, fine_slope=math.radians(4.5), segme
 """Of expected evidence: levels may be coarser where they are added up and not compared."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class PixelMixture:
     """What pixels see of a defect, n pieces; those of a pixel follow each other."""
 
@@ -141,40 +151,71 @@ class DefectHypotheses:
         disc = _disc(blur_px)
         if len(disc[0]) > 1:  # whose places sample pixels, too
             samples = LEAST_SAMPLES
-        inner = (np.arange(samples) + 0.5) / samples - 0.5
-        columns, rows = 2 * right + 1, 2 * down + 1
-        row, y, column, x = np.ix_(np.arange(rows), inner, np.arange(columns), inner)
-        pixel = np.broadcast_to(row * columns + column, (rows, samples, columns, samples)).ravel()
-        y, x = (
-            np.broadcast_to(a, (rows, samples, columns, samples)).ravel() for a in (row - down + y, column - right + x)
+        row, column, variant, count = _sample_pixels(
+            profile_of(shape),
+            (down, right),
+            np.stack([along, across]) @ np.linalg.inv(to_image),
+            off_px,
+            disc,
+            samples,
+            angle,
+            np.array(self.levels),
+            len(self.slope) // len(self.levels),
         )
-        places = [np.add.outer(side, a - off).ravel() for side, a, off in zip(disc, (x, y), off_px, strict=True)]
-        plane = np.linalg.inv(to_image) @ np.stack(places, dtype=np.float64)
-        variant, inside = self._variants(shape, angle, along @ plane, across @ plane)
-        pixel = np.tile(pixel, len(disc[0]))
-        found, count = np.unique(pixel[inside] * len(self.slope) + variant[inside], return_counts=True)
         keep = count >= LEAST_SHARE * count.max(initial=0)
-        pixel, kind = np.divmod(found[keep], len(self.slope))
-        return PixelMixture(
-            row=(pixel // columns - down).astype(np.int32),
-            column=(pixel % columns - right).astype(np.int32),
-            variant=kind.astype(np.int32),
-            weight=count[keep] / (samples**2 * len(disc[0])),
-        )
+        weight = count[keep] / (samples**2 * len(disc[0]))
+        return PixelMixture(row=row[keep], column=column[keep], variant=variant[keep], weight=weight)
 
-    def _variants(self, shape: DefectShape, turn: float, x: Float64, y: Float64) -> tuple[Index, Bool]:
-        # the variant of each place and whether it is part of the defect, from coordinates along and across it
-        inside = radial_place(shape, x, y) < 1.0
-        if shape.kind not in SHAPE_KINDS:
-            return np.zeros(len(x), np.intp), inside
-        along, across = height_gradient(shape, x, y)
-        share = np.hypot(along, across) / math.tan(shape.slope)
-        level = np.abs(share[:, None] - self.levels).argmin(axis=1)
-        directions = len(self.slope) // len(self.levels)
-        # the normal leans down the slope
-        lean = (np.arctan2(-across, -along) + turn) * directions / (2.0 * math.pi)
-        variant = level * directions + np.rint(lean).astype(np.intp) % directions
-        return variant, inside & (share >= 0.5 * self.levels[0])
+
+@kernel
+def _sample_pixels(
+    profile: Profile,
+    reach: tuple[int, int],
+    to_defect: Float64,
+    off: tuple[float, float],
+    disc: tuple[Float64, Float64],
+    samples: int,
+    turn: float,
+    levels: Float64,
+    directions: int,
+) -> tuple[Int32, Int32, Int32, Int64]:
+    # Samples of each pixel that see each variant, where some do: rows, columns, variants and their number.
+    # to_defect: place along and across the defect by pixels to the right and down. A wall that is less steep than half
+    # of the least level is flat
+    down, right = reach
+    most = (2 * down + 1) * (2 * right + 1) * min(len(levels) * directions, samples * samples * len(disc[0]))
+    rows, columns = np.empty(most, np.int32), np.empty(most, np.int32)
+    variants, numbers = np.empty(most, np.int32), np.empty(most, np.int64)
+    count, n, steepest = np.zeros(len(levels) * directions, np.int64), 0, abs(profile.rise)
+    for row in range(-down, down + 1):
+        for column in range(-right, right + 1):
+            for i in range(samples * samples):
+                inner_y, inner_x = (i // samples + 0.5) / samples - 0.5, (i % samples + 0.5) / samples - 0.5
+                for k in range(len(disc[0])):
+                    px, py = disc[0][k] + column + inner_x - off[0], disc[1][k] + row + inner_y - off[1]
+                    x, y = to_defect[0, 0] * px + to_defect[0, 1] * py, to_defect[1, 0] * px + to_defect[1, 1] * py
+                    if place_in_outline(profile, x, y) >= 1.0:
+                        continue
+                    if steepest == 0.0:
+                        count[0] += 1
+                        continue
+                    along, across = gradient_in_outline(profile, x, y)
+                    share = math.hypot(along, across) / steepest
+                    if share < 0.5 * levels[0]:
+                        continue
+                    level = 0
+                    for other in range(1, len(levels)):
+                        if abs(share - levels[other]) < abs(share - levels[level]):
+                            level = other
+                    # the normal leans down the slope
+                    lean = (math.atan2(-across, -along) + turn) * directions / (2.0 * math.pi)
+                    count[level * directions + int(np.rint(lean)) % directions] += 1
+            for variant in range(len(count)):
+                if count[variant] > 0:
+                    rows[n], columns[n], variants[n], numbers[n] = row, column, variant, count[variant]
+                    count[variant] = 0
+                    n += 1
+    return rows[:n].copy(), columns[:n].copy(), variants[:n].copy(), numbers[:n].copy()
 
 
 def _disc(diameter: float) -> tuple[Float64, Float64]:

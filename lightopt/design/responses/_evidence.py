@@ -16,7 +16,7 @@ j (:mod:`lightopt.design.responses._pairs`).
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -211,6 +211,7 @@ def _scratch_piece(
     along /= np.hypot(*along)
     across = np.array([-along[1], along[0]])
     lean = np.tan(own.slope) * np.stack([np.cos(own.direction), np.sin(own.direction)])
+    to_length = axis @ np.linalg.inv(to_image)
     most, piece, whole = -1.0, own.seen_by_pixels(1, turn, to_image, blur_px=blur), 0.0
     for i in range(_PLACES_ACROSS):
         best = 0.0
@@ -218,22 +219,28 @@ def _scratch_piece(
             off = across * ((i + 0.5) / _PLACES_ACROSS) + along * (k / _PLACES_ALONG)
             off -= np.rint(off)
             seen = own.seen_by_pixels(1, turn, to_image, off_px=(float(off[0]), float(off[1])), blur_px=blur)
-            middle = axis @ np.linalg.solve(to_image, np.stack([seen.column, seen.row]) - off[:, None])
+            middle = to_length[0] * (seen.column - off[0]) + to_length[1] * (seen.row - off[1])
             near = np.abs(middle) <= 0.5 * _SCRATCH_WIDTHS * own.shapes[1].width
-            best = max(best, _evidence_of(seen, lean))
-            short = replace(seen, **{name: values[near] for name, values in vars(seen).items()})
-            if (own_evidence := _evidence_of(short, lean)) > most:
-                most, piece = own_evidence, short
+            best = max(best, _evidence_of(seen.row, seen.column, seen.variant, seen.weight, lean))
+            short = seen.row[near], seen.column[near], seen.variant[near], seen.weight[near]
+            # of places that are alike the first one, however sums are rounded
+            if (own_evidence := _evidence_of(*short, lean)) > (1.0 + 1e-9) * most:
+                most, piece = own_evidence, defects.PixelMixture(*short)
         whole += best / _PLACES_ACROSS
     return piece, whole / most if most > 0.0 else 1.0
 
 
-def _evidence_of(seen: defects.PixelMixture, lean: Float64) -> float:
-    # Σ m² where changes are as the lean of the surface, over all directions of light
-    _, first = np.unique(seen.row * (1 << 16) + seen.column, return_index=True)
-    if not len(first):
-        return 0.0
-    return float((np.add.reduceat(seen.weight * lean[:, seen.variant], np.sort(first), axis=1) ** 2).sum())
+@kernel
+def _evidence_of(row: Int32, column: Int32, variant: Int32, weight: Float64, lean: Float64) -> float:
+    # Σ m² where changes are as the lean of the surface, over all directions of light; pieces of a pixel are adjacent
+    total, x, y = 0.0, 0.0, 0.0
+    for i in range(len(row)):
+        if i > 0 and (row[i] != row[i - 1] or column[i] != column[i - 1]):
+            total += x * x + y * y
+            x = y = 0.0
+        x += weight[i] * lean[0, variant[i]]
+        y += weight[i] * lean[1, variant[i]]
+    return total + x * x + y * y
 
 
 class PatchEvidence:
