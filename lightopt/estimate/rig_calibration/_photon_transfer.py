@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.special import ndtr
-from scipy.stats import t as student
+from scipy.special import ndtr, stdtrit
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError, refuse
@@ -183,7 +182,7 @@ def _jackknife(value: float, left_out: list[float]) -> Measured:
     # Efron 1982, doi:10.1137/1.9781611970319, chapter 3
     freedom = len(left_out) - 1
     error = math.sqrt(freedom * float(np.var(left_out)))
-    return measured(value, error, errors_95=float(student.ppf(0.975, freedom)))
+    return measured(value, error, errors_95=float(stdtrit(freedom, 0.975)))
 
 
 def _saturation_level(pairs: Sequence[FramePair], lit: Float64, dark: Float64, top: int) -> float | None:
