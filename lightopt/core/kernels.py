@@ -177,7 +177,12 @@ def _keep_on_disk(compiled: Any) -> None:
     """Let a kernel load what was compiled before, and compile what was not while no other process does."""
     found = _DiskCache(compiled)
     compiled._cache = found
-    compile_here = compiled.compile
+    compile_here, call_template = compiled.compile, compiled.get_call_template
+
+    def one_for_all_constants(arguments: Any, keywords: Any) -> Any:
+        # else each number that a kernel is called with by name or literally is a type of its own, compiled anew
+        plain = {name: types.unliteral(kind) for name, kind in keywords.items()}
+        return call_template(tuple(map(types.unliteral, arguments)), plain)
 
     def compile_once(signature: Any) -> Any:
         # numba's lock first: a thread that holds it may need the file of a kernel that this one calls
@@ -190,7 +195,7 @@ def _keep_on_disk(compiled: Any) -> None:
                     _log.info("compiled %s in %.1f s", compiled.__name__, seconds)
                 return result
 
-    compiled.compile = compile_once
+    compiled.compile, compiled.get_call_template = compile_once, one_for_all_constants
 
 
 @cache

@@ -142,16 +142,6 @@ def longest_edges(vertices: Float64, faces: Int32, selected: Bool) -> Float64:
 
 
 @kernel
-def _halves(triangle: NDArray[Any], edge: int, middle: Any, first: NDArray[Any], second: NDArray[Any]) -> None:
-    """Cut a triangle, keeping its sense of rotation; the first half holds the start of the cut edge."""
-    for k in range(3):
-        first[k] = triangle[k]
-        second[k] = triangle[k]
-    first[(edge + 1) % 3] = middle
-    second[edge] = middle
-
-
-@kernel
 def _count(vertices: Float64, faces: Int32, selected: Bool, limit: float, enough: int) -> int:
     """Number of patches of all faces, up to `enough`."""
     stack = np.empty((_LEVELS, 3, 3))
@@ -161,7 +151,8 @@ def _count(vertices: Float64, faces: Int32, selected: Bool, limit: float, enough
         if longest[f] <= limit * limit:
             continue
         for k in range(3):
-            stack[0, k] = vertices[faces[f, k]]
+            for axis in range(3):
+                stack[0, k, axis] = vertices[faces[f, k], axis]
         top = 1
         while top > 0:
             top -= 1
@@ -268,8 +259,14 @@ def _build(
             for axis in range(3):
                 points[new, axis] = 0.5 * (points[triangle[edge], axis] + points[triangle[after], axis])
                 middle[axis] = 0.5 * (corner_weights[edge, axis] + corner_weights[after, axis])
-            _halves(triangle, edge, new, stack[top + 1], stack[top])
-            _halves(corner_weights, edge, middle, stack_weights[top + 1], stack_weights[top])
+            # both halves keep the sense of rotation; the one that is next holds the start of the cut edge
+            for k in range(3):
+                stack[top, k] = stack[top + 1, k] = triangle[k]
+                for axis in range(3):
+                    stack_weights[top, k, axis] = stack_weights[top + 1, k, axis] = corner_weights[k, axis]
+            stack[top, edge] = stack[top + 1, after] = new
+            for axis in range(3):
+                stack_weights[top, edge, axis] = stack_weights[top + 1, after, axis] = middle[axis]
             for half in range(2):
                 stack_depth[top + half] = depth + 1
                 stack_parent[top + half, 0] = node

@@ -106,9 +106,10 @@ def picture_weights(
     across, down = np.zeros((right - left, count_u)), np.zeros((bottom - top, count_v))
     _set_moments(0.5 * term[3], wide, low[0], sides[0], left, across)
     _set_moments(0.5 * term[4], high, low[1], sides[1], top, down)
-    sums, line = np.zeros((count_u, count_v)), np.empty(count_u)
+    sums, products, line = np.zeros((count_u, count_v)), np.empty((count_u, count_v)), np.empty(count_u)
     for row in range(top, bottom):
-        line[:] = 0.0
+        for k in range(count_u):
+            line[k] = 0.0
         for column in range(left, right):
             value = pattern.values[first + row * columns + column]
             if value != 0.0:
@@ -120,7 +121,17 @@ def picture_weights(
     of_u, of_v = np.empty((count_u, count_u)), np.empty((count_v, count_v))
     _set_polynomials(of_u)
     _set_polynomials(of_v)
-    weights[:] = np.dot(np.dot(of_u, sums), of_v.T)
+    # loops: numba takes seconds to compile products of matrices
+    for i in range(count_u):
+        for m in range(count_v):
+            products[i, m] = 0.0
+            for k in range(count_u):
+                products[i, m] += of_u[i, k] * sums[k, m]
+    for i in range(count_u):
+        for j in range(count_v):
+            weights[i, j] = 0.0
+            for m in range(count_v):
+                weights[i, j] += products[i, m] * of_v[j, m]
 
 
 @kernel

@@ -109,9 +109,14 @@ class _Sum(NamedTuple):
 
 @kernel
 def _nodes(e: Element, pattern: Pattern, count: int) -> _Nodes:
-    terms = pattern.terms
     places, light = np.empty((count**2, 3)), np.empty((count**2, 3))
-    weights = np.empty((len(terms), count**2))
+    weights = np.empty((len(pattern.terms), count**2))
+    _set_nodes(e, pattern, count, places, light, weights)
+    return places, light, weights
+
+
+@kernel
+def _set_nodes(e: Element, pattern: Pattern, count: int, places: Float64, light: Float64, weights: Float64) -> None:
     du, dv = e.u1 - e.u0, e.v1 - e.v0
     for i in range(count):
         for j in range(count):
@@ -121,9 +126,8 @@ def _nodes(e: Element, pattern: Pattern, count: int) -> _Nodes:
             shining = scaled(cross(along_u, along_v), du * dv * e.radiance * e.side)
             places[k, 0], places[k, 1], places[k, 2] = q
             light[k, 0], light[k, 1], light[k, 2] = shining
-    for b in range(len(terms)):
+    for b in range(len(weights)):
         element_weights(e, pattern, b, weights[b].reshape(count, count))
-    return places, light, weights
 
 
 @kernel
@@ -271,7 +275,8 @@ def _add_above_horizon(to: _Sum, area: Rectangle, counts: tuple[int, int], lobe:
         along = _crossing(at, e, (area.s0, t), (area.s1, t))
         if along > 0.0:
             ends[1 + side] = area.s0 + along * (area.s1 - area.s0)
-    ends.sort()
+    if ends[1] > ends[2]:
+        ends[1], ends[2] = ends[2], ends[1]
     weights_s, weights_t = np.empty((len(terms), count_s)), np.empty(count_t)
     for piece in range(3):
         start, width = ends[piece], ends[piece + 1] - ends[piece]
@@ -508,7 +513,8 @@ def _add_window(to: _Sum, window: Rectangle, counts: tuple[int, int], lobe: Lobe
     weights_s, weights_t = np.empty((len(terms), count_s)), np.empty((len(terms) + 1, count_t))
     # sums along v, of which terms of u have one in common, the first
     row_of, rows = np.zeros(len(terms), np.int64), 1
-    weights_t[0] = WEIGHTS[count_t, :count_t]
+    for j in range(count_t):  # loops: numba takes seconds to compile assignments of arrays
+        weights_t[0, j] = WEIGHTS[count_t, j]
     of_picture, number = np.empty((pictures, count_s, count_t)), 0
     for b in range(len(terms)):
         if int(terms[b, 1]) == PICTURE:
@@ -522,7 +528,8 @@ def _add_window(to: _Sum, window: Rectangle, counts: tuple[int, int], lobe: Lobe
             rows += 1
     row, sums = np.empty(rows), np.zeros(pictures)
     for i in range(count_s):
-        row[:] = 0.0
+        for k in range(rows):
+            row[k] = 0.0
         for j in range(count_t):
             for k in range(rows):
                 row[k] += weights_t[k, j] * values[i, j]
@@ -571,7 +578,7 @@ def all_diffuse_nodes(elements: Float64, pattern: Pattern) -> tuple[Float64, Flo
     places, light = np.empty((len(elements), count, 3)), np.empty((len(elements), count, 3))
     weights = np.empty((len(elements), len(pattern.terms), count))
     for m in range(len(elements)):
-        places[m], light[m], weights[m] = _nodes(element_at(elements, m), pattern, DIFFUSE_NODES)
+        _set_nodes(element_at(elements, m), pattern, DIFFUSE_NODES, places[m], light[m], weights[m])
     return places, light, weights
 
 
@@ -643,7 +650,8 @@ def _add_elements(
             for j in range(count):
                 if near[j]:
                     i = first + j
-                    found[:] = 0.0
+                    for b in range(terms):
+                        found[b] = 0.0
                     at, turned = (
                         surface_point(column_at(p, j), column_at(n, j), column_at(v, j)),
                         lobe_at(lobe, frames, i),
@@ -789,11 +797,13 @@ def _replace_pieces(
     for k in range(len(point)):
         i, m = point[k], element[k]
         at, e, turned = point_at(points, frames, views, i), element_at(elements, m), lobe_at(lobe, frames, i)
-        found[:] = 0.0
+        for b in range(len(found)):
+            found[b] = 0.0
         for number in range(PIECES * PIECES):
             if free[k, number]:
                 specular_of_element(at, e, _piece(e, number), pattern, turned, limits[i], found)
-        specular[m, :, i] = found
+        for b in range(len(found)):
+            specular[m, b, i] = found[b]
 
 
 @dataclass(frozen=True)
@@ -887,7 +897,7 @@ def _shade_chunk(
         # in the channel where they are brightest
         largest = np.abs(shares).max(axis=0)
         level = np.einsum("mb,mbi->mi", largest, np.abs(specular)) * (weight * reflectance.R_s)
-        element, point = np.nonzero((level > NEGLIGIBLE_LEVEL) & hidden.any(axis=0))
+        element, point = map(np.ascontiguousarray, np.nonzero((level > NEGLIGIBLE_LEVEL) & hidden.any(axis=0)))
         specular *= clear[:, None]
         free = _free_pieces(surface, elements, caster, element, point)
         _replace_pieces(rows, elements, pattern, (element, point), free, lobe, most, specular)
