@@ -4,6 +4,9 @@
 models for accurate and efficient rendering of glossy surfaces, ACM Transactions on Graphics 31(1), 2012,
 doi:10.1145/2077341.2077350, whose microfacet model is f = k_D/π + F·G·S/(cosθ_i cosθ_o), S = A/(1 + B·(1 − cosδ))^C.
 Measured by W. Matusik, H. Pfister, M. Brand, L. McMillan: A data-driven reflectance model, SIGGRAPH 2003.
+
+Rolled and brushed metal: G. J. Ward: Measuring and modeling anisotropic reflection, SIGGRAPH 1992, table 1, whose model
+along the normal is f = ρ_d/π + ρ_s/(4π·α_x·α_y)·exp(−tan²δ·(cos²φ/α_x² + sin²φ/α_y²)).
 """
 
 from __future__ import annotations
@@ -51,10 +54,27 @@ SURFACES = (
 )
 
 
+class Brushed(NamedTuple):
+    """A surface with a direction: ρ_d, ρ_s, α_x and α_y, the smaller one along the brushing."""
+
+    finish: str
+    diffuse: float
+    specular: float
+    along: float
+    across: float
+
+
+BRUSHED = (
+    Brushed("rolled brass", 0.10, 0.33, 0.050, 0.16),
+    Brushed("rolled aluminium", 0.10, 0.21, 0.040, 0.09),
+    Brushed("lightly brushed aluminium", 0.15, 0.19, 0.088, 0.13),
+)
+
+
 def lobe_of(model: SpecularModel, sigma: float) -> np.ndarray:
     """Values of a lobe at `DELTA`."""
     lobe = Reflectance(R_d=0.0, R_s=1.0, sigma=sigma, model=model).lobe
-    return np.array([specular_lobe((2.0 * math.sin(0.5 * d)) ** 2, lobe) for d in DELTA])
+    return np.array([specular_lobe((2.0 * math.sin(0.5 * d)) ** 2, 0.0, lobe) for d in DELTA])
 
 
 def misfit(values: np.ndarray, wanted: np.ndarray) -> tuple[float, float]:
@@ -113,12 +133,27 @@ def row(surface: Measured) -> tuple[str, str | None]:
     )
 
 
+def brushed_row(surface: Brushed) -> tuple[str, str]:
+    """A row of the table of brushed surfaces, and the line for a part file: one Gaussian lobe has σ = α/√2."""
+    sigma, across = surface.along / math.sqrt(2.0), surface.across / math.sqrt(2.0)
+    R_d, R_s = surface.diffuse * WHITE, surface.specular * WHITE / (4.0 * surface.along * surface.across)
+    keys = f"R_d: {R_d:.3g}, R_s: {R_s:.4g}, sigma_rad: {sigma:.3g}, sigma_across_rad: {across:.3g}"
+    brushing = "brushing: {direction: [1, 0, 0]}"
+    return (
+        f"| {surface.finish} | {surface.along:g} / {surface.across:g} | {surface.diffuse + surface.specular:.2f} |",
+        f"reflectance: {{{keys}, {brushing}, white_level: {WHITE:g}}}   # {surface.finish}",
+    )
+
+
 def main() -> None:
     """Compute the table and put it into the page."""
     rows, blocks = zip(*map(row, SURFACES), strict=True)
     head = "| surface | nearest form | misfit of one lobe / GGX / two lobes [%] | share of light reflected |"
     lines = [block for block in blocks if block is not None]
     text = "\n".join([head, "|---|---|---|---|", *rows, "", "```yaml", *lines, "```"])
+    rows, lines = zip(*map(brushed_row, BRUSHED), strict=True)
+    head = "| surface with a direction | α along / across | share of light reflected |"
+    text += "\n\n" + "\n".join([head, "|---|---|---|", *rows, "", "```yaml", *lines, "```"])
     page = PAGE.read_text(encoding="utf-8")
     begin, end = "<!-- begin finishes -->", "<!-- end finishes -->"
     pattern = re.compile(f"{re.escape(begin)}.*?{re.escape(end)}", re.DOTALL)
