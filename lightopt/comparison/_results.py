@@ -78,7 +78,6 @@ class LightingComparison:
 
 
 def comparison_document(comparison: LightingComparison) -> dict[str, Any]:
-    """What comparison.json says."""
     best = {one.name for one in comparison.best}
     systems = [
         {
@@ -130,7 +129,6 @@ def comparison_csv(comparison: LightingComparison) -> str:
 
 
 def comparison_report(comparison: LightingComparison, folder: Path) -> str:
-    """The report as HTML; `folder` is where it goes."""
     systems, first = comparison.systems, comparison.systems[0]
     answer = report.Answer(figure=first.share_text(first.share), text=f"by {first.name}: {_meaning(comparison)}.")
     rest = [f"{one.name} ({one.share_text(one.share)}, {one.cost_text})" for one in comparison.best if one is not first]
@@ -163,7 +161,6 @@ def comparison_report(comparison: LightingComparison, folder: Path) -> str:
 
 
 def answer_text(comparison: LightingComparison) -> str:
-    """The answer in a sentence."""
     first = comparison.systems[0]
     return f"{first.name} finds most: {first.share_text(first.share)} {_meaning(comparison)}"
 

@@ -49,17 +49,15 @@ TAKEN = (FUSED, STACK, "poses", "stacks")  # names that no light may have
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetResult:
-    """What :func:`make_dataset` left on disk.
+    """What :func:`make_dataset` left on disk."""
 
-    samples, images: Number of samples, and of images under single lights
-    poses, resumed: Number of poses, and of those that a previous run had finished
-    defects, visible: Number of defects, and of those that all images of their sample together can show
-    """
-
+    # number of samples, and of images under single lights
     samples: int
     images: int
+    # number of poses, and of those that a previous run had finished
     poses: int
     resumed: int
+    # number of defects, and of those that all images of their sample together can show
     defects: int
     visible: int
     files: tuple[Path, ...]
@@ -164,8 +162,6 @@ def _result(folder: Path, found: Mapping[str, Any], *, resumed: int) -> DatasetR
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """What the poses of a dataset have in common."""
-
     rig: RigConfig
     nominal: Scene
     catalogue: tuple[CatalogueEntry, ...]

@@ -27,25 +27,14 @@ _END = int | float | None  # of an interval; None where the fit does not determi
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetOptions:
-    """What a dataset has.
-
-    images: Number of samples, each of one image per light
-    seed: Of all random numbers
-    exposure: Relative exposure of lights to which the rig's programme gives none
-    fusion: Rule of the fused image; None for no such image
-    stacks: Whether an HDF5 file per pose is written
-    false_alarms: Per posture, at which a defect counts as visible
-    """
-
-    images: int
-    seed: int = 0
-    exposure: float = 1.0
-    fusion: Fusion | None = "paper"
-    stacks: bool = False
-    false_alarms: float = DEFAULT_FALSE_ALARMS
+    images: int  # number of samples, each of one image per light
+    seed: int = 0  # of all random numbers
+    exposure: float = 1.0  # relative exposure of lights to which the rig's programme gives none
+    fusion: Fusion | None = "paper"  # rule of the fused image; None for no such image
+    stacks: bool = False  # whether an HDF5 file per pose is written
+    false_alarms: float = DEFAULT_FALSE_ALARMS  # per posture, at which a defect counts as visible
 
     def problems(self) -> list[str]:
-        """Messages about wrong options."""
         found: list[str] = []
         if not 1 <= self.images <= MOST_SAMPLES:
             found.append(f"option 'images': expected 1 to {MOST_SAMPLES:,} samples, found {self.images}")
@@ -142,7 +131,6 @@ class PoseDraw:
         return place_part(with_reflectances(nominal, own), self.placement)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         place = self.placement
         return {
             "pose": self.number,
@@ -193,13 +181,12 @@ def draw_poses(
 class SampleDraw:
     """One piece in a pose: what is on it, and how bright it is.
 
-    kinds: Of its defects, which are placed with `rng`
     dust: Diameter [mm] and R_d of each particle, shape (n, 2); `places`: shares along the pixels of the part and the
         offsets within a pixel, shape (n, 3)
     """
 
     number: int
-    kinds: tuple[CatalogueEntry, ...]
+    kinds: tuple[CatalogueEntry, ...]  # of its defects, which are placed with `rng`
     R_d: float
     R_s: float
     gains: tuple[float, ...]

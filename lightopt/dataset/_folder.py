@@ -75,7 +75,6 @@ class DatasetFolder:
         self.write_text(record_name(number), json.dumps(record, ensure_ascii=False, separators=(",", ":")) + "\n")
 
     def write_text(self, name: str, text: str) -> None:
-        """Write a text file, whole or not at all."""
         write_text_atomic(self.path(name), text)
 
     def path(self, name: str) -> Path:
@@ -115,7 +114,6 @@ class DatasetFolder:
 
 
 def record_name(number: int) -> str:
-    """Name of the file that describes a pose."""
     return f"poses/pose-{number:06}.json"
 
 

@@ -47,62 +47,42 @@ Levels = UInt8 | NDArray[np.uint16]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LabelledDefect:
-    """A defect in the images of a sample.
-
-    pixels: That show any of it, raveled indices, ascending, shape (k,)
-    visibility: In all images together (:data:`STACK`), under each light, and in the fused image where there is one
-    """
+    """A defect in the images of a sample."""
 
     placed: PlacedDefect
-    pixels: Index
+    pixels: Index  # that show any of it, raveled indices, ascending, shape (k,)
+    # in all images together (:data:`STACK`), under each light, and in the fused image where there is one
     visibility: Mapping[str, Visibility]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SampleImages:
-    """What the camera delivers of a sample: levels by light, each of shape (H, W), the fused image, and its defects.
-
-    omitted: Number of defects for which there was no place
-    """
+    """What the camera delivers of a sample: levels by light, each of shape (H, W), the fused image, and its defects."""
 
     levels: tuple[Levels, ...]
     fused: UInt8 | None
     defects: tuple[LabelledDefect, ...]
-    omitted: int
+    omitted: int  # number of defects for which there was no place
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PostureLimits:
-    """What the samples of a posture have in common, of the nominal pose.
+    """What the samples of a posture have in common, of the nominal pose."""
 
-    thresholds: By name of an entry of the catalogue
-    picture: How fused images become grey; None for none
-    """
-
-    thresholds: Mapping[str, float]
-    picture: GreyPicture | None
+    thresholds: Mapping[str, float]  # by name of an entry of the catalogue
+    picture: GreyPicture | None  # how fused images become grey; None for none
 
 
 @dataclass(frozen=True, eq=False)
 class PoseImages:
-    """The images of a pose.
-
-    scene: With the part where it lies, good and smooth
-    view: The images of this part, without noise, and how far levels of good parts scatter
-    actual: Images of the good part, wavy where the part file says so
-    waved: The scene with that surface
-    pixels: What pixel centres look at
-    fused: The images of `view` without highlights; None for none
-    """
-
-    scene: Scene
-    view: PostureView
-    actual: PostureImages
-    waved: Scene
-    pixels: PosturePixels
+    scene: Scene  # with the part where it lies, good and smooth
+    view: PostureView  # the images of this part, without noise, and how far levels of good parts scatter
+    actual: PostureImages  # images of the good part, wavy where the part file says so
+    waved: Scene  # the scene with that surface
+    pixels: PosturePixels  # what pixel centres look at
     caster: RayCaster
     exposures: tuple[float, ...]
-    fused: SyntheticImage | None
+    fused: SyntheticImage | None  # the images of `view` without highlights; None for none
 
     @cached_property
     def deviation(self) -> Float32:
@@ -166,7 +146,6 @@ def posture_limits(
     options: DatasetOptions,
     threads: int | None,
 ) -> PostureLimits:
-    """What the samples of a posture have in common."""
     at_rest = PoseDraw(
         number=0, posture=posture, split="", placement=Placement(), sigma_factor=1.0, waviness_seed=0, samples=range(0)
     )
@@ -209,19 +188,13 @@ def sample_images(
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """What defects change.
+    """What defects change."""
 
-    placed: The defects
-    shown: Numbers among the pose's pixels of those that show any of them, shape (s,)
-    share: Of each such pixel that each defect takes, shape (defects, s)
-    pixels: Raveled indices of pixels that change, shape (n,); those of `shown` are the first s
-    diffuse, specular: By how much, shape (lights, n)
-    """
-
-    placed: Sequence[PlacedDefect]
-    shown: Index
-    share: Float64
-    pixels: Index
+    placed: Sequence[PlacedDefect]  # the defects
+    shown: Index  # numbers among the pose's pixels of those that show any of them, shape (s,)
+    share: Float64  # of each such pixel that each defect takes, shape (defects, s)
+    pixels: Index  # raveled indices of pixels that change, shape (n,); those of `shown` are the first s
+    # by how much, shape (lights, n)
     diffuse: Float64
     specular: Float64
 

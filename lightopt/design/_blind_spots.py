@@ -233,7 +233,6 @@ class BlindSpotSummary:
         return BlindSpotSummary(objective=goal, lights=names, parts=parts)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         _, whole, _ = self.parts[0]
         both = [{"chosen": self._facts(one), "any_position": self._facts(other)} for _, one, other in self.parts]
         return {
@@ -256,7 +255,6 @@ class BlindSpotSummary:
 
 
 def reason_names(lights: Sequence[str]) -> list[tuple[int, str]]:
-    """All codes and their names."""
     codes = [*BlindReason, *(BlindReason.SATURATED + light for light in range(1, len(lights)))]
     return [(int(code), blind_text(int(code), lights)) for code in codes]
 

@@ -104,8 +104,6 @@ def _steps(ends: tuple[float, float] | None, now: float, step: float) -> list[fl
 
 @dataclass(frozen=True)
 class ExcludedPosition:
-    """A position that a light cannot take."""
-
     light: str
     place: Place
     reason: str
@@ -119,8 +117,6 @@ class ExcludedPosition:
 
 @dataclass(frozen=True)
 class Candidates:
-    """The positions to choose from."""
-
     names: tuple[str, ...]  # of the lights, in the rig's order
     channels: tuple[tuple[int, ...], ...]  # indices of the lights that move together: channels of one light of the rig
     places: tuple[tuple[Place, ...], ...]  # per light, ascending

@@ -183,7 +183,6 @@ class DesignOutput:
 
     @property
     def patches(self) -> PatchTable:
-        """The patches of a design with a report."""
         assert self.result.patches is not None
         return self.result.patches
 

@@ -49,7 +49,6 @@ class Setup:
     points: int | Literal["auto"] | None = None  # point lights per panel, instead of the rig's
 
     def only(self, posture: int) -> "Setup":
-        """One of the postures."""
         one = slice(posture, posture + 1)
         return replace(self, postures=self.postures[one], places=self.places[one], exposures=self.exposures[one])
 
@@ -59,7 +58,6 @@ class Setup:
 
     @cached_property
     def bodies(self) -> tuple[tuple[int, ...], ...]:
-        """Indices of the lights that move together."""
         return bodies_of(self.rig)
 
     @property

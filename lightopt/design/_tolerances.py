@@ -111,8 +111,6 @@ class WidestTolerance:
 
 @dataclass(frozen=True, kw_only=True)
 class ToleranceAnalysis:
-    """Scores under misalignment."""
-
     lights: tuple[str, ...]
     score: int  # where all angles are exact
     worst: int  # the least over all corners

@@ -134,7 +134,6 @@ class ImageEntry(_Entry):
 
     @property
     def files(self) -> tuple[tuple[str, str | None], ...]:
-        """Its files with their SHA-256 where it is listed."""
         named = (("png", self.png), ("exr", self.exr))
         return tuple((name, self.sha256.get(kind)) for kind, name in named if name is not None)
 
@@ -161,8 +160,6 @@ class GeometryEntry(_Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """The content of ``manifest.json``."""
-
     kind: str  # simulated or captured
     lightopt: str | None = None  # version that wrote the set; None in sets of other programs
     bit_depth: int
@@ -226,7 +223,6 @@ class Manifest:
         return {key: value for key, value in self.as_dict().items() if key not in _RESULT_KEYS}
 
     def to_json(self) -> str:
-        """Text of ``manifest.json``."""
         return json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 

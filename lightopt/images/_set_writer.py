@@ -206,7 +206,6 @@ class ImageSetWriter:
             remove_file(self.folder / name)
 
     def add_warnings(self, warnings: Iterable[str]) -> None:
-        """List warnings that are not listed yet."""
         with self._lock:
             merged = tuple(dict.fromkeys((*self.manifest.warnings, *warnings)))
             if merged != self.manifest.warnings:

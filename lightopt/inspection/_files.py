@@ -190,25 +190,21 @@ def _points(result: InspectionResult) -> str:
 
 @dataclass(frozen=True, eq=False)
 class GreyPicture:
-    """An image as grey: 255 · ((level − black) / (white − black)) ^ power.
-
-    black, white: the levels that are shown black and white [grey level].
-    """
+    """An image as grey: 255 · ((level − black) / (white − black)) ^ power."""
 
     grey: UInt8
+    # the levels that are shown black and white [grey level]
     black: float
     white: float
     power: float
 
     @property
     def legend(self) -> str:
-        """What grey stands for."""
         black = f"black: {self.black:.3g}, " if self.black < 0.0 else ""
         stretched = "" if self.power == 1.0 else f"; stretched by a power of {self.power:g}, so that dark places show"
         return f"{black}white: {self.white:.3g} grey levels{stretched}"
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form, for a picture's metadata."""
         return {"black_level": round(self.black, 4), "white_level": round(self.white, 4), "power": self.power}
 
 

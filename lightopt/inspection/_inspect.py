@@ -71,16 +71,13 @@ def inspect_set(
 
 @dataclass(frozen=True, kw_only=True)
 class InspectedSet:
-    """The result of the inspection of one image set of a batch.
-
-    result, verdict: None where the set was refused.
-    evaluation: against ground truth, where that was given.
-    """
+    """The result of the inspection of one image set of a batch."""
 
     name: str
+    # None where the set was refused
     result: InspectionResult | None = None
     verdict: Verdict | None = None
-    evaluation: SetEvaluation | None = None
+    evaluation: SetEvaluation | None = None  # against ground truth, where that was given
     warnings: tuple[str, ...] = ()
     error: InputError | None = None
 
@@ -162,7 +159,6 @@ class Inspector:
             )
 
     def inspect(self, image_set: ImageSet) -> InspectionResult:
-        """Find the part of a set, and its defects."""
         how: dict[str, Any] = {"register": self.options.register, "reference": self.options.reference}
         registered = register_set(self.rig, self.part, image_set, **how, cache=self.cache, run=self.run)
         return self.inspect_registered(registered, str(image_set.folder))

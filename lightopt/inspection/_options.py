@@ -10,24 +10,20 @@ from lightopt.inspection.prediction._predict import REFERENCES, ReferenceName
 
 @dataclass(frozen=True, kw_only=True)
 class InspectOptions:
-    """Options of an inspection.
+    """Options of an inspection."""
 
-    detector: ``residual``: measured against predicted; ``catalogue``: that, and whole defects of the part's catalogue;
-        ``template``: dots and lines in the synthetic image.
-    fusion: rule that the synthetic image is made by; None for no such image, which the template detector needs.
-    reference: what the images are compared with: ``model``: the mesh and the reflectance; ``good-parts``: levels that a
-        calibration learned; ``self``: the smooth neighbourhood of each place in the images themselves.
-    false_alarms: expected number of false alarms per posture where noise is all that differs from the good part.
-    min_images: in how many images of a posture a defect must show.
-    register: whether the part is searched for around its nominal place.
-    """
-
+    # ``residual``: measured against predicted; ``catalogue``: that, and whole defects of the part's catalogue;
+    # ``template``: dots and lines in the synthetic image
     detector: str = "catalogue"
+    # rule that the synthetic image is made by; None for no such image, which the template detector needs
     fusion: Fusion | None = "paper"
+    # what the images are compared with: ``model``: the mesh and the reflectance; ``good-parts``: levels that a
+    # calibration learned; ``self``: the smooth neighbourhood of each place in the images themselves
     reference: ReferenceName = "model"
+    # expected number of false alarms per posture where noise is all that differs from the good part
     false_alarms: float = DEFAULT_FALSE_ALARMS
-    min_images: int = 2
-    register: bool = True
+    min_images: int = 2  # in how many images of a posture a defect must show
+    register: bool = True  # whether the part is searched for around its nominal place
 
     @property
     def scored_by(self) -> str:
@@ -39,7 +35,6 @@ class InspectOptions:
         return "residual" if replaced else self.detector
 
     def problems(self) -> list[str]:
-        """Messages about wrong options."""
         found: list[str] = []
         detector = DETECTORS.get(self.detector)
         if detector is None:

@@ -42,19 +42,11 @@ _PROVENANCE = "provenance: "
 
 @dataclass(frozen=True, eq=False)
 class RandomDefect:
-    """A defect as an entry of a part file.
-
-    entry: the kind of the catalogue.
-    at_mm: centre in the mesh file's coordinates [mm].
-    direction_deg: of its length, as part files count it [°].
-    placed: the defect in the part frame.
-    """
-
     name: str
-    entry: CatalogueEntry
-    at_mm: tuple[float, float, float]
-    direction_deg: float
-    placed: PlacedDefect
+    entry: CatalogueEntry  # the kind of the catalogue
+    at_mm: tuple[float, float, float]  # centre in the mesh file's coordinates [mm]
+    direction_deg: float  # of its length, as part files count it [°]
+    placed: PlacedDefect  # the defect in the part frame
 
 
 def place_random_defects(

@@ -19,17 +19,11 @@ from lightopt.scene import Scene
 
 @dataclass(frozen=True, kw_only=True)
 class InspectedPosture:
-    """One posture of an inspected part.
-
-    make_synthetic: makes the image without highlights and keeps it; None where none is wanted.
-    score: −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W).
-    labels: number of the region that each pixel belongs to, 0 for none, shape (H, W).
-    """
-
     view: PostureView
+    # makes the image without highlights and keeps it; None where none is wanted
     make_synthetic: Callable[[], SyntheticImage] | None
-    score: Float32
-    labels: Int32
+    score: Float32  # −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W)
+    labels: Int32  # number of the region that each pixel belongs to, 0 for none, shape (H, W)
     threshold: float
     detections: tuple[Detection, ...]
     coverage: PostureCoverage
@@ -43,7 +37,6 @@ class InspectedPosture:
         return None if self.make_synthetic is None else self.make_synthetic()
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         photometry = self.view.photometry
         return {
             "posture": self.view.posture.as_dict(),
@@ -58,27 +51,19 @@ class InspectedPosture:
 
 @dataclass(frozen=True, kw_only=True)
 class InspectionResult:
-    """The result of the inspection of one set of images.
-
-    placement: where the part lies from where its file has it; None where it was not searched for.
-    registration: the search that found it, or the part of the batch that it lies near; None where there was none.
-    warnings: missing lights and postures, and so on.
-    nominal: the scene with the part where its file has it.
-    reference: what the images were compared with.
-    surface: of the part, each place counted once however many postures show it.
-    """
+    """The result of the inspection of one set of images."""
 
     defects: tuple[FoundDefect, ...]
     postures: tuple[InspectedPosture, ...]
-    placement: Placement | None
+    placement: Placement | None  # where the part lies from where its file has it; None where it was not searched for
+    # the search that found it, or the part of the batch that it lies near; None where there was none
     registration: Registration | None = None
-    warnings: tuple[str, ...]
-    reference: ReferenceName = "model"
-    nominal: Scene = field(repr=False, compare=False)
-    surface: SurfaceCoverage
+    warnings: tuple[str, ...]  # missing lights and postures, and so on
+    reference: ReferenceName = "model"  # what the images were compared with
+    nominal: Scene = field(repr=False, compare=False)  # the scene with the part where its file has it
+    surface: SurfaceCoverage  # of the part, each place counted once however many postures show it
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         reference = REFERENCES[self.reference]
         return {
             "defects": [defect.as_dict() for defect in self.defects],
@@ -93,32 +78,22 @@ class InspectionResult:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a part is good.
-
-    counting: numbers of the defects that count.
-    inspected: share of the visible surface that was inspected in one posture or several; where it is dark, for
-        glints.
-    reasons: why it is not; empty for a good part.
-    finds: share of the visible surface where :data:`lightopt.inspection.REFERENCE_DEFECT` is found half of the time.
-    glints: share of the visible surface that is dark, so that only glints show.
-    """
-
     good: bool
-    counting: tuple[int, ...]
+    counting: tuple[int, ...]  # numbers of the defects that count
+    # share of the visible surface that was inspected in one posture or several; where it is dark, for glints
     inspected: float
-    reasons: tuple[str, ...]
+    reasons: tuple[str, ...]  # why it is not; empty for a good part
     limits: InspectionConfig = field(default_factory=InspectionConfig)
+    # share of the visible surface where :data:`lightopt.inspection.REFERENCE_DEFECT` is found half of the time
     finds: float = 0.0
-    glints: float = 0.0
+    glints: float = 0.0  # share of the visible surface that is dark, so that only glints show
 
     @property
     def word(self) -> str:
-        """``OK`` or ``NG``."""
         return "OK" if self.good else "NG"
 
     @property
     def explanation(self) -> str:
-        """The reasons why the part is OK or NG."""
         if self.reasons:
             return "; ".join(self.reasons)
         if self.counting:
@@ -126,7 +101,6 @@ class Verdict:
         return "nothing found that counts"
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             "verdict": self.word,
             "counting": list(self.counting),
@@ -140,26 +114,19 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class BatchRow:
-    """One part of a batch, in the batch's table.
-
-    report: its own report, relative to the batch's; empty where it has none.
-    defects: number of those found, whether they count or not.
-    refused: why it was not inspected; then there is no verdict.
-    """
+    """One part of a batch, in the batch's table."""
 
     name: str
-    report: str = ""
-    defects: int = 0
+    report: str = ""  # its own report, relative to the batch's; empty where it has none
+    defects: int = 0  # number of those found, whether they count or not
     verdict: Verdict | None = None
-    refused: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()  # why it was not inspected; then there is no verdict
 
     @property
     def word(self) -> str:
-        """``OK``, ``NG`` or ``not inspected``."""
         return "not inspected" if self.verdict is None else self.verdict.word
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         if self.verdict is None:
             return {"folder": self.name, "verdict": self.word, "reasons": list(self.refused)}
         return {"folder": self.name, "defects": self.defects, **self.verdict.as_dict()}

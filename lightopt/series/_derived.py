@@ -107,12 +107,10 @@ def _wrapped(angle: Float64) -> Float64:
 
 @dataclass(frozen=True)
 class SlopeMap:
-    """How far the measured normals lean from the model's, shape (...); NaN where unknown.
+    """How far the measured normals lean from the model's, shape (...); NaN where unknown."""
 
-    x, y: Towards the X axis as projected onto the model's tangent plane, and towards the direction 90° counterclockwise
-        of it, seen from outside [deg]
-    """
-
+    # towards the X axis as projected onto the model's tangent plane, and towards the direction 90° counterclockwise of
+    # it, seen from outside [deg]
     x: Float64
     y: Float64
 
@@ -146,16 +144,12 @@ def _dot(a: Float64, b: Float64) -> Float64:
 
 @dataclass(frozen=True, kw_only=True)
 class DerivedImages:
-    """Images derived from those of a light in a posture.
-
-    channels: By name, shape (H, W) each; NaN where unknown
-    saturated: Number of pixels that are saturated in an image of the light at every exposure
-    """
+    """Images derived from those of a light in a posture."""
 
     light: str
     posture: Posture
-    channels: Channels
-    saturated: int
+    channels: Channels  # by name, shape (H, W) each; NaN where unknown
+    saturated: int  # number of pixels that are saturated in an image of the light at every exposure
 
 
 @dataclass(frozen=True)

@@ -42,20 +42,16 @@ ITERATIONS = 300
 
 @dataclass(frozen=True)
 class InversePattern:
-    """A picture and what its reflection in the good part looks like.
+    """A picture and what its reflection in the good part looks like."""
 
-    picture: Shares of the full radiance, shape (rows, columns), as :func:`lightopt.lights.picture_light` has them
-    light: The display, world frame
-    row, column: Camera pixels that it was fitted to, shape (k,)
-    target: T at these [grey level], shape (k,)
-    residual: Root mean square of the rendered reflection less the target, as a share of the target's mean
-    """
-
+    # shares of the full radiance, shape (rows, columns), as :func:`lightopt.lights.picture_light` has them
     picture: Float64
-    light: SurfaceLight
+    light: SurfaceLight  # the display, world frame
+    # camera pixels that it was fitted to, shape (k,)
     row: Int32
     column: Int32
-    target: Float64
+    target: Float64  # T at these [grey level], shape (k,)
+    # root mean square of the rendered reflection less the target, as a share of the target's mean
     residual: float = math.nan
 
     @property
@@ -66,15 +62,11 @@ class InversePattern:
 
 @dataclass(frozen=True)
 class ShownDefect:
-    """What a defect changes of the reflection.
-
-    change: The greatest at a pixel, as a share of the target's mean
-    over_noise: The same in standard deviations of a pixel's noise at exposure 1
-    """
+    """What a defect changes of the reflection."""
 
     name: str
-    change: float
-    over_noise: float
+    change: float  # the greatest at a pixel, as a share of the target's mean
+    over_noise: float  # the same in standard deviations of a pixel's noise at exposure 1
 
 
 def display_of(rig: RigConfig, scene: Scene, name: str) -> SurfaceLight:

@@ -39,8 +39,6 @@ _NOISE = 1e-12
 
 @dataclass(frozen=True)
 class Choice:
-    """The outcome of a search."""
-
     lights: tuple[int, ...]  # in ascending order
     score: float  # mean of g over the defects
     bound: float  # a score that no choice of as many lights exceeds
@@ -49,12 +47,10 @@ class Choice:
 
     @property
     def proven(self) -> bool:
-        """Whether no choice has a higher score."""
         return self.bound <= self.score + _TIE
 
 
 def score(gains: Float64) -> float:
-    """Mean of g over the defects."""
     return float(np.mean(FOUND * np.minimum(1.0, gains) + (1.0 - FOUND) * gains / (1.0 + gains)))
 
 

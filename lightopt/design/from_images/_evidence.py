@@ -62,7 +62,6 @@ class Evidence:
 
     @property
     def lights(self) -> int:
-        """K."""
         return len(self.correlation)
 
     def gains(self, weights: Float64) -> Float64:
@@ -101,8 +100,6 @@ class _Cells:
 
 @dataclass
 class _Measured:
-    """One light in one posture."""
-
     sums: Float64  # of defects' windows, over their pixels, shape (C,)
     squares: Float64  # of the standard deviation, summed over the pixels of each defect, shape (J,)
     null: Float32  # windows of good samples, flat
@@ -142,15 +139,12 @@ class _Windows:
         return cells
 
     def label(self, j: int) -> tuple[str, str]:
-        """Set and name of a defect."""
         i, d = self.names[j]
         return self.samples.names[i], self.samples.defects[i][d]
 
 
 @dataclass(frozen=True)
 class _Lights:
-    """All lights in all postures."""
-
     measured: list[tuple[_Measured, ...]]  # per light its postures
     variances: Float64  # (K, postures, 3)
     correlation: Float64

@@ -55,17 +55,10 @@ _COMMENT = "Chosen by lightopt optimize --from-images"
 
 @dataclass(frozen=True, kw_only=True)
 class FromImagesOptions:
-    """How lights are chosen.
-
-    images: How many images of a part are to be taken
-    mix: Whether an image may show several lights with weights; one light each otherwise
-    limit: About how many choices to score before the search stops with a bound
-    """
-
-    images: int = 4
-    mix: bool = False
+    images: int = 4  # how many images of a part are to be taken
+    mix: bool = False  # whether an image may show several lights with weights; one light each otherwise
     false_alarms: float = DEFAULT_FALSE_ALARMS
-    limit: int = DEFAULT_LIMIT
+    limit: int = DEFAULT_LIMIT  # about how many choices to score before the search stops with a bound
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,19 +31,16 @@ class Channel:
 
 @dataclass(frozen=True, kw_only=True)
 class Samples:
-    """Image sets of one rig, which show samples at the same place of the image.
-
-    labels: Per set and posture, shape (sets, postures, H, W): number of the defect that a pixel shows, from 0 in each
-        set, −1 for none
-    defects: Per set, the names of its defects
-    """
+    """Image sets of one rig, which show samples at the same place of the image."""
 
     sets: tuple[ImageSet, ...]
     names: tuple[str, ...]
     channels: tuple[Channel, ...]
     postures: tuple[Posture, ...]
+    # per set and posture, shape (sets, postures, H, W): number of the defect that a pixel shows, from 0 in each set, −1
+    # for none
     labels: Int32
-    defects: tuple[tuple[str, ...], ...]
+    defects: tuple[tuple[str, ...], ...]  # per set, the names of its defects
     regions: tuple[Bool, ...]  # per posture the pixels of the part, shape (H, W)
 
     @property
@@ -374,7 +371,6 @@ def _rms(values: Float32) -> float:
 
 
 def agreement_text(name: str, found: Sequence[Agreement]) -> str:
-    """The agreement in a sentence."""
     pixels = sum(one.pixels for one in found)
     return (
         f"{counted(len(found), 'captured image')} against images synthesised from {name}: "

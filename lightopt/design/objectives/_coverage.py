@@ -53,8 +53,6 @@ _Classes = tuple[Words, Words]  # of the usable and of the saturated images
 
 @dataclass(frozen=True)
 class CoverageObjective(Objective):
-    """Usable area; see the module's text."""
-
     name: str = "coverage"
     unit: str = "µm²"
     share_of: str | None = inspectable_surface(edges=True)

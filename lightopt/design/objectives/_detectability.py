@@ -45,7 +45,6 @@ def finding_text(min_images: int, false_alarms: float) -> str:
 
 
 def deciding_text(min_images: int) -> str:
-    """How many images decide."""
     return "one image may decide" if min_images == 1 else f"{min_images} images must show each"
 
 

@@ -139,7 +139,6 @@ def shares_of(objectives: Sequence[Objective]) -> dict[str, list[str]]:
 
 
 def near_meaning(objectives: Sequence[Objective]) -> str:
-    """What is near the best, in words."""
     within = f"{NEAR_PER_MILLE / 10:g}"
     texts = [
         f"within {within} points of the share of {' and '.join(names)}"

@@ -55,8 +55,6 @@ MOST_LIGHTS_IN_SETS = 16  # of more lights there are too many sets
 
 @dataclass(frozen=True)
 class PaperObjective(Objective):
-    """The paper's evaluation value; see the module's text."""
-
     name: str = "paper"
     unit: str = "sensor level"
     share_of: str | None = None

@@ -61,12 +61,10 @@ class Cover:
 
     @property
     def covered(self) -> int:
-        """Weight of the pairs that the chosen ones find."""
         return self.steps[-1].covered if self.steps else 0
 
     @property
     def share(self) -> float:
-        """Share of all pairs, by weight, that are found."""
         return self.covered / max(1, self.total)
 
     @property
@@ -97,7 +95,6 @@ class Cover:
 
     @property
     def proven(self) -> bool:
-        """Whether no set of as many covers more."""
         most = min(self.bounds[-1] // self.k, self.all_covered) if self.max_covered is None else self.max_covered
         return self.covered >= most
 

@@ -140,7 +140,6 @@ class _PlannedImages:
         self._update()
 
     def gains(self, candidates: Sequence[CandidateExposure]) -> list[_Gain]:
-        """What each candidate would add."""
         others: dict[int, Counts] = {}
         gains: list[_Gain] = []
         for candidate in candidates:
@@ -176,7 +175,6 @@ class _PlannedImages:
         return best
 
     def add(self, candidate: CandidateExposure) -> None:
-        """Add a candidate to the plan."""
         at = candidate.posture
         self._images[at] = self._images[at] | candidate.images
         self._own[at] = self._counts(self._images[at])

@@ -104,7 +104,6 @@ class _JointPlanner:
     run: RunContext
 
     def add_exposures(self, choice: PostureChoice) -> PostureChoice:
-        """A choice with the exposures that have enough gain."""
         panels, progress = [choice.panels] * len(choice.postures), self.run.stage("exposures")
         request = self.whole.exposures, 100.0 * self.least_gain, self.request.target
         return replace(choice, brackets=plan_exposures(self.whole, choice.postures, panels, *request, progress))

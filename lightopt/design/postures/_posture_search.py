@@ -82,7 +82,6 @@ class PostureChoice(Solution):
     brackets: Brackets | None = None  # which further exposures are planned; None where there were none to choose from
 
     def exposures_of(self, posture: Posture) -> tuple[float, ...]:
-        """Planned exposures of a posture, the longest first."""
         return (1.0,) if self.brackets is None else self.brackets.of(posture)
 
     @property
@@ -167,7 +166,6 @@ class AlternatingSearch:
         return replace(best, bounds=tuple(min(bounds) for bounds in zip(*same, strict=True)))
 
     def lights(self, chosen: Sequence[int], request: PostureRequest) -> LightPositions:
-        """The best positions of the lights for postures."""
         assert self.candidates is not None
         key = tuple(sorted(chosen))
         if key not in self._positions:

@@ -62,7 +62,6 @@ class ImagePatches(NamedTuple):
     pad: int = 0  # cells around the image that see no patch
 
     def in_order(self, order: Index) -> "ImagePatches":
-        """The same with the patches in another order."""
         number = np.empty(len(order) + 1, np.int32)
         number[order], number[-1] = np.arange(len(order)), -1
         column, row, owner, _, classes, angle, _ = self

@@ -91,12 +91,10 @@ class ImageCache:
         self._images: dict[Any, tuple[NDArray[Any], ...]] = {}
 
     def clear(self) -> None:
-        """Forget everything."""
         self._bytes = 0
         self._images.clear()
 
     def find(self, posture: Posture, exposures: Sequence[float], panel: PanelLight) -> tuple[NDArray[Any], ...] | None:
-        """The arrays of an image, where they are held."""
         return self._images.get(_image_key(posture, exposures, panel))
 
     def keep(self, posture: Posture, exposures: Sequence[float], panel: PanelLight, *arrays: NDArray[Any]) -> None:
@@ -136,7 +134,6 @@ class ImageEvaluator:
         return PairWeights(areas=units, masks=masks, factors=factors)
 
     def table_of(self, postures: Sequence[Posture]) -> PatchTable:
-        """The same patches in some of the postures."""
         rows = [self.table.postures.index(posture) for posture in postures]
         visible, grazing = self.table.visible[rows], self.table.grazing[rows]
         return replace(self.table, postures=tuple(postures), visible=visible, grazing=grazing)
@@ -268,7 +265,6 @@ class ImageEvaluator:
         return patches * exposures * ((1 if self.scene.sensor.bit_depth <= 8 else 2) + 8 * UNITS_OF_IMAGE * self._words)
 
     def positions_at_once(self, posture: Posture, exposures: Sequence[float]) -> int:
-        """How many positions of lights :meth:`matrices` has memory for."""
         seen = len(self.table.inspectable(posture))
         return max(1, MOST_BYTES // max(1, self._position_bytes(seen, len(exposures))))
 

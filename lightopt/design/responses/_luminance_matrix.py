@@ -157,7 +157,6 @@ class LuminanceMatrix:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of candidates of each light."""
         return tuple(len(layer) for layer in self.levels)
 
     def rows(self, rows: Sequence[Int64]) -> "LuminanceMatrix":

@@ -38,8 +38,6 @@ class PlannedDefect:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlannedCatalogue:
-    """A catalogue of defects to plan for."""
-
     entries: tuple[DefectHypotheses, ...]  # what pixels see of each of them; the same order as those of `defects`
 
     @cached_property
@@ -230,7 +228,6 @@ class PairWeights:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def of(self, patches: slice | Bool) -> "PairWeights":
-        """Weights of some of the patches."""
         return replace(self, areas=self.areas[patches])
 
     def sum_of(self, flags: Words) -> int:
@@ -270,7 +267,6 @@ class PairWeights:
         return added[-1], sum(added)
 
     def all_gains(self, counts: Counts, candidates: Sequence[Counts], *, threads: int | None) -> list[Merit]:
-        """:meth:`gains` of each of some candidates."""
         return in_threads(lambda i: self.gains(counts, candidates[i]), range(len(candidates)), threads)
 
 

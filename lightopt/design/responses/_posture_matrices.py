@@ -109,7 +109,6 @@ class PostureMatrices:
         )
 
     def patches(self) -> PatchTable:
-        """The patches, made when first needed."""
         if self.table is None:
             self.table = self.problem.cut_patches(edges=self.detection is None, threads=self.run.threads)
         return self.table

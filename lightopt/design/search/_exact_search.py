@@ -29,8 +29,6 @@ Rows = tuple[Int64, ...]  # candidates of each light, ascending: all their combi
 
 @dataclass(frozen=True, kw_only=True)
 class CombinationSpace:
-    """The combinations to search."""
-
     sizes: tuple[int, ...]  # number of candidates per light
     groups: tuple[Rows, ...]  # disjoint sets that make up the space: one where lights move independently
     # for pairs of lights (i, j), i < j: which of their candidates collide, shape (sizes[i], sizes[j])
@@ -68,15 +66,12 @@ MOST_NEAR = 1 << 24  # scores near the best that are held at a time: 128 MiB
 
 @dataclass(frozen=True)
 class Ranked:
-    """A combination with its score."""
-
     score: int
     usable: int  # sum of the usable levels of all images, each times its patch's weight
     candidates: tuple[int, ...]  # one per light, in the rig's order; candidates ascend by elevation, then azimuth
 
     @property
     def sort_key(self) -> tuple[int, int, tuple[int, ...]]:
-        """Smaller comes first."""
         return -self.score, -self.usable, self.candidates
 
 
@@ -110,17 +105,14 @@ class NearBest:
 
     @property
     def least(self) -> int:
-        """The least score that is near the best."""
         return self._best - self._margin(self._best)
 
     @property
     def exact(self) -> bool:
-        """Whether no score that is near was dropped."""
         return self._lost_below <= self.least
 
     @property
     def count(self) -> int:
-        """Scores near the best, the best one among them."""
         return sum(int(np.count_nonzero(scores >= self.least)) for scores in self._held)
 
     def add(self, scores: Int64) -> None:
@@ -185,8 +177,6 @@ NO_COMBINATION = "no combination of the lights' positions is left: in each, pane
 
 @dataclass(frozen=True, kw_only=True)
 class SearchResult:
-    """The outcome of a search."""
-
     ranking: tuple[Ranked, ...]  # the best in order, from the optimum on; of those evaluated where some are left
     ties: int  # number of other combinations with the optimum's score; of those evaluated where some are left
     near: int  # number of other combinations whose score is near the optimum's, ties among them
@@ -317,7 +307,6 @@ class _Boxes:
 
     @property
     def bound(self) -> int:
-        """A score that no combination in the boxes exceeds."""
         return -self._heap[0][0]
 
     def take(self, report: Callable[[], None]) -> tuple[int, Rows]:
@@ -375,7 +364,6 @@ class _BoxScorer:
         return total
 
     def bound(self, rows: Rows) -> int:
-        """A score that no combination of `rows` exceeds."""
         return sum(
             self.objective.bound(matrix.rows(rows), weights, self.thresholds)
             for matrix, weights in zip(self.matrices, self.weights, strict=True)

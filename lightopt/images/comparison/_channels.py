@@ -55,8 +55,6 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelDifference(Verdict):
-    """Difference of one channel."""
-
     name: str
     pixels: int
     compared: int  # pixels whose values were compared: not background in both images

@@ -277,8 +277,6 @@ _PATCHES = "patch table"
 
 @dataclass(frozen=True)
 class SetComparison(Comparison):
-    """Comparison of two image sets."""
-
     files: tuple[FileComparison, ...] = ()  # the files of the golden set against their counterparts
     missing: tuple[str, ...] = ()  # what only the golden set has, which fails
     extra: tuple[str, ...] = ()  # what only the new one has, which is reported

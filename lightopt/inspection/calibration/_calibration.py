@@ -123,7 +123,6 @@ class Calibration:
         return found
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form, maps apart."""
         return {
             "false_alarms": self.rate,
             "confidence": CONFIDENCE,

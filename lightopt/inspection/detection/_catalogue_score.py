@@ -52,7 +52,6 @@ class ExplainedDefect:
 
     @property
     def z(self) -> float:
-        """Of all images together."""
         return float(self.sums.sum() / math.sqrt(self.energies.sum()))
 
 
@@ -100,7 +99,6 @@ class _Entry:
         return sums, energies, shares
 
     def rate(self, some: _Candidates) -> None:
-        """Z and score by what is free."""
         sums, energies, _ = self.measure(some)
         total = energies.sum(axis=1, dtype=np.float64)
         z = np.where(total > 0.0, sums.sum(axis=1, dtype=np.float64) / np.sqrt(np.maximum(total, 1e-12)), 0.0)

@@ -142,7 +142,6 @@ class PostureCoverage(Shares):
     least_contrast: Float32 = field(compare=False, repr=False)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {"seen_mm2": round(self.seen, 3), **self.shares()}
 
 

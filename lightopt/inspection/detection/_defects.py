@@ -129,7 +129,6 @@ class Detection:
 
     @cached_property
     def surface(self) -> KDTree:
-        """Its points, to measure distances from."""
         return KDTree(self.points)
 
     @property
@@ -187,7 +186,6 @@ class FoundDefect:
         return max(s.greatest_contrast for s in self.detections)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         best = self.best
         return {
             "number": self.number,

@@ -164,7 +164,6 @@ def measure_regions(
     # by number of a region, the defects of the catalogue that it is of: they name it
     owners: Mapping[int, Sequence[ExplainedDefect]] = MappingProxyType({}),
 ) -> tuple[Detection, ...]:
-    """Measure the regions of a posture."""
     geometry = view.prediction.images.geometry
     detections: list[Detection] = []
     for number, box in enumerate(ndimage.find_objects(labels, count), start=1):

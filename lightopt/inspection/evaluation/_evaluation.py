@@ -301,8 +301,6 @@ def summarise(sets: Sequence[SetEvaluation]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class DetectionCurve:
-    """Probability of detection against size."""
-
     defects: int
     found: int
     # b₀ and b₁; None where hits and misses do not determine them: too few, all found or missed, or no rise with size

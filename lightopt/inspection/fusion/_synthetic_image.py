@@ -37,8 +37,6 @@ BLOCK_PX = 4
 
 @dataclass(frozen=True)
 class SyntheticImage:
-    """An image without highlights."""
-
     level: Float32  # [grey level at exposure 1], shape (H, W); 0 outside of the mask
     # its standard deviation: the noise of the images, propagated; what was filled in where no image is used; what noise
     # makes of edges by helping them through a rule or not, or the uncertainty of that where it is taken off

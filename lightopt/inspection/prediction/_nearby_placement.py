@@ -42,17 +42,13 @@ _LEAST_PIXELS = 200
 
 @dataclass(frozen=True, eq=False)
 class PlacementDerivatives:
-    """Central differences of a prediction with respect to the placement.
+    """Central differences of a prediction with respect to the placement."""
 
-    levels: of each light, per step in x, y and rotation: half the difference of the levels at the two sides, and half
-        of their second difference [grey level], shape (lights, 3, 2, h, w).
-    window: rows and columns of the image that the arrays are of; elsewhere nothing changes.
-    steps: in x and y [mm] and in rotation [rad], shape (3,).
-    """
-
+    # of each light, per step in x, y and rotation: half the difference of the levels at the two sides, and half of
+    # their second difference [grey level], shape (lights, 3, 2, h, w)
     levels: Float32
-    window: tuple[slice, slice]
-    steps: Float64
+    window: tuple[slice, slice]  # rows and columns of the image that the arrays are of; elsewhere nothing changes
+    steps: Float64  # in x and y [mm] and in rotation [rad], shape (3,)
 
 
 def difference_steps(scene: Scene) -> Float64:
@@ -158,33 +154,22 @@ def _add(terms: Float32, t: Float32, top: int, left: int, level: Float32) -> Non
 
 @dataclass(frozen=True, eq=False)
 class PixelSample:
-    """Some pixels of an image, n of them.
+    """Some pixels of an image, n of them."""
 
-    pixel: raveled indices.
-    steep: which of them are among those that change most with the placement.
-    level: predicted [grey level at exposure 1].
-    slope: change of the level per step in x, y and rotation, shape (n, 3).
-    """
-
-    pixel: Index
-    steep: Bool
-    level: Float64
-    slope: Float64
+    pixel: Index  # raveled indices
+    steep: Bool  # which of them are among those that change most with the placement
+    level: Float64  # predicted [grey level at exposure 1]
+    slope: Float64  # change of the level per step in x, y and rotation, shape (n, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class PlacementOffset:
-    """Displacement of a part from its predicted placement.
+    """Displacement of a part from its predicted placement."""
 
-    offset: steps in x, y and rotation about the part's middle, shape (3,).
-    errors: standard errors, same shape.
-    misfit: median deviation of the steep pixels, in standard deviations of the sensor's noise.
-    """
-
-    offset: Float64
-    errors: Float64
+    offset: Float64  # steps in x, y and rotation about the part's middle, shape (3,)
+    errors: Float64  # standard errors, same shape
     converged: bool
-    misfit: float
+    misfit: float  # median deviation of the steep pixels, in standard deviations of the sensor's noise
 
     @property
     def near(self) -> bool:
@@ -192,7 +177,6 @@ class PlacementOffset:
         return self.converged and bool(np.all(np.abs(self.offset) <= FURTHEST))
 
     def placement(self, scene: Scene, before: Placement) -> Placement:
-        """The placement of the part, given the predicted placement."""
         x, y, turn = self.offset * difference_steps(scene)
         ex, ey, et = (float(e) for e in self.errors * difference_steps(scene))
         errors = (ex, ey, et, *before.errors[3:])

@@ -49,46 +49,36 @@ EVEN_VARIANCE = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Photometry:
-    """Brightness of the lights and of black, as the images have them.
+    """Brightness of the lights and of black, as the images have them."""
 
-    gains: by name of the light, measured over predicted brightness.
-    dark: above the rig's black level [sensor level].
-    """
-
-    gains: dict[str, float]
-    dark: float
+    gains: dict[str, float]  # by name of the light, measured over predicted brightness
+    dark: float  # above the rig's black level [sensor level]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PostureView:
-    """Images of one posture, one per light, and the prediction; all levels in grey levels at exposure 1.
-
-    lights: names, of those that the set has for this posture.
-    level: measured, black level and the lights' gains taken out, shape (lights, H, W). Of several exposures of a
-        light each pixel has the longest that is saturated neither in the image nor in the prediction.
-    predicted: of the good part, same shape.
-    deviation: standard deviation of a good part's level, by the sensor's noise, the part's waviness and the few rays
-        that stand for the mean over a pixel, same shape.
-    slack: by how much a good part's level may be off besides: by rounding, where noise does not even it out, and, in
-        images of pixels' centres, by what differs inside a pixel, same shape.
-    limit: level from which a pixel is saturated, same shape; where it is, not above `level`: a lower bound is never
-        darker than the good part.
-    saturated: where `level` is only a lower bound, same shape.
-    wavy: variance by which `deviation` is greater for the waviness of good parts, were that independent from pixel to
-        pixel, same shape; None for smooth ones.
-    prediction: the images that `predicted` is from, and the pixels that can be judged.
-    """
+    """Images of one posture, one per light, and the prediction; all levels in grey levels at exposure 1."""
 
     posture: Posture
-    lights: tuple[str, ...]
+    lights: tuple[str, ...]  # names, of those that the set has for this posture
+    # measured, black level and the lights' gains taken out, shape (lights, H, W). Of several exposures of a light each
+    # pixel has the longest that is saturated neither in the image nor in the prediction
     level: Float32
-    predicted: Float32
+    predicted: Float32  # of the good part, same shape
+    # standard deviation of a good part's level, by the sensor's noise, the part's waviness and the few rays that stand
+    # for the mean over a pixel, same shape
     deviation: Float32
+    # by how much a good part's level may be off besides: by rounding, where noise does not even it out, and, in images
+    # of pixels' centres, by what differs inside a pixel, same shape
     slack: Float32
+    # level from which a pixel is saturated, same shape; where it is, not above `level`: a lower bound is never darker
+    # than the good part
     limit: Float32
-    saturated: Bool
-    prediction: Prediction
+    saturated: Bool  # where `level` is only a lower bound, same shape
+    prediction: Prediction  # the images that `predicted` is from, and the pixels that can be judged
     photometry: Photometry
+    # variance by which `deviation` is greater for the waviness of good parts, were that independent from pixel to
+    # pixel, same shape; None for smooth ones
     wavy: Float32 | None = None
 
     @cached_property

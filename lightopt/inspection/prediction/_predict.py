@@ -25,15 +25,11 @@ PATCHES = 50_000
 
 @dataclass(frozen=True, kw_only=True)
 class Reference:
-    """Levels that a good part is expected to have.
+    """Levels that a good part is expected to have."""
 
-    basis: what they come from, for people.
-    remedy: what is wrong where far too much of a part deviates from them, and what to do.
-    limits: what a comparison with them cannot show; empty for the model, whose limits are those of its files.
-    """
-
-    basis: str
-    remedy: str
+    basis: str  # what they come from, for people
+    remedy: str  # what is wrong where far too much of a part deviates from them, and what to do
+    # what a comparison with them cannot show; empty for the model, whose limits are those of its files
     limits: str = ""
 
 
@@ -62,34 +58,25 @@ REFERENCES: Final[Mapping[ReferenceName, Reference]] = {
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WavyLevels:
-    """By how much the waviness of good parts changes the images of a posture.
+    """By how much the waviness of good parts changes the images of a posture."""
 
-    spread: Standard deviation of the level before the camera clips, by light [grey level at exposure 1], each (H, W)
-    waviness: Of the surface
-    footprint: Side of a pixel [mm]
-    """
-
+    # standard deviation of the level before the camera clips, by light [grey level at exposure 1], each (H, W)
     spread: dict[str, Float32]
-    waviness: Waviness
-    footprint: float
+    waviness: Waviness  # of the surface
+    footprint: float  # side of a pixel [mm]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """The good part in a posture: its images, and its evaluable pixels.
+    """The good part in a posture: its images, and its evaluable pixels."""
 
-    images: under each light, with the specular component apart; evaluable pixels are means over their area.
-    clean: pixels off silhouettes, creases, back faces and grazing views, shape (H, W).
-    grazing: pixels that see the part at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (H, W).
-    area: of the surface that each pixel sees [mm²], shape (H, W); 0 off the part.
-    waviness: of good parts; None for smooth ones.
-    """
-
+    # under each light, with the specular component apart; evaluable pixels are means over their area
     images: rendering.PostureImages
-    clean: Bool
+    clean: Bool  # pixels off silhouettes, creases, back faces and grazing views, shape (H, W)
+    # pixels that see the part at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (H, W)
     grazing: Bool
-    area: Float32
-    waviness: WavyLevels | None = None
+    area: Float32  # of the surface that each pixel sees [mm²], shape (H, W); 0 off the part
+    waviness: WavyLevels | None = None  # of good parts; None for smooth ones
 
 
 def predict(
@@ -155,14 +142,11 @@ def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int
 
 @dataclass(frozen=True, eq=False)
 class SurfaceMap:
-    """Patches of the surface, and the pixel that sees each in each posture.
+    """Patches of the surface, and the pixel that sees each in each posture."""
 
-    areas: of the patches [mm²], shape (n,).
-    seen: by posture: indices of the patches that the camera sees, and raveled indices of the pixels that they lie in,
-        −1 where it sees them at a grazing angle: these are left out.
-    """
-
-    areas: Float64
+    areas: Float64  # of the patches [mm²], shape (n,)
+    # by posture: indices of the patches that the camera sees, and raveled indices of the pixels that they lie in, −1
+    # where it sees them at a grazing angle: these are left out
     seen: dict[Posture, tuple[Index, Index]]
 
 

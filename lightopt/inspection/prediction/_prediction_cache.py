@@ -29,22 +29,19 @@ MOST_BYTES = 1 << 30
 
 @dataclass
 class PredictionCache:
-    """The part inspected last, at its placement, for the next sets of a batch.
+    """The part inspected last, at its placement, for the next sets of a batch."""
 
-    nominal_scenes: scenes with the part where its file has it, by postures and lights.
-    placement, scene: where the last part lay, and the scene with it there.
-    rendered: predictions with the part there.
-    samples: pixels that determine the placement, by posture and lights, light, and whether derivatives are known.
-    """
-
+    # scenes with the part where its file has it, by postures and lights
     nominal_scenes: dict[tuple[tuple[Posture, ...], tuple[str, ...]], Scene] = field(default_factory=dict)
+    # where the last part lay, and the scene with it there
     placement: Placement | None = None
     scene: Scene | None = None
     caster: RayCaster | None = None
-    rendered: dict[Key, Prediction] = field(default_factory=dict)
+    rendered: dict[Key, Prediction] = field(default_factory=dict)  # predictions with the part there
     derivatives: dict[Key, nearby.PlacementDerivatives] = field(default_factory=dict)
     registration: Registration | None = None
     misfit: float | None = None
+    # pixels that determine the placement, by posture and lights, light, and whether derivatives are known
     samples: dict[tuple[Key, str, bool], nearby.PixelSample] = field(default_factory=dict)
     surface_maps: dict[tuple[Posture, ...], SurfaceMap] = field(default_factory=dict)
     banks: dict[tuple[Key, ExposuresKey], TemplateBank] = field(default_factory=dict)

@@ -36,20 +36,16 @@ ExposuresByLight = dict[str, tuple[tuple[float, int], ...]]
 
 @dataclass(frozen=True)
 class RegisteredSet:
-    """A set of images with its part registered.
+    """A set of images with its part registered."""
 
-    nominal: the scene with the part where its file has it.
-    scene: the predicted scene: the part lies where it was found, or nearly there.
-    views: of each posture, in the set's order, made one at a time; with the exposures of its images.
-    registration: that found the part, or the part that it lies near; None for a part that is not searched for.
-    neighbourhood_px: width of the neighbourhood that a place is compared with where that is the reference.
-    """
-
-    nominal: Scene
+    nominal: Scene  # the scene with the part where its file has it
     placement: Placement
-    scene: Scene
+    scene: Scene  # the predicted scene: the part lies where it was found, or nearly there
+    # of each posture, in the set's order, made one at a time; with the exposures of its images
     views: Iterator[tuple[PostureView, ExposuresByLight]]
+    # that found the part, or the part that it lies near; None for a part that is not searched for
     registration: Registration | None = None
+    # width of the neighbourhood that a place is compared with where that is the reference
     neighbourhood_px: float = LEAST_PX
 
 
@@ -134,7 +130,6 @@ def _find(
 
 
 def exposures_text(exposures: ExposuresByLight) -> str:
-    """Exposures and numbers of frames for a message."""
 
     def one(exposure: float, frames: int) -> str:
         return f"×{exposure:g}" + (f" of {frames} frames" if frames > 1 else "")

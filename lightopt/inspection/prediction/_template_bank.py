@@ -60,52 +60,39 @@ class Pieces:
     """What pixels see of the sizes and poses of a defect, for each class of foreshortening.
 
     A pose is a turn and a place of the middle within its pixel.
-
-    first: Of class c, size s and pose p, group g = (c · sizes + s) · poses + p: the pieces from first[g] to
-        first[g + 1], shape (groups + 1,)
-    pixel: Offset of the piece's pixel from that of the middle, in the raveled images, shape (n,)
-    variant, weight: Of the piece, shape (n,)
     """
 
+    # of class c, size s and pose p, group g = (c · sizes + s) · poses + p: the pieces from first[g] to first[g + 1],
+    # shape (groups + 1,)
     first: Int32
-    pixel: Int32
+    pixel: Int32  # offset of the piece's pixel from that of the middle, in the raveled images, shape (n,)
+    # of the piece, shape (n,)
     variant: Int32
     weight: Float32
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EntryTemplates:
-    """The expected changes of an entry of the catalogue, in images of h × w larger pixels, an empty border included.
-
-    deviation: Of the good part's levels: unit of the changes, shape (lights, H, W)
-    attenuation: What measured deviations are multiplied by for that unit, shape (lights, H, W): waviness changes the
-        pixels of a wide defect alike. None where it is 1
-    ratio: Side of these pixels [px]
-    width_px: Width of the middle size [pixels of these images]
-    corner: Row and column of the first one's corner [px]
-    border: Width of the border [pixels of these images]
-    change: Of each pixel, light and variant, in units of :attr:`unit`, shape (h, w, lights, variants)
-    count: Pixels of the image that count in each, shape (h, w, lights)
-    foreshortening: Class of each pixel, −1 where no defect is tested, shape (h, w)
-    step: Places to test are so many pixels apart, from the border on
-    halves: Places of the middle within its pixel, to the right and down [pixels of these images]
-    inverse: 1/√ΣE of the middle size at each pose and place, in units of the stored changes, 0 where it is not
-        tested; shape (poses, rows, columns)
-    """
+    """The expected changes of an entry of the catalogue, in images of h × w larger pixels, an empty border included."""
 
     hypotheses: DefectHypotheses
-    deviation: Float32
+    deviation: Float32  # of the good part's levels: unit of the changes, shape (lights, H, W)
+    # what measured deviations are multiplied by for that unit, shape (lights, H, W): waviness changes the pixels of a
+    # wide defect alike. None where it is 1
     attenuation: Float32 | None
-    ratio: int
-    width_px: float
-    corner: tuple[int, int]
-    border: int
-    change: Int8
-    count: UInt8
-    foreshortening: Int16
+    ratio: int  # side of these pixels [px]
+    width_px: float  # width of the middle size [pixels of these images]
+    corner: tuple[int, int]  # row and column of the first one's corner [px]
+    border: int  # width of the border [pixels of these images]
+    change: Int8  # of each pixel, light and variant, in units of :attr:`unit`, shape (h, w, lights, variants)
+    count: UInt8  # pixels of the image that count in each, shape (h, w, lights)
+    foreshortening: Int16  # class of each pixel, −1 where no defect is tested, shape (h, w)
     pieces: Pieces
-    step: int
+    step: int  # places to test are so many pixels apart, from the border on
+    # places of the middle within its pixel, to the right and down [pixels of these images]
     halves: tuple[tuple[float, float], ...]
+    # 1/√ΣE of the middle size at each pose and place, in units of the stored changes, 0 where it is not tested; shape
+    # (poses, rows, columns)
     inverse: Float32
 
     @property
@@ -115,12 +102,10 @@ class EntryTemplates:
 
     @property
     def poses(self) -> int:
-        """Turns times places within a pixel."""
         return len(self.hypotheses.turns) * len(self.halves)
 
     @property
     def tests(self) -> int:
-        """Number of hypotheses that are tested."""
         return int(np.count_nonzero(self.inverse)) * len(self.hypotheses.shapes)
 
 
