@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt import inspection
 from lightopt.config import RigConfig
 from lightopt.core.arrays import Float32, Float64, Index, UInt8
 from lightopt.core.transforms import Posture
@@ -20,18 +21,6 @@ from lightopt.dataset._visibility import Visibility, thresholds, visibility_in_i
 from lightopt.defects import CatalogueEntry, PlacedDefect, defect_hypotheses, surface_coordinates
 from lightopt.estimate.registration import Observation, Placement
 from lightopt.geometry import RayCaster
-from lightopt.inspection import (
-    GreyPicture,
-    PostureView,
-    SyntheticImage,
-    entry_deviation,
-    expected_deviation,
-    grey_picture,
-    place_in_image,
-    posture_view,
-    predict,
-    synthetic_image,
-)
 from lightopt.optics import expose, image_rng, saturated
 from lightopt.rendering import PostureImages, PosturePixels, cast_rays_at, render_pixels, render_posture, trace_pixels
 from lightopt.scene import Scene, surface_footprint, typical_blur
@@ -70,24 +59,24 @@ class PostureLimits:
     """What the samples of a posture have in common, of the nominal pose."""
 
     thresholds: Mapping[str, float]  # by name of an entry of the catalogue
-    picture: GreyPicture | None  # how fused images become grey; None for none
+    picture: inspection.GreyPicture | None  # how fused images become grey; None for none
 
 
 @dataclass(frozen=True, eq=False)
 class PoseImages:
     scene: Scene  # with the part where it lies, good and smooth
-    view: PostureView  # the images of this part, without noise, and how far levels of good parts scatter
+    view: inspection.PostureView  # the images of this part, without noise, and how far levels of good parts scatter
     actual: PostureImages  # images of the good part, wavy where the part file says so
     waved: Scene  # the scene with that surface
     pixels: PosturePixels  # what pixel centres look at
     caster: RayCaster
     exposures: tuple[float, ...]
-    fused: SyntheticImage | None  # the images of `view` without highlights; None for none
+    fused: inspection.SyntheticImage | None  # the images of `view` without highlights; None for none
 
     @cached_property
     def deviation(self) -> Float32:
         """Standard deviation of the good part's levels, shape (lights, H, W)."""
-        return expected_deviation(self.view)
+        return inspection.expected_deviation(self.view)
 
     @cached_property
     def footprint(self) -> float:
@@ -120,7 +109,7 @@ def render_pose(
     scene = draw.scene(nominal)
     caster = cast_rays_at(scene)
     names = tuple(light.name for light in scene.lights)
-    prediction = predict(scene, draw.posture, caster, lights=names, edges=True, threads=threads)
+    prediction = inspection.predict(scene, draw.posture, caster, lights=names, edges=True, threads=threads)
     exposures = tuple(rig.exposures(name, (options.exposure,))[0] for name in names)
     waved, actual = scene, prediction.images
     if scene.waviness is not None:
@@ -132,9 +121,9 @@ def render_pose(
         for image, exposure in zip(prediction.images.lights, exposures, strict=True)
     ]
     seen = _observations(scene, draw.posture, exposures, still)
-    view = posture_view(scene, seen, prediction, where=f"pose {draw.number}", exact=False, threads=threads)
+    view = inspection.posture_view(scene, seen, prediction, where=f"pose {draw.number}", exact=False, threads=threads)
     pixels = trace_pixels(scene, draw.posture, caster, threads=threads)
-    fused = None if options.fusion is None else synthetic_image(view, options.fusion, threads=threads)
+    fused = None if options.fusion is None else inspection.synthetic_image(view, options.fusion, threads=threads)
     return PoseImages(scene, view, actual, waved, pixels, caster, exposures, fused)
 
 
@@ -154,7 +143,7 @@ def posture_limits(
     if pose.fused is not None:
         # with room for noise, which is all that a mirror scatters
         brighter = pose.fused.level + NOISE * pose.fused.deviation
-        picture = grey_picture(brighter.astype(np.float32), pose.fused.mask)
+        picture = inspection.grey_picture(brighter.astype(np.float32), pose.fused.mask)
     pixels = int(pose.view.clean.sum())
     found = thresholds(catalogue, pixels, pose.footprint, pose.blur, options.false_alarms)
     return PostureLimits(thresholds=found, picture=picture)
@@ -167,7 +156,7 @@ def sample_images(
     kinds: list[CatalogueEntry] = []
     placed: list[PlacedDefect] = []
     for kind in draw.kinds:
-        one = place_in_image(pose.scene, kind, pose.pixels, placed, draw.rng)
+        one = inspection.place_in_image(pose.scene, kind, pose.pixels, placed, draw.rng)
         if one is not None:
             kinds.append(kind)
             placed.append(one)
@@ -179,9 +168,9 @@ def sample_images(
     fused = None
     if options.fusion is not None and limits.picture is not None:
         seen = _observations(pose.scene, pose.view.posture, pose.exposures, levels)
-        view = posture_view(pose.scene, seen, pose.view.prediction, where=where, exact=False, threads=1)
-        image = synthetic_image(view, options.fusion, probes=0, threads=1)
-        fused = grey_picture(image.level, image.mask, like=limits.picture).grey
+        view = inspection.posture_view(pose.scene, seen, pose.view.prediction, where=where, exact=False, threads=1)
+        image = inspection.synthetic_image(view, options.fusion, probes=0, threads=1)
+        fused = inspection.grey_picture(image.level, image.mask, like=limits.picture).grey
     shown = tuple(one for one in labels if len(one.pixels))
     return SampleImages(levels=levels, fused=fused, defects=shown, omitted=len(draw.kinds) - len(shown))
 
@@ -232,7 +221,7 @@ def _fused_change(pose: PoseImages, change: _Change, options: DatasetOptions) ->
     flat, limit = level.reshape(len(level), -1), pose.view.limit.reshape(len(level), -1)
     varied = flat[:, change.pixels] + change.diffuse + change.specular
     flat[:, change.pixels] = np.clip(varied, 0.0, limit[:, change.pixels])
-    varied = synthetic_image(replace(pose.view, level=level), options.fusion, probes=0, threads=1).level
+    varied = inspection.synthetic_image(replace(pose.view, level=level), options.fusion, probes=0, threads=1).level
     return ((varied - pose.fused.level) / np.maximum(pose.fused.deviation, 1e-6)).astype(np.float32)
 
 
@@ -243,7 +232,7 @@ def _label(
     own = np.flatnonzero(change.share[number] > 0.0)
     judged = own[pose.pixels.clean[change.shown[own]]]
     pixels, points = change.pixels[judged], change.shown[judged]
-    deviation, _ = entry_deviation(defect_hypotheses(kind), view, pose.deviation)
+    deviation, _ = inspection.entry_deviation(defect_hypotheses(kind), view, pose.deviation)
     good, noise, limit = (
         a.reshape(len(a), -1)[:, pixels].astype(np.float64) for a in (view.predicted, deviation, view.limit)
     )

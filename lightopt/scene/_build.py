@@ -362,13 +362,10 @@ SENSIBLE = (0.15, 1.3)  # a unit is proposed where it brings the part's longest 
 
 @dataclass(frozen=True)
 class UnitGuess:
-    """What other units would make of a part that does not fit the view at all.
-
-    likely: Those that would make sense of it
-    """
+    """What other units would make of a part that does not fit the view at all."""
 
     unit: str
-    likely: tuple[str, ...]
+    likely: tuple[str, ...]  # those that would make sense of it
     text: str
 
 

@@ -36,52 +36,38 @@ class Distortion:
 
 @dataclass(frozen=True, kw_only=True)
 class Lens:
-    """A thin lens in the pinhole, which is the middle of its aperture.
+    """A thin lens in the pinhole, which is the middle of its aperture."""
 
-    aperture: Diameter [mm]
-    focus: Depth of the plane in focus along the optical axis [mm]
-    wavelength: Of the light, for diffraction [mm]; None for none
-    """
-
-    aperture: float
-    focus: float
-    wavelength: float | None = None
+    aperture: float  # diameter [mm]
+    focus: float  # depth of the plane in focus along the optical axis [mm]
+    wavelength: float | None = None  # of the light, for diffraction [mm]; None for none
 
 
 @dataclass(frozen=True, kw_only=True)
 class PinholeCamera:
-    """A pinhole with an image plane, in whichever frame its vectors are given (world or part).
+    """A pinhole with an image plane, in whichever frame its vectors are given (world or part)."""
 
-    position: Pinhole [mm], shape (3,)
-    right, up, forward: Unit vectors of the image, shape (3,)
-    pixel_size: Width of a pixel [mm]
-    image_distance: Pinhole to image plane [mm]
-    principal_point: Where the optical axis meets the image [px]; None for the image's centre
-    aspect: Focal length in rows over that in columns; 1 for square pixels
-    vignetting: Coefficients of ρ² and ρ⁴ in what the lens passes, ρ from the principal point in half diagonals
-    cos4: Whether what it passes falls with the fourth power of the cosine to the optical axis as well
-    lens: What the pinhole stands for; None for a pinhole, in which everything is in focus
-    shear: By how much the image is off, to the right and down, for the rays to the plane in focus to end at the same
-        image points from everywhere in the lens [image distances]
-    obstructions: Corners of triangles that stand in the view, of lights [mm], shape (t, 3, 3)
-    """
-
-    position: Float64
+    position: Float64  # pinhole [mm], shape (3,)
+    # unit vectors of the image, shape (3,)
     right: Float64
     up: Float64
     forward: Float64
     width: int
     height: int
-    pixel_size: float
-    image_distance: float
+    pixel_size: float  # width of a pixel [mm]
+    image_distance: float  # pinhole to image plane [mm]
     distortion: Distortion = Distortion()
+    # where the optical axis meets the image [px]; None for the image's centre
     principal_point: tuple[float, float] | None = None
-    aspect: float = 1.0
+    aspect: float = 1.0  # focal length in rows over that in columns; 1 for square pixels
+    # coefficients of ρ² and ρ⁴ in what the lens passes, ρ from the principal point in half diagonals
     vignetting: tuple[float, float] = (0.0, 0.0)
-    cos4: bool = False
-    lens: Lens | None = None
+    cos4: bool = False  # whether what it passes falls with the fourth power of the cosine to the optical axis as well
+    lens: Lens | None = None  # what the pinhole stands for; None for a pinhole, in which everything is in focus
+    # by how much the image is off, to the right and down, for the rays to the plane in focus to end at the same image
+    # points from everywhere in the lens [image distances]
     shear: tuple[float, float] = (0.0, 0.0)
-    obstructions: Float64 | None = None
+    obstructions: Float64 | None = None  # corners of triangles that stand in the view, of lights [mm], shape (t, 3, 3)
 
     @property
     def axis_px(self) -> tuple[float, float]:
@@ -304,23 +290,19 @@ _WINDOW_MARGIN_PX = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Framing:
-    """Where a part lies in the image.
+    """Where a part lies in the image."""
 
-    left, top, right, bottom: Bounding box of the part's vertices in the image [px]; NaN where part of it is behind the
-        camera
-    excess: By how much it leaves the image at the left, top, right and bottom, 0 where it does not [px]
-    nearest, farthest: Depth of the part's vertices along the optical axis [mm]
-    footprint: Side of a pixel's footprint at the nearest and at the farthest depth [mm]
-    """
-
+    # bounding box of the part's vertices in the image [px]; NaN where part of it is behind the camera
     left: float
     top: float
     right: float
     bottom: float
+    # by how much it leaves the image at the left, top, right and bottom, 0 where it does not [px]
     excess: tuple[float, float, float, float]
+    # depth of the part's vertices along the optical axis [mm]
     nearest: float
     farthest: float
-    footprint: tuple[float, float]
+    footprint: tuple[float, float]  # side of a pixel's footprint at the nearest and at the farthest depth [mm]
 
     @property
     def outside(self) -> bool:

@@ -25,20 +25,13 @@ _REACH = 8.0
 
 @dataclass(frozen=True, kw_only=True)
 class PointSpacing:
-    """How a panel's grid of point lights looks to a specular lobe.
+    """How a panel's grid of point lights looks to a specular lobe."""
 
-    points: m = k² point lights
-    spacing: Largest distance between neighbouring points [mm]; the panel's longer side for m = 1
-    lobe: 2·distance·σ: how wide a part of the panel the lobe takes in, one standard deviation [mm]
-    area_error: Saturated area of a highlight relative to that of the continuous panel, minus 1
-    enough: The m with which the area is within about 1 %: spacing no more than half the lobe's width
-    """
-
-    points: int
-    spacing: float
-    lobe: float
-    area_error: float
-    enough: int
+    points: int  # m = k² point lights
+    spacing: float  # largest distance between neighbouring points [mm]; the panel's longer side for m = 1
+    lobe: float  # 2·distance·σ: how wide a part of the panel the lobe takes in, one standard deviation [mm]
+    area_error: float  # saturated area of a highlight relative to that of the continuous panel, minus 1
+    enough: int  # the m with which the area is within about 1 %: spacing no more than half the lobe's width
 
     @property
     def separate(self) -> bool:

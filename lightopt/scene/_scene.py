@@ -18,13 +18,10 @@ from lightopt.scene._stage import Stage
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Placement:
-    """Where the mesh file's coordinates are in the part frame: x_part = rotation·x_file + translation.
-
-    translation: [mm], shape (3,)
-    """
+    """Where the mesh file's coordinates are in the part frame: x_part = rotation·x_file + translation."""
 
     rotation: Float64 = field(default_factory=lambda: np.eye(3))
-    translation: Float64 = field(default_factory=lambda: np.zeros(3))
+    translation: Float64 = field(default_factory=lambda: np.zeros(3))  # [mm], shape (3,)
 
     def to_part(self, point: Float64) -> Float64:
         """A point of the file [mm], shape (3,), in the part frame."""
@@ -37,48 +34,35 @@ class Placement:
 
 @dataclass(frozen=True, kw_only=True)
 class PartRegion:
-    """Surface of a part that reflects in its own way.
+    """Surface of a part that reflects in its own way."""
 
-    name: As the part file has it
-    """
-
-    name: str
+    name: str  # as the part file has it
     reflectance: Reflectance
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A part on its stage, the lights around it, the camera above it.
+    """A part on its stage, the lights around it, the camera above it."""
 
-    camera, lights: World frame
-    mesh: The part at posture (0, 0), world frame [mm]; its faces' materials are 0 for `reflectance` and then those of
-        the regions, from 1
-    reflectance: Of the surface that is in no region
-    regions: With reflectances of their own
-    stage: How postures move the part, world frame
-    placement: From the mesh file's coordinates, in mm, to those of the mesh
-    defects: On the part, frame of the mesh; images show them, the mesh does not
-    waviness: Of good parts; None for smooth ones
-    freedoms: Degrees of freedom of the part on its stage: 3 on the plate, 6 with height and tilt
-    bounces: How often light goes from the part to the part in images
-    environment: Level of what surrounds the rig under a light of gain 1 [grey level]
-    """
-
+    # world frame
     camera: PinholeCamera
     lights: tuple[PanelLight, ...]
+    # the part at posture (0, 0), world frame [mm]; its faces' materials are 0 for `reflectance` and then those of the
+    # regions, from 1
     mesh: TriangleMesh
-    reflectance: Reflectance
-    regions: tuple[PartRegion, ...] = ()
+    reflectance: Reflectance  # of the surface that is in no region
+    regions: tuple[PartRegion, ...] = ()  # with reflectances of their own
     sensor: Sensor
-    stage: Stage
+    stage: Stage  # how postures move the part, world frame
     postures: tuple[Posture, ...]
     warnings: tuple[str, ...] = ()
+    # from the mesh file's coordinates, in mm, to those of the mesh
     placement: Placement = field(default_factory=Placement)
-    defects: tuple[PlacedDefect, ...] = ()
-    waviness: Waviness | None = None
-    freedoms: int = 3
-    bounces: int = 0
-    environment: float = 0.0
+    defects: tuple[PlacedDefect, ...] = ()  # on the part, frame of the mesh; images show them, the mesh does not
+    waviness: Waviness | None = None  # of good parts; None for smooth ones
+    freedoms: int = 3  # degrees of freedom of the part on its stage: 3 on the plate, 6 with height and tilt
+    bounces: int = 0  # how often light goes from the part to the part in images
+    environment: float = 0.0  # level of what surrounds the rig under a light of gain 1 [grey level]
 
     @property
     def reflectances(self) -> tuple[Reflectance, ...]:
@@ -147,15 +131,12 @@ def move_part(scene: Scene, rotation: Float64, translation: Float64) -> Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class PartView:
-    """Camera and lights as the part sees them in a posture, so that one ray caster serves all postures.
+    """Camera and lights as the part sees them in a posture, so that one ray caster serves all postures."""
 
-    camera, lights: Part frame: the world frame at posture (0, 0)
-    rotation, translation: Part frame to world frame: x_world = rotation·x_part + translation; shapes (3, 3) and (3,)
-        [mm]
-    """
-
+    # part frame: the world frame at posture (0, 0)
     camera: PinholeCamera
     lights: tuple[PanelLight, ...]
+    # part frame to world frame: x_world = rotation·x_part + translation; shapes (3, 3) and (3,) [mm]
     rotation: Float64
     translation: Float64
 

@@ -14,17 +14,12 @@ from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stage:
-    """A rotary axis, along Z at tilt 0, carried by a tilt axis; world frame.
+    """A rotary axis, along Z at tilt 0, carried by a tilt axis; world frame."""
 
-    pivot: A point of the rotary axis at tilt 0 [mm], shape (3,)
-    tilt_point: A point of the tilt axis [mm], shape (3,); None for `pivot`
-    tilt_direction: Unit vector of the tilt axis, shape (3,); None for X
-    tilt_scale, rotary_scale: Degrees turned per degree of the reading
-    """
-
-    pivot: Float64 = field(default_factory=lambda: np.zeros(3))
-    tilt_point: Float64 | None = None
-    tilt_direction: Float64 | None = None
+    pivot: Float64 = field(default_factory=lambda: np.zeros(3))  # a point of the rotary axis at tilt 0 [mm], shape (3,)
+    tilt_point: Float64 | None = None  # a point of the tilt axis [mm], shape (3,); None for `pivot`
+    tilt_direction: Float64 | None = None  # unit vector of the tilt axis, shape (3,); None for X
+    # degrees turned per degree of the reading
     tilt_scale: float = 1.0
     rotary_scale: float = 1.0
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import minimize
 
+from lightopt import rendering
 from lightopt.config import RigConfig
 from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.errors import InputError
@@ -20,14 +21,6 @@ from lightopt.core.transforms import rotation_x, rotation_y
 from lightopt.defects import SHAPE_KINDS, mark_surface
 from lightopt.lights import SurfaceLight, picture_light
 from lightopt.optics import farthest_exponent
-from lightopt.rendering import (
-    PosturePixels,
-    SurfacePoints,
-    cast_rays_at,
-    light_of_channels,
-    mirrored_places,
-    trace_pixels,
-)
 from lightopt.scene import Scene, move_part
 
 MOST_CAMERA_PIXELS = 20_000  # that the picture is fitted to; of more, every second or third row and column
@@ -97,7 +90,7 @@ def inverse_pattern(
     own = _in_part_frame(seen, scene, display)
     shape = (pixels[1], pixels[0])
     full = _levels(surface, picture_light(own, np.ones(shape)), scene)
-    u, v, _ = mirrored_places(surface, own)
+    u, v, _ = rendering.mirrored_places(surface, own)
     inside = (np.abs(u) < 0.5 * own.size[0]) & (np.abs(v) < 0.5 * own.size[1])
     reflecting = np.flatnonzero(inside & (full >= REFLECTING_SHARE * full.max(initial=0.0)))
     if len(reflecting) < pixels[0] * pixels[1] // 100 + 10:
@@ -161,9 +154,9 @@ def _rms(values: Float64) -> float:
     return math.sqrt(float(np.nanmean(values**2)))
 
 
-def _seen(scene: Scene, wanted: Bool | None = None) -> PosturePixels:
+def _seen(scene: Scene, wanted: Bool | None = None) -> rendering.PosturePixels:
     # clean pixels: those wanted, or those of a regular grid where they are many; defects turn their normals
-    seen = trace_pixels(scene, scene.postures[0], cast_rays_at(scene))
+    seen = rendering.trace_pixels(scene, scene.postures[0], rendering.cast_rays_at(scene))
     step = math.ceil(math.sqrt(len(seen.row) / MOST_CAMERA_PIXELS))
     chosen = (seen.row % step == 0) & (seen.column % step == 0) if wanted is None else wanted[seen.row, seen.column]
     keep = np.flatnonzero(seen.clean & chosen)
@@ -175,13 +168,13 @@ def _seen(scene: Scene, wanted: Bool | None = None) -> PosturePixels:
     return replace(seen, row=seen.row[keep], column=seen.column[keep], clean=seen.clean[keep], surface=surface)
 
 
-def _in_part_frame(seen: PosturePixels, scene: Scene, display: SurfaceLight) -> SurfaceLight:
+def _in_part_frame(seen: rendering.PosturePixels, scene: Scene, display: SurfaceLight) -> SurfaceLight:
     rotation, translation = scene.stage.transform(seen.posture)
     return display.moved(rotation.T, -rotation.T @ translation)
 
 
-def _levels(surface: SurfacePoints, light: SurfaceLight, scene: Scene) -> Float64:
-    (diffuse,), (specular,) = light_of_channels(surface, [light], scene.reflectance)
+def _levels(surface: rendering.SurfacePoints, light: SurfaceLight, scene: Scene) -> Float64:
+    (diffuse,), (specular,) = rendering.light_of_channels(surface, [light], scene.reflectance)
     return scene.reflectance.R_d * diffuse + scene.reflectance.R_s * specular
 
 
@@ -192,9 +185,11 @@ def _stripes(row: Int32, column: Int32, period_px: float | None) -> Float64:
     return 1.0 + 0.5 * TARGET_CONTRAST * (waves[0] + waves[1])
 
 
-def _responses(surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, int], scene: Scene) -> sparse.csr_array:
+def _responses(
+    surface: rendering.SurfacePoints, light: SurfaceLight, shape: tuple[int, int], scene: Scene
+) -> sparse.csr_array:
     # specular level of each camera pixel per display pixel: of those in reach of the lobe about the mirrored place
-    u, v, distance = mirrored_places(surface, light)
+    u, v, distance = rendering.mirrored_places(surface, light)
     wide, high = light.size[0] / shape[1], light.size[1] / shape[0]
     exponent = farthest_exponent(LEAST_EXPONENT, scene.reflectance.lobe)
     half = min(math.sqrt(exponent / scene.reflectance.lobe.inverse), MOST_HALF)
@@ -213,7 +208,7 @@ def _responses(surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, in
         if len(near):
             one[i, j] = 1.0
             own = [picture_light(light, one)]
-            _, (specular,) = light_of_channels(surface.take(near), own, scene.reflectance)
+            _, (specular,) = rendering.light_of_channels(surface.take(near), own, scene.reflectance)
             one[i, j] = 0.0
             columns.append(np.full(len(near), i * shape[1] + j))
             points.append(near)
@@ -223,7 +218,7 @@ def _responses(surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, in
 
 
 def _diffuse_responses(
-    surface: SurfacePoints, light: SurfaceLight, shape: tuple[int, int], scene: Scene
+    surface: rendering.SurfacePoints, light: SurfaceLight, shape: tuple[int, int], scene: Scene
 ) -> tuple[Float64, sparse.csr_array]:
     # diffuse level of each camera pixel per block of the display, shape (k, blocks), and the blocks' means of a picture
     rows, columns = (np.arange(count) * min(DIFFUSE_BLOCKS, count) // count for count in shape)
@@ -232,7 +227,9 @@ def _diffuse_responses(
     found = np.zeros((len(surface.points), len(numbers)))
     for number in range(len(numbers)):
         own = picture_light(light, (block == number).reshape(shape).astype(np.float64))
-        found[:, number] = scene.reflectance.R_d * light_of_channels(surface, [own], scene.reflectance.diffuse)[0][0]
+        found[:, number] = (
+            scene.reflectance.R_d * rendering.light_of_channels(surface, [own], scene.reflectance.diffuse)[0][0]
+        )
     share = 1.0 / np.bincount(block)[block]
     means = sparse.csr_array((share, (block, np.arange(len(block)))), shape=(len(numbers), len(block)))
     return found, means

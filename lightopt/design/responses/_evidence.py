@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from lightopt import defects
+from lightopt import defects, rendering
 from lightopt.core.arrays import Float32, Float64, Int16, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
@@ -42,14 +42,6 @@ from lightopt.design.responses._pairs import PlannedCatalogue, Words
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
 from lightopt.optics import Sensor
-from lightopt.rendering import (
-    PatchTable,
-    SurfacePoints,
-    panel_to_shade,
-    shade_isolated,
-    shade_variants,
-    surface_variants,
-)
 from lightopt.scene import Scene, project, surface_footprint, surface_share, typical_blur, view_from_part
 
 UNITS_OF_IMAGE = 3  # most units of evidence that an image counts for
@@ -247,7 +239,12 @@ class PatchEvidence:
     """The inspectable patches of a posture, tested for defects."""
 
     def __init__(
-        self, scene: Scene, table: PatchTable, surface: SurfacePoints, posture: Posture, detection: DetectionModel
+        self,
+        scene: Scene,
+        table: rendering.PatchTable,
+        surface: rendering.SurfacePoints,
+        posture: Posture,
+        detection: DetectionModel,
     ) -> None:
         self._scene, self._detection = scene, detection
         camera = view_from_part(scene, posture).camera
@@ -288,7 +285,7 @@ class PatchEvidence:
                 [scene.waviness.correlated_pixels(footprint, one.scales_px(footprint), walls=True) for one in entries]
             )
         unchanged = np.ones(len(slopes))
-        self._variants = surface_variants(
+        self._variants = rendering.surface_variants(
             slope=np.concatenate([*(one.slope for one in entries), slopes]),
             direction=np.concatenate([*(one.direction for one in entries), directions]),
             R_d_factor=np.concatenate([*(one.R_d_factor for one in entries), unchanged]),
@@ -310,10 +307,10 @@ class PatchEvidence:
         panels: Part frame; channels of a light are worked out together
         Yields levels at exposure 1 [grey level], shape (p,), and per exposure flags of shape (units, p, words).
         """
-        found = shade_variants(
+        found = rendering.shade_variants(
             self._surface,
             self._references,
-            [panel_to_shade(panel, caster) for panel in panels],
+            [rendering.panel_to_shade(panel, caster) for panel in panels],
             self._variants,
             caster=blocker,
             dtype=np.float32,
@@ -323,7 +320,7 @@ class PatchEvidence:
         plain_levels = [one.good for one in found]
         exact = [i for i, panel in enumerate(panels) if panel.points == "auto"]
         if exact:
-            levels = shade_isolated(
+            levels = rendering.shade_isolated(
                 self._surface,
                 [panels[i] for i in exact],
                 reflectances=self._scene.reflectances,
@@ -355,7 +352,7 @@ class PatchEvidence:
 
 
 def _locate(
-    scene: Scene, table: PatchTable, posture: Posture, areas: Float64, classes: Int32, angle: Float64
+    scene: Scene, table: rendering.PatchTable, posture: Posture, areas: Float64, classes: Int32, angle: Float64
 ) -> ImagePatches:
     # `areas`: of the inspectable patches in the image [px²]
     camera = view_from_part(scene, posture).camera

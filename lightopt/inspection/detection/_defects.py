@@ -13,17 +13,9 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import KDTree
 
+from lightopt import defects
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.transforms import Posture
-from lightopt.defects import (
-    SHAPE_KINDS,
-    SIZES,
-    DefectKind,
-    depth_of_slope,
-    image_axes,
-    tangent_axis,
-    tangent_references,
-)
 from lightopt.estimate.registration import Placement
 from lightopt.inspection.detection._catalogue_score import ExplainedDefect
 from lightopt.inspection.detection._deviation import Deviations
@@ -55,7 +47,12 @@ _DESCRIBED = 1.0
 # defect by so much of a pixel, since a narrower and steeper one changes the images nearly alike
 SIZE_ERROR, SIZE_ERROR_PX = 0.1, 0.5
 
-OPPOSITE: Final[Mapping[DefectKind, DefectKind]] = {"dent": "bump", "bump": "dent", "blister": "dent", "pit": "bump"}
+OPPOSITE: Final[Mapping[defects.DefectKind, defects.DefectKind]] = {
+    "dent": "bump",
+    "bump": "dent",
+    "blister": "dent",
+    "pit": "bump",
+}
 """Kind of a defect whose walls lean the other way than the hypothesis' do."""
 
 DISC = np.hypot(*np.mgrid[-GAP_PX : GAP_PX + 1, -GAP_PX : GAP_PX + 1]) <= GAP_PX + 0.5
@@ -66,7 +63,7 @@ class NamedDefect:
     """What a detection is by the catalogue. Intervals are of 95 %, if it is of this kind; None where unknown."""
 
     entry: str  # name of the catalogue's entry that explains it best
-    kind: DefectKind  # of that entry, or the opposite: where a bump's walls lean the other way, it is a dent
+    kind: defects.DefectKind  # of that entry, or the opposite: where a bump's walls lean the other way, it is a dent
     # [mm], with intervals
     length: tuple[float, float, float]
     width: tuple[float, float, float]
@@ -320,11 +317,11 @@ def name_defect(
         length = (extent, max(0.0, extent - shape.length), extent + shape.length)
     amplitude = _amplitude(same, found)
     slope = depth = factor = None
-    if amplitude is not None and shape.kind in SHAPE_KINDS:
+    if amplitude is not None and shape.kind in defects.SHAPE_KINDS:
         steepest, *ends = (math.tan(shape.slope) * a for a in amplitude)
         low, high = sorted(map(abs, ends))
         tangents = (abs(steepest), 0.0 if ends[0] * ends[1] < 0.0 else low, high)
-        depth = triple(depth_of_slope(kind, width[0], math.atan(t)) for t in tangents)
+        depth = triple(defects.depth_of_slope(kind, width[0], math.atan(t)) for t in tangents)
         # what is known of the size limits what is known of the slope
         slope = triple(
             math.atan(t * s) for t, s in zip(tangents, (1.0, size[1] / size[0], size[2] / size[0]), strict=True)
@@ -369,7 +366,7 @@ def _size(best: ExplainedDefect) -> tuple[float, float, float]:
     # as a multiple of the entry's: where a parabola through Z²/2, the logarithm of the likelihood, over the logarithm
     # of the size is greatest
     z = np.where(best.of_sizes * best.z > 0.0, best.of_sizes, 0.0)
-    x = np.log(SIZES)
+    x = np.log(defects.SIZES)
     bend, slope, _ = np.polyfit(x, 0.5 * z**2, 2)
     if bend >= 0.0:
         middle, error = x[best.size], x[-1] - x[0]
@@ -386,12 +383,12 @@ def _direction(best: ExplainedDefect, view: PostureView, scene: Scene, placement
     normal = geometry.normals[best.middle].astype(np.float64)[None]
     towards = scene.camera.position - geometry.points[best.middle].astype(np.float64)[None]
     towards /= np.linalg.norm(towards)
-    first = tangent_axis(normal, image_axes(towards, scene.camera.right)[0])[0]
+    first = defects.tangent_axis(normal, defects.image_axes(towards, scene.camera.right)[0])[0]
     turn = float(best.templates.hypotheses.turns[best.pose // len(best.templates.halves)])
     along = math.cos(turn) * first + math.sin(turn) * np.cross(normal[0], first)
     vectors = world_to_mesh_file(np.stack([along, normal[0]]), scene, placement, view.posture, direction=True)
     axes = np.eye(3)
-    reference = tangent_references(vectors[1:], x_axis=axes[0], y_axis=axes[1])[0]
+    reference = defects.tangent_references(vectors[1:], x_axis=axes[0], y_axis=axes[1])[0]
     angle = math.atan2(float(vectors[0] @ np.cross(vectors[1], reference)), float(vectors[0] @ reference))
     return angle % math.pi
 

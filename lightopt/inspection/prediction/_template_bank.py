@@ -12,37 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lightopt import defects, rendering
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int8, Int16, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import blocks, in_threads
-from lightopt.defects import (
-    FORESHORTENINGS,
-    MOST_CHANGE,
-    REGISTRATION_PX,
-    SCALES_PX,
-    CatalogueEntry,
-    DefectHypotheses,
-    defect_hypotheses,
-    expected_change,
-    foreshortening_classes,
-    image_axes,
-    plane_to_image,
-    search_grid,
-    tangent_axis,
-)
 from lightopt.geometry import RayCaster
 from lightopt.inspection._image_blocks import mask_window
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.lights import PanelLight
-from lightopt.rendering import (
-    PosturePixels,
-    SurfacePoints,
-    channel_groups,
-    panel_to_shade,
-    shade_variants,
-    surface_variants,
-    trace_pixels,
-)
 from lightopt.scene import Scene, lens_share, surface_footprint, typical_blur
 
 # a place is tested where a defect of the entry's own size and amplitude is expected to stand out by so much; elsewhere
@@ -75,7 +52,7 @@ class Pieces:
 class EntryTemplates:
     """The expected changes of an entry of the catalogue, in images of h × w larger pixels, an empty border included."""
 
-    hypotheses: DefectHypotheses
+    hypotheses: defects.DefectHypotheses
     deviation: Float32  # of the good part's levels: unit of the changes, shape (lights, H, W)
     # what measured deviations are multiplied by for that unit, shape (lights, H, W): waviness changes the pixels of a
     # wide defect alike. None where it is 1
@@ -98,7 +75,7 @@ class EntryTemplates:
     @property
     def unit(self) -> float:
         """Of the stored changes: standard deviations of the sum over a larger pixel."""
-        return MOST_CHANGE * self.ratio / CODES
+        return defects.MOST_CHANGE * self.ratio / CODES
 
     @property
     def poses(self) -> int:
@@ -123,7 +100,7 @@ def bank_bytes(bank: TemplateBank) -> int:
 class _Surface:
     """The pixels of a posture for shading: number among `pixels` or −1, tangent axes, foreshortening, blur [px]."""
 
-    pixels: PosturePixels
+    pixels: rendering.PosturePixels
     index: Int32
     references: Float64
     foreshortening: Int16
@@ -134,7 +111,7 @@ class _Surface:
 def template_bank(
     scene: Scene,
     view: PostureView,
-    catalogue: Sequence[CatalogueEntry],
+    catalogue: Sequence[defects.CatalogueEntry],
     caster: RayCaster,
     *,
     threads: int | None = None,
@@ -145,11 +122,11 @@ def template_bank(
     """
     if not view.clean.any():
         return ()
-    pixels = trace_pixels(scene, view.posture, caster, threads=threads)
+    pixels = rendering.trace_pixels(scene, view.posture, caster, threads=threads)
     surface = _surface(pixels, view.clean)
     deviation = expected_deviation(view)
     panels = [next(light for light in pixels.view.lights if light.name == name) for name in view.lights]
-    hypotheses = [defect_hypotheses(entry) for ranges in catalogue for entry in ranges.in_sizes()]
+    hypotheses = [defects.defect_hypotheses(entry) for ranges in catalogue for entry in ranges.in_sizes()]
     entries = [_templates_without_changes(own, view, deviation, surface, len(panels)) for own in hypotheses]
     # entries whose larger pixels are of one size see the same places of the surface
     for ratio in dict.fromkeys(entry.ratio for entry, _ in entries):
@@ -165,28 +142,28 @@ def expected_deviation(view: PostureView) -> Float32:
     result = np.empty_like(view.deviation)
     for i, (level, limit, noise) in enumerate(zip(view.predicted, view.limit, view.deviation, strict=True)):
         down, right = np.gradient(np.clip(level, 0.0, limit))
-        result[i] = np.sqrt(noise**2 + REGISTRATION_PX**2 * (down**2 + right**2))
+        result[i] = np.sqrt(noise**2 + defects.REGISTRATION_PX**2 * (down**2 + right**2))
     return result
 
 
-def _surface(pixels: PosturePixels, clean: Bool) -> _Surface:
+def _surface(pixels: rendering.PosturePixels, clean: Bool) -> _Surface:
     surface, camera = pixels.surface, pixels.view.camera
     index = np.full(pixels.shape, -1, np.int32)
     index[pixels.row, pixels.column] = np.arange(len(pixels.row), dtype=np.int32)
     index[~clean] = -1
-    right, up = image_axes(surface.views, camera.right)
-    references = tangent_axis(surface.normals, right)
-    classes = foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int16)
+    right, up = defects.image_axes(surface.views, camera.right)
+    references = defects.tangent_axis(surface.normals, right)
+    classes = defects.foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int16)
     seen = surface.points[index[clean]]
     return _Surface(pixels, index, references, classes, surface_footprint(camera, seen), typical_blur(camera, seen))
 
 
 def _templates_without_changes(
-    own: DefectHypotheses, view: PostureView, deviation: Float32, surface: _Surface, lights: int
+    own: defects.DefectHypotheses, view: PostureView, deviation: Float32, surface: _Surface, lights: int
 ) -> tuple[EntryTemplates, Index]:
     # `change` and `inverse` are set later; and the pixel of the image in the middle of each larger one that sees the
     # part, shape (k,)
-    grid = search_grid(own, surface.footprint, surface.blur)
+    grid = defects.search_grid(own, surface.footprint, surface.blur)
     ratio = grid.ratio
     deviation, attenuation = entry_deviation(own, view, deviation)
     reach = max(shape.length for shape in own.shapes) / surface.footprint + surface.blur
@@ -236,7 +213,7 @@ def _set_changes(
 ) -> None:
     # the changes of entries with the same pixels, worked out together
     kinds, at = zip(*((entry.hypotheses, np.flatnonzero(entry.foreshortening >= 0)) for entry in entries), strict=True)
-    variants = surface_variants(
+    variants = rendering.surface_variants(
         slope=np.concatenate([own.slope for own in kinds]),
         direction=np.concatenate([own.direction for own in kinds]),
         R_d_factor=np.concatenate([own.R_d_factor for own in kinds]),
@@ -244,30 +221,30 @@ def _set_changes(
         reflectances=scene.reflectances,
     )
     ends = np.cumsum([len(own.slope) for own in kinds])
-    sources = [panel_to_shade(panel, caster) for panel in panels]
+    sources = [rendering.panel_to_shade(panel, caster) for panel in panels]
     most = max(1, _LEVELS // int(ends[-1]))
     tasks = [
         (group, start, end)
-        for group in channel_groups(sources)
+        for group in rendering.channel_groups(sources)
         for start, end in blocks(len(pixel), max(1, most // len(group)))
     ]
 
     def shade(number: int) -> None:
         group, start, end = tasks[number]
         some = pixel[start:end]
-        points: SurfacePoints = surface.pixels.surface.take(some)
+        points: rendering.SurfacePoints = surface.pixels.surface.take(some)
         own, references = [sources[i] for i in group], surface.references[some]
         place = surface.pixels.row[some], surface.pixels.column[some]
         share = lens_share(scene.camera, place[1] + 0.5, place[0] + 0.5)
         passed = 1.0 if share is None else share[:, None]
-        found = shade_variants(points, references, own, variants, caster=caster)
+        found = rendering.shade_variants(points, references, own, variants, caster=caster)
         for i, levels in zip(group, found, strict=True):
             good, limit = (a[i][place].astype(np.float64)[:, None] for a in (view.predicted, view.limit))
             change_of_level = passed * (levels.varied.T - levels.good[:, None])
             for entry, all_of_it, change in zip(entries, at, np.split(change_of_level, ends[:-1], axis=1), strict=True):
                 noise, to = entry.deviation[i][place].astype(np.float64)[:, None], all_of_it[start:end]
                 lights, width = entry.change.shape[2:]
-                off = expected_change(good, good + change, deviation=noise, limit=limit)
+                off = defects.expected_change(good, good + change, deviation=noise, limit=limit)
                 off *= np.sqrt(entry.count.reshape(-1, lights)[to, i])[:, None]
                 entry.change.reshape(-1, lights, width)[to, i] = np.rint(off / entry.unit)
 
@@ -285,7 +262,9 @@ def _set_inverse(entry: EntryTemplates, threads: int | None) -> None:
     in_threads(invert, range(0, entry.inverse.shape[1], _ROWS), threads)
 
 
-def entry_deviation(own: DefectHypotheses, view: PostureView, deviation: Float32) -> tuple[Float32, Float32 | None]:
+def entry_deviation(
+    own: defects.DefectHypotheses, view: PostureView, deviation: Float32
+) -> tuple[Float32, Float32 | None]:
     """The deviation in sums over the pixels of an entry's defects, and that of other sums as a share of it.
 
     deviation: From :func:`expected_deviation`
@@ -294,7 +273,7 @@ def entry_deviation(own: DefectHypotheses, view: PostureView, deviation: Float32
     if known is None or view.wavy is None:
         return deviation, None
     of_entry = known.waviness.correlated_pixels(known.footprint, own.scales_px(known.footprint), walls=True)
-    included = known.waviness.correlated_pixels(known.footprint, SCALES_PX)
+    included = known.waviness.correlated_pixels(known.footprint, defects.SCALES_PX)
     wider = np.sqrt(deviation**2 + np.float32(of_entry - included) * view.wavy).astype(np.float32)
     return wider, (deviation / wider).astype(np.float32)
 
@@ -308,7 +287,7 @@ def _block_sums(mask: Bool, ratio: int, border: int) -> UInt8:
 
 
 def _pieces(
-    own: DefectHypotheses,
+    own: defects.DefectHypotheses,
     halves: Sequence[tuple[float, float]],
     classes: Sequence[int],
     footprint: float,
@@ -316,11 +295,11 @@ def _pieces(
     breadth: int,
 ) -> Pieces:
     sizes, turns = len(own.shapes), len(own.turns)
-    counts = np.zeros((FORESHORTENINGS, sizes, turns * len(halves)), np.int32)
+    counts = np.zeros((defects.FORESHORTENINGS, sizes, turns * len(halves)), np.int32)
     # empty ones first: there may be no place to test
     parts: list[tuple[Int32, Int32, Float64]] = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0))]
     for one in classes:
-        to_image = plane_to_image(one, footprint)
+        to_image = defects.plane_to_image(one, footprint)
         for size in range(sizes):
             for pose, (turn, off) in enumerate(itertools.product(range(turns), halves)):
                 mixture = own.seen_by_pixels(size, turn, to_image, off_px=off, blur_px=blur)
