@@ -1,4 +1,4 @@
-"""Images in blocks: rows that threads work on, boxes around masks, a Gaussian filter of tiles that fit a cache."""
+"""Images in blocks: rows for threads, boxes around masks, sums over squares, a Gaussian filter of small tiles."""
 
 import itertools
 import math
@@ -39,6 +39,13 @@ def mask_window(mask: Bool) -> tuple[slice, slice]:
     if not len(rows):
         return slice(0, 0), slice(0, 0)
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def block_sums(values: Float64 | Float32 | Bool, side: int) -> Float64:
+    """Sums over squares of so many pixels; beyond the last row and column is nothing."""
+    whole = np.pad(values, [(0, -size % side) for size in values.shape])
+    rows, columns = whole.shape
+    return whole.reshape(rows // side, side, columns // side, side).sum(axis=(1, 3), dtype=np.float64)
 
 
 def gaussian_taps(scale: float) -> Float32:

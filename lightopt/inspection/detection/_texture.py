@@ -17,7 +17,7 @@ from scipy import fft, ndimage
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.threads import in_threads
 from lightopt.defects import DARK, SCALES_PX
-from lightopt.inspection._image_blocks import convolve, gaussian_taps, in_image_blocks
+from lightopt.inspection._image_blocks import block_sums, convolve, gaussian_taps, in_image_blocks
 from lightopt.inspection.detection._deviation import (
     BLOCK_PX,
     CLIPPED,
@@ -28,7 +28,6 @@ from lightopt.inspection.detection._deviation import (
 )
 from lightopt.inspection.detection._regions import SPREAD_PX, find_regions
 from lightopt.inspection.detection._residual_score import noise_gain, smoothed_deviations
-from lightopt.inspection.fusion._synthetic_image import block_sums
 from lightopt.inspection.prediction._neighbourhood import neighbourhood_view
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._predict import ReferenceName

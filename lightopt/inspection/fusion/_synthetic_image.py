@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.threads import in_threads
-from lightopt.inspection._image_blocks import filter_tile, gaussian_taps, in_row_blocks, mask_window
+from lightopt.inspection._image_blocks import block_sums, filter_tile, gaussian_taps, in_row_blocks, mask_window
 from lightopt.inspection.fusion._gradient_fusion import Fusion, FusionRule, fuse_with_prediction, pixel_weights
 from lightopt.inspection.fusion._poisson import poisson_grid
 from lightopt.inspection.prediction._posture_view import PostureView
@@ -171,13 +171,6 @@ def _typical_size(gradient: Float64, unknown: Bool) -> Float32:
     prior = np.where(shares > 1e-3, np.sqrt(squares / np.maximum(shares, 1e-3)), typical).astype(np.float32)
     rows, columns = gradient.shape
     return prior.repeat(BLOCK_PX, axis=0).repeat(BLOCK_PX, axis=1)[:rows, :columns]
-
-
-def block_sums(values: Float64 | Float32 | Bool, side: int) -> Float64:
-    """Sums over squares of so many pixels; beyond the last row and column is nothing."""
-    whole = np.pad(values, [(0, -size % side) for size in values.shape])
-    rows, columns = whole.shape
-    return whole.reshape(rows // side, side, columns // side, side).sum(axis=(1, 3), dtype=np.float64)
 
 
 def _smoothed(values: Float64, mask: Bool, threads: int | None) -> Float64:

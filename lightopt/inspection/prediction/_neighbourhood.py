@@ -16,6 +16,7 @@ from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.defects import SIZES, CatalogueEntry
+from lightopt.inspection._image_blocks import block_sums
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.scene import Scene, pixel_footprint
 
@@ -82,18 +83,12 @@ def neighbourhood_view(view: PostureView, width: float, *, threads: int | None =
 def _fit_surface(level: Float32, model: Float32, known: Bool, width: float) -> tuple[Float32, Float32] | None:
     # the smooth surfaces of measured and predicted levels of one connected surface; None where it is too small
     side = max(1, min(LARGEST_BLOCK_PX, round(width / BLOCKS)))
-    height, breadth = (-(-n // side) for n in known.shape)
-
-    def block_sums(values: Float32) -> Float64:
-        padded = np.zeros((height * side, breadth * side))
-        padded[: known.shape[0], : known.shape[1]] = np.where(known, values, 0.0)
-        return padded.reshape(height, side, breadth, side).sum(axis=(1, 3))
-
-    count = block_sums(np.ones_like(level))
+    count = block_sums(known.astype(np.float64), side)
     full = count >= FULL_BLOCK * side**2
     if np.count_nonzero(full) < LEAST_BLOCKS:
         return None
-    means = [block_sums(values) / np.maximum(count, 1.0) for values in (level, model)]
+    inside = (np.where(known, values, 0.0).astype(np.float64) for values in (level, model))
+    means = [block_sums(values, side) / np.maximum(count, 1.0) for values in inside]
     weight = full.astype(np.float64)
     for _ in range(ROUNDS):
         (surface,) = _local_fit(width / side, weight, means[:1])

@@ -17,7 +17,7 @@ from lightopt.core.arrays import Bool, Float32, Float64, Index, Int8, Int16, Int
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import blocks, in_threads
 from lightopt.geometry import RayCaster
-from lightopt.inspection._image_blocks import mask_window
+from lightopt.inspection._image_blocks import block_sums, mask_window
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.lights import PanelLight
 from lightopt.scene import Scene, lens_share, surface_footprint, typical_blur
@@ -169,9 +169,8 @@ def _templates_without_changes(
     reach = max(shape.length for shape in own.shapes) / surface.footprint + surface.blur
     border = 2 + math.ceil(0.5 * reach / ratio)
     rows, columns = mask_window(view.clean)
-    count = np.stack(
-        [_block_sums((view.clean & (level > 0.0))[rows, columns], ratio, border) for level in view.predicted], axis=-1
-    )
+    clean = [(view.clean & (level > 0.0))[rows, columns] for level in view.predicted]
+    count = np.stack([np.pad(block_sums(mask, ratio).astype(np.uint8), border) for mask in clean], axis=-1)
     # the surface is that of the pixel in the middle of each larger one
     index = np.full(count.shape[:2], -1, np.int32)
     middle = surface.index[
@@ -276,14 +275,6 @@ def entry_deviation(
     included = known.waviness.correlated_pixels(known.footprint, defects.SCALES_PX)
     wider = np.sqrt(deviation**2 + np.float32(of_entry - included) * view.wavy).astype(np.float32)
     return wider, (deviation / wider).astype(np.float32)
-
-
-def _block_sums(mask: Bool, ratio: int, border: int) -> UInt8:
-    # pixels of a mask in each larger pixel, with the border
-    height, width = (-(-side // ratio) for side in mask.shape)
-    padded = np.zeros((height * ratio, width * ratio), np.uint8)
-    padded[: mask.shape[0], : mask.shape[1]] = mask
-    return np.pad(padded.reshape(height, ratio, width, ratio).sum(axis=(1, 3), dtype=np.uint8), border)
 
 
 def _pieces(
