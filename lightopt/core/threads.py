@@ -9,6 +9,7 @@ from queue import SimpleQueue
 from threading import Event
 from typing import Any, TypeVar
 
+S = TypeVar("S")
 T = TypeVar("T")
 U = TypeVar("U")
 Task = tuple[Callable[..., None], tuple[Any, ...]]  # a function and its arguments
@@ -43,23 +44,23 @@ def blocks(count: int, most: int) -> Iterator[tuple[int, int]]:
         yield count * i // number, count * (i + 1) // number
 
 
-def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | None = None) -> list[T]:
-    """Results of a function of each start, in order, computed by a pool of threads."""
+def in_threads(work: Callable[[S], T], items: Sequence[S], threads: int | None = None) -> list[T]:
+    """Results of a function of each item, in order, computed by a pool of threads."""
     count = threads or available_processors()
-    if count == 1 or len(starts) < 2:
-        return [work(start) for start in starts]
+    if count == 1 or len(items) < 2:
+        return [work(item) for item in items]
     results: dict[int, T] = {}
 
-    def one(place: int, start: int) -> None:
-        results[place] = work(start)
+    def one(place: int, item: S) -> None:
+        results[place] = work(item)
 
-    run_all(((one, pair) for pair in enumerate(starts)), threads=count)
-    return [results[place] for place in range(len(starts))]
+    run_all(((one, pair) for pair in enumerate(items)), threads=count)
+    return [results[place] for place in range(len(items))]
 
 
 def side_by_side(first: Callable[[], T], second: Callable[[], U]) -> tuple[T, U]:
     """Results of two functions, which run at the same time."""
-    results: list[Any] = in_threads(lambda i: (first, second)[i](), (0, 1), 2)
+    results: list[Any] = in_threads(lambda function: function(), (first, second), 2)
     return results[0], results[1]
 
 

@@ -21,7 +21,7 @@ from lightopt.core.arrays import Bool, Int64
 from lightopt.core.threads import available_processors, in_threads
 from lightopt.core.transforms import Posture, azimuth_tangent, elevation_tangent, rotation_from_vector
 from lightopt.design._candidates import Place, bodies_of, panels_of
-from lightopt.design._tolerances import EXACT, Offset
+from lightopt.design._tolerances import EXACT, Offset, Offsets
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._light_positions import combination_sums
 from lightopt.design.responses._evidence import spare_units
@@ -101,7 +101,7 @@ class _Assessment(ABC):
         self.images: dict[_ImageKey, _BodyImages] = {}
         self._facets = face_normals(evaluator.scene.mesh)[evaluator.table.patches.face[self.patches]]
 
-    def __call__(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
+    def __call__(self, pose: Offset, lights: Offsets) -> Int64:
         # images of other poses than this one and the exact one are not needed again
         self.images = {key: image for key, image in self.images.items() if key[1] in (pose, EXACT)}
         postures, threads = range(len(self.setup.postures)), self.evaluator.threads or available_processors()
@@ -110,7 +110,7 @@ class _Assessment(ABC):
         return self.scores(pose, lights)
 
     @abstractmethod
-    def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
+    def scores(self, pose: Offset, lights: Offsets) -> Int64:
         """Scores of all combinations, the last body's offsets varying fastest."""
 
     @abstractmethod
@@ -122,9 +122,7 @@ class _Assessment(ABC):
         del posture, lights
         return None
 
-    def _compute_images(
-        self, evaluator: ImageEvaluator, posture: int, pose: Offset, lights: Sequence[Sequence[Offset]]
-    ) -> None:
+    def _compute_images(self, evaluator: ImageEvaluator, posture: int, pose: Offset, lights: Offsets) -> None:
         # the images that are not known yet, those of all lights in one go
         keys = ([(posture, pose, body, offset) for offset in offsets] for body, offsets in enumerate(lights))
         missing = [[key[-1] for key in some if key not in self.images] for some in keys]
@@ -141,12 +139,7 @@ class _Assessment(ABC):
                 hidden = self.hidden(there, [panels[i][at] for i in own])
                 self.images[posture, pose, body, offset] = replace(self.keep(matrices, own, at), hidden=hidden)
 
-    def in_parts(
-        self,
-        lights: Sequence[Sequence[Offset]],
-        apart: Sequence[bool],
-        score: Callable[[Sequence[Sequence[Offset]]], Int64],
-    ) -> Int64:
+    def in_parts(self, lights: Offsets, apart: Sequence[bool], score: Callable[[Offsets], Int64]) -> Int64:
         """Scores of all combinations, for a `score` that can take only one offset of each body that is `apart`."""
         found = np.empty([len(offsets) for offsets in lights], np.int64)
         rows = (range(len(offsets)) if one else [None] for offsets, one in zip(lights, apart, strict=True))
@@ -198,7 +191,7 @@ class PairAssessment(_Assessment):
         assert camera.obstructions is not None
         return hidden_by(camera.obstructions, camera.position, self.evaluator.table.patches.centroids[self.patches])
 
-    def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
+    def scores(self, pose: Offset, lights: Offsets) -> Int64:
         """Add up what is found in each posture, or in all of them together."""
         postures = range(len(self.setup.postures))
         total = np.zeros(int(np.prod([len(offsets) for offsets in lights])), np.int64)
@@ -211,7 +204,7 @@ class PairAssessment(_Assessment):
             total += self.in_parts(lights, hides, partial(self._found, own, pose))
         return total
 
-    def _found(self, postures: Sequence[int], pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
+    def _found(self, postures: Sequence[int], pose: Offset, lights: Offsets) -> Int64:
         images = [
             [[self.images[i, pose, body, offset] for offset in offsets] for body, offsets in enumerate(lights)]
             for i in postures
@@ -251,11 +244,11 @@ class ObjectiveAssessment(_Assessment):
         """Levels, and the areas of their patches."""
         return _BodyImages(matrices[0].areas, [matrices[0].levels[light][at] for light in lights])
 
-    def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
+    def scores(self, pose: Offset, lights: Offsets) -> Int64:
         """All combinations by the objective's own search, which does not know which lights move together."""
         return self.in_parts(lights, [len(own) > 1 for own in self.setup.bodies], partial(self._summed, pose))
 
-    def _summed(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
+    def _summed(self, pose: Offset, lights: Offsets) -> Int64:
         total = np.zeros(int(np.prod([len(offsets) for offsets in lights])), np.int64)
         for posture in range(len(self.setup.postures)):
             levels: dict[int, Levels] = {}

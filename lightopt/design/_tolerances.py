@@ -26,7 +26,8 @@ Offset = tuple[float, float]  # elevation and azimuth of a light, or tilt and ro
 
 # scores of all combinations of offsets, the last body's varying fastest, for an offset of the part, the same in all
 # postures, and offsets of each body of lights
-ScoreFunction = Callable[[Offset, Sequence[Sequence[Offset]]], Int64]
+Offsets = Sequence[Sequence[Offset]]
+ScoreFunction = Callable[[Offset, Offsets], Int64]
 
 EXACT: Offset = (0.0, 0.0)
 DEFAULT_TOLERANCE_TARGET = 0.95  # share of the score that the widest tolerances keep by default
@@ -165,9 +166,7 @@ def analyse_tolerances(
     )
 
 
-def _widest_tolerance(
-    score: ScoreFunction, exact: Sequence[Sequence[Offset]], varied: Angle, least: float
-) -> WidestTolerance:
+def _widest_tolerance(score: ScoreFunction, exact: Offsets, varied: Angle, least: float) -> WidestTolerance:
     """How far an angle may be off while the score is at least `least`."""
     what, angle, light = varied
 

@@ -74,7 +74,7 @@ def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> st
             # a few at once: what is packed waits in memory
             for start, end in blocks(len(names), _PACKED_AT_ONCE):
                 some = [np.asarray(arrays[name], order="C") for name in names[start:end]]
-                packed = in_threads(lambda i, some=some: _deflated(some[i]), range(len(some)))
+                packed = in_threads(_deflated, some)
                 for name, array, content in zip(names[start:end], some, packed, strict=True):
                     entry = zipfile.ZipInfo(f"{name}.npy", _ZIP_EPOCH)
                     entry.compress_type = zipfile.ZIP_DEFLATED

@@ -21,16 +21,16 @@ REACH = 4.0  # gaussians are cut off at so many standard deviations
 
 def in_row_blocks(work: Callable[[slice], T], height: int, threads: int | None) -> list[T]:
     """Results of `work` for each block of rows from the top down, worked out in threads."""
-    return in_threads(
-        lambda top: work(slice(top, min(top + BLOCK_ROWS, height))), range(0, height, BLOCK_ROWS), threads
-    )
+    return in_threads(work, _row_blocks(height), threads)
 
 
 def in_image_blocks(work: Callable[[int, slice], None], images: int, height: int, threads: int | None) -> None:
     """Call `work` with the number of each image and each block of its rows, in threads."""
-    rows = [slice(top, min(top + BLOCK_ROWS, height)) for top in range(0, height, BLOCK_ROWS)]
-    blocks = list(itertools.product(range(images), rows))
-    in_threads(lambda block: work(*blocks[block]), range(len(blocks)), threads)
+    in_threads(lambda block: work(*block), list(itertools.product(range(images), _row_blocks(height))), threads)
+
+
+def _row_blocks(height: int) -> list[slice]:
+    return [slice(top, min(top + BLOCK_ROWS, height)) for top in range(0, height, BLOCK_ROWS)]
 
 
 def mask_window(mask: Bool) -> tuple[slice, slice]:

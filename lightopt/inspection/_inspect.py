@@ -26,7 +26,7 @@ from lightopt.inspection.detection._coverage import (
 from lightopt.inspection.detection._defects import join_explained, merge_detections
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._regions import find_regions, measure_regions, split_regions
-from lightopt.inspection.detection._registry import DETECTORS, RESIDUAL
+from lightopt.inspection.detection._registry import DETECTORS, RESIDUAL, Detector
 from lightopt.inspection.detection._residual_score import threshold
 from lightopt.inspection.detection._texture import compare, evaluable, texture_threshold, whiten_texture
 from lightopt.inspection.evaluation._evaluation import SetEvaluation, TruthSource, evaluate_set
@@ -62,7 +62,9 @@ def inspect_set(
     calibration: Learned from good parts: thresholds are theirs, and what they have in common is no defect.
     Raises InputError: images that are not the rig's or not the part's, or not as those of the calibration.
     """
-    inspector = Inspector(rig, part, options, cache, calibration, run)
+    inspector = Inspector(
+        rig, part, options or InspectOptions(), cache or PredictionCache(), calibration, run or RunContext()
+    )
     inspector.require_valid()
     result = inspector.inspect(image_set)
     inspector.run.warn(*result.warnings)
@@ -104,7 +106,7 @@ def inspect_batch(
         refused and the folder is new.
     Raises InputError: wrong options, or a calibration of another rig, part or way to inspect; before the first set.
     """
-    inspector = Inspector(rig, part, options, None, calibration, run)
+    inspector = Inspector(rig, part, options or InspectOptions(), PredictionCache(), calibration, run or RunContext())
     inspector.require_valid()
     for number, image_set in enumerate(sets):
         source = None if truth is None else truth[number]
@@ -127,25 +129,20 @@ def inspect_batch(
         )
 
 
+@dataclass(frozen=True)
 class Inspector:
     """Inspects sets; takes what :func:`inspect_set` takes, and warns in the results only."""
 
-    def __init__(
-        self,
-        rig: RigConfig,
-        part: PartConfig,
-        options: InspectOptions | None,
-        cache: PredictionCache | None,
-        calibration: Calibration | None,
-        run: RunContext | None,
-    ) -> None:
-        self.rig, self.part, self.calibration = rig, part, calibration
-        self.options, self.cache, self.run = (
-            options or InspectOptions(),
-            cache or PredictionCache(),
-            run or RunContext(),
-        )
-        self.detector = DETECTORS.get(self.options.scored_by, RESIDUAL)
+    rig: RigConfig
+    part: PartConfig
+    options: InspectOptions
+    cache: PredictionCache
+    calibration: Calibration | None
+    run: RunContext
+
+    @property
+    def detector(self) -> Detector:
+        return DETECTORS.get(self.options.scored_by, RESIDUAL)
 
     def require_valid(self) -> None:
         """Refuse wrong options, and a calibration of another rig, part or way to inspect."""

@@ -40,13 +40,8 @@ from lightopt.images import (
     remove_image_set,
 )
 
-RESULT_NAME, PROGRAMME_NAME, RIG_NAME, REPORT_NAME = (
-    "result.json",
-    "programme.yaml",
-    "rig.optimized.yaml",
-    "report.html",
-)
-IMAGES_FOLDER = "images"
+RESULT_NAME, PROGRAMME_NAME, RIG_NAME = "result.json", "programme.yaml", "rig.optimized.yaml"
+REPORT_NAME, IMAGES_FOLDER = "report.html", "images"
 
 _FORMAT = "lightopt-from-images/1"
 _SHOWN = 4  # lights of an image in a table
@@ -167,7 +162,10 @@ def write_from_images(
     output = ResultFolder(
         folder, _provenance(result), name=RESULT_NAME, format=_FORMAT, what="a choice of lights", force=force
     )
-    entries = _programme(result.images)
+    programme = (
+        {"name": image.name, "lights": image.weights, "exposures": [image.exposure]} for image in result.images
+    )
+    entries = [json.dumps(entry, ensure_ascii=False) for entry in programme]
     if result.rig is not None:
         # lights of a programme do not move
         moving = {
@@ -201,14 +199,6 @@ def finish_from_images(output: ResultFolder, result: FromImagesResult, page: str
     output.finish(_document(result))
     rig = output.folder / RIG_NAME
     return [*paths, rig if rig.is_file() else output.folder / PROGRAMME_NAME, output.folder / IMAGES_FOLDER]
-
-
-def _programme(images: Sequence[ChosenImage]) -> list[str]:
-    # entries of a rig file's programme
-    return [
-        json.dumps({"name": image.name, "lights": image.weights, "exposures": [image.exposure]}, ensure_ascii=False)
-        for image in images
-    ]
 
 
 def _rig_of(samples: Samples, path: Path) -> RigConfig:

@@ -267,7 +267,7 @@ class PairWeights:
         return added[-1], sum(added)
 
     def all_gains(self, counts: Counts, candidates: Sequence[Counts], *, threads: int | None) -> list[Merit]:
-        return in_threads(lambda i: self.gains(counts, candidates[i]), range(len(candidates)), threads)
+        return in_threads(lambda more: self.gains(counts, more), candidates, threads)
 
 
 @kernel

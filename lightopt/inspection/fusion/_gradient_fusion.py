@@ -310,7 +310,7 @@ def fuse_with_prediction(
         # each draw has random numbers of its own, so that their order does not matter
         *(partial(rule.fuse_with_noise, diffuse, np.random.default_rng((seed, 0, i))) for i in range(draws)),
     ]
-    fused, here, everywhere, *noisy = in_threads(lambda number: tasks[number](), range(len(tasks)), threads)
+    fused, here, everywhere, *noisy = in_threads(lambda task: task(), tasks, threads)
     missing = [a - b for a, b in zip(everywhere, here, strict=True)]
     if not draws:
         return fused, missing, [np.zeros(h.shape) for h in here]

@@ -118,9 +118,6 @@ def fuse_images(
         mean = (weights * levels).sum(axis=0, dtype=np.float64) / np.maximum(total, 1e-9)
         return grid.integrate(*complete, level=mean)
 
-    def biased() -> Float64:
-        return grid.integrate(*bias, level=nothing, tolerance=PROBE_TOLERANCE)
-
     def scatter(number: int) -> Float64:
         rng = np.random.default_rng((seed, 1, number))
         errors = rule.fuse_with_noise(levels, rng)
@@ -128,10 +125,11 @@ def fuse_images(
             error -= own
         for error, u, size in zip(errors, unknown, typical, strict=False):  # nothing is typical where all is known
             np.copyto(error, size * rng.standard_normal(u.shape, dtype=np.float32), where=u)
-        return grid.integrate(*errors, level=nothing, tolerance=PROBE_TOLERANCE)
+        return probe(*errors)
 
-    tasks = [image, *([biased] if draws else []), *(partial(scatter, i) for i in range(probes))]
-    level, *errors = in_threads(lambda number: tasks[number](), range(len(tasks)), threads)
+    probe = partial(grid.integrate, level=nothing, tolerance=PROBE_TOLERANCE)
+    tasks = [image, *([partial(probe, *bias)] if draws else []), *(partial(scatter, i) for i in range(probes))]
+    level, *errors = in_threads(lambda task: task(), tasks, threads)
     by_noise = errors.pop(0) if draws else nothing
     square = sum((np.square(error) / probes for error in errors), nothing)
     if averaging:

@@ -174,11 +174,11 @@ class PredictionCache:
         asked = [(keys[o.posture], o.light, keys[o.posture] in self.derivatives) for o in observations]
         fresh = [mine for mine in dict.fromkeys(asked) if mine not in self.samples]
 
-        def sample(number: int) -> nearby.PixelSample:
-            key, light, _ = fresh[number]
+        def sample(mine: tuple[Key, str, bool]) -> nearby.PixelSample:
+            key, light, _ = mine
             return nearby.sample_pixels(scene, placement, self.rendered[key], self.derivatives.get(key), light)
 
-        self.samples |= dict(zip(fresh, in_threads(sample, range(len(fresh)), threads), strict=True))
+        self.samples |= dict(zip(fresh, in_threads(sample, fresh, threads), strict=True))
         samples = [self.samples[mine] for mine in asked]
         return nearby.fit_placement_offset(scene, placement, observations, samples, moves=moves)
 

@@ -228,8 +228,8 @@ def _set_changes(
         for start, end in blocks(len(pixel), max(1, most // len(group)))
     ]
 
-    def shade(number: int) -> None:
-        group, start, end = tasks[number]
+    def shade(task: tuple[Sequence[int], int, int]) -> None:
+        group, start, end = task
         some = pixel[start:end]
         points: rendering.SurfacePoints = surface.pixels.surface.take(some)
         own, references = [sources[i] for i in group], surface.references[some]
@@ -247,7 +247,7 @@ def _set_changes(
                 off *= np.sqrt(entry.count.reshape(-1, lights)[to, i])[:, None]
                 entry.change.reshape(-1, lights, width)[to, i] = np.rint(off / entry.unit)
 
-    in_threads(shade, range(len(tasks)), threads)
+    in_threads(shade, tasks, threads)
 
 
 def _set_inverse(entry: EntryTemplates, threads: int | None) -> None:
