@@ -243,32 +243,19 @@ def _tasks(
     bits = max(1, int(heavy.max(initial=0)).bit_length())
     planes = pack_flags(np.stack([(heavy >> k) & 1 == 1 for k in range(bits)]))
     lengths = np.array([-(-int((heavy >= (1 << k)).sum()) // 64) for k in range(bits)], np.int64)
-    words = planes.shape[1]
-    # row k: usable, or saturated, in more than k images so far; first those under lights that stand still
-    used, spoilt = np.zeros((LEAST_USABLE, words), np.uint64), np.zeros((MOST_SATURATED + 1, words), np.uint64)
-    # the last two of those that move are counted together; where fewer do, of those that stand still
-    moving = [i for i, layer in enumerate(levels) if len(layer) > 1]
-    last = (moving or [0])[-2:]
-    last = sorted({*last, *[i for i in range(len(levels)) if i not in last][: 2 - len(last)]})
-    outer: list[_Classes] = []
-    inner: list[_Classes] = []
-    for i, layer in enumerate(levels):
+    classes: list[_Classes] = []
+    # lights that stand still first: the last two are counted together
+    for layer in sorted(levels, key=lambda layer: len(layer) > 1):
         taken = layer.take(some, axis=1)
         usable = pack_flags((taken >= thresholds.shade) & (taken < thresholds.saturation))
-        saturated = pack_flags(taken >= thresholds.saturation)
-        if i in last:
-            inner.append((usable, saturated))
-        elif len(layer) > 1:
-            outer.append((usable, saturated))
-        else:
-            count_flags(used, usable[0])
-            count_flags(spoilt, saturated[0])
-    (usable, saturated), final = inner
-    columns = len(final[0])
+        classes.append((usable, pack_flags(taken >= thresholds.saturation)))
+    *outer, (usable, saturated), final = classes
+    columns, words = final[0].shape
     cells = table.reshape(-1, len(usable), columns)
 
     def fill(index: int, prefix: tuple[int, ...], start: int, end: int) -> None:
-        use, spoil = used.copy(), spoilt.copy()
+        # row k: usable, or saturated, in more than k images so far
+        use, spoil = (np.zeros((count, words), np.uint64) for count in (LEAST_USABLE, MOST_SATURATED + 1))
         for (more_used, more_spoilt), candidate in zip(outer, prefix, strict=True):
             count_flags(use, more_used[candidate])
             count_flags(spoil, more_spoilt[candidate])
