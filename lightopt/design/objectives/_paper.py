@@ -280,21 +280,15 @@ def extreme_tasks(layers: Sequence[Levels], top: int, table: Int64, lock: Lock, 
     as for :func:`minimum_tasks`.
     """
     patches, dtype = layers[0].shape[1], layers[0].dtype
-    low = np.full(patches, np.iinfo(dtype).max, dtype)
-    high = np.zeros(patches, dtype)
-    moving = [layer for layer in layers if len(layer) > 1] or [layers[0]]
-    for layer in layers:
-        if len(layer) == 1:
-            np.minimum(low, layer[0], out=low)
-            np.maximum(high, layer[0], out=high)
-    sizes = np.array([len(layer) for layer in moving], np.int64)
+    layers = sorted(layers, key=lambda layer: len(layer) > 1)  # those that stand still first: they are compared once
+    sizes = np.array([len(layer) for layer in layers], np.int64)
     offset = np.cumsum(sizes) - sizes
-    rows = np.concatenate(moving)
-    limit = dtype.type(top)
+    rows = np.concatenate(layers)
+    limit, most = dtype.type(top), np.iinfo(dtype).max
 
     def add(start: int, end: int) -> None:
         sums = np.zeros(end - start, np.int64)
-        _walk(rows, offset, sizes, low, high, limit, start, sums)
+        _walk(rows, offset, sizes, most, limit, start, sums)
         with lock:
             table[start:end] += sums
         work.add(len(sums) * patches)
@@ -304,19 +298,16 @@ def extreme_tasks(layers: Sequence[Levels], top: int, table: Int64, lock: Lock, 
 
 
 @kernel
-def _walk(
-    rows: Levels, offset: Int64, sizes: Int64, low: Levels, high: Levels, top: int, begin: int, sums: Int64
-) -> None:
+def _walk(rows: Levels, offset: Int64, sizes: Int64, most: int, top: int, begin: int, sums: Int64) -> None:
     lights, patches = len(sizes), rows.shape[1]
-    # least and greatest level under the lights that stand still and the first k of those that move
+    # least and greatest level under the first k lights
     lows = np.empty((lights, CACHE_PATCHES), rows.dtype)
     highs = np.empty((lights, CACHE_PATCHES), rows.dtype)
     digits = np.empty(lights, np.int64)
     for start in range(0, patches, CACHE_PATCHES):
         end = min(start + CACHE_PATCHES, patches)
         n = end - start
-        lows[0, :n] = low[start:end]
-        highs[0, :n] = high[start:end]
+        lows[0, :n], highs[0, :n] = most, 0
         rest = begin
         for k in range(lights - 1, -1, -1):
             digits[k] = rest % sizes[k]
