@@ -164,7 +164,8 @@ def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) 
     most = 0
     report = run.stage("measuring contrasts")
     for p in range(len(samples.postures)):
-        good = ~np.stack([ndimage.binary_dilation(labels[p] >= 0, iterations=SLACK_PX) for labels in samples.labels])
+        marked = [ndimage.binary_dilation(labels[p] >= 0, iterations=SLACK_PX) for labels in samples.labels]
+        good = ~np.array(marked, np.bool_)
         count = good.sum(axis=0)
         most = max(most, int(count.max()))
         cells = windows.add(p, count > 0)
