@@ -244,7 +244,7 @@ def _tasks(
     planes = pack_flags(np.stack([(heavy >> k) & 1 == 1 for k in range(bits)]))
     lengths = np.array([-(-int((heavy >= (1 << k)).sum()) // 64) for k in range(bits)], np.int64)
     classes: list[_Classes] = []
-    # lights that stand still first: the last two are counted together
+    # lights that stand still first: they are counted once, and the last two together
     for layer in sorted(levels, key=lambda layer: len(layer) > 1):
         taken = layer.take(some, axis=1)
         usable = pack_flags((taken >= thresholds.shade) & (taken < thresholds.saturation))
@@ -252,10 +252,15 @@ def _tasks(
     *outer, (usable, saturated), final = classes
     columns, words = final[0].shape
     cells = table.reshape(-1, len(usable), columns)
+    # row k: usable, or saturated, in more than k images so far
+    used, spoilt = (np.zeros((count, words), np.uint64) for count in (LEAST_USABLE, MOST_SATURATED + 1))
+    while outer and len(outer[0][0]) == 1:
+        still_used, still_spoilt = outer.pop(0)
+        count_flags(used, still_used[0])
+        count_flags(spoilt, still_spoilt[0])
 
     def fill(index: int, prefix: tuple[int, ...], start: int, end: int) -> None:
-        # row k: usable, or saturated, in more than k images so far
-        use, spoil = (np.zeros((count, words), np.uint64) for count in (LEAST_USABLE, MOST_SATURATED + 1))
+        use, spoil = used.copy(), spoilt.copy()
         for (more_used, more_spoilt), candidate in zip(outer, prefix, strict=True):
             count_flags(use, more_used[candidate])
             count_flags(spoil, more_spoilt[candidate])
