@@ -12,16 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from lightopt.batch._task import FromTask, Task, content_sha256
-from lightopt.config import (
-    BatchConfig,
-    HardwareConfig,
-    JobConfig,
-    PartConfig,
-    RigConfig,
-    input_files,
-    load_part,
-    load_rig,
-)
+from lightopt.config import BatchConfig, JobConfig, PartConfig, RigConfig, input_files, load_part, load_rig
 from lightopt.core.errors import InputError, did_you_mean, refuse
 from lightopt.core.provenance import computed_by
 from lightopt.images import MANIFEST_NAME, read_image_set
@@ -167,19 +158,16 @@ def _read(name: str, path: Path, load: Callable[[Path], RigConfig | PartConfig])
         config = load(path)
         files += input_files(config).values()
         if isinstance(config, RigConfig):
-            drives_devices = config.hardware is not None and _is_real(config.hardware)
+            if (hardware := config.hardware) is not None:
+                stage = [] if hardware.stage is None else [hardware.stage.port]
+                ports = {*stage, *(controller.port for controller in hardware.controllers.values())}
+                drives_devices = hardware.camera.driver != "virtual" or not ports <= {None, "virtual"}
             if config.virtual_bench is not None and config.virtual_bench.rig is not None:
                 files.append(config.source.resolve(config.virtual_bench.rig))
                 files += input_files(load_rig(files[-1])).values()
     except InputError:
         pass  # one wrong file stops no other: its own tasks fail, and say why
     return _Input(name, path, {str(file.absolute()): content_sha256(file) for file in files}, drives_devices)
-
-
-def _is_real(hardware: HardwareConfig) -> bool:
-    stage = [] if hardware.stage is None else [hardware.stage.port]
-    ports = [*stage, *(controller.port for controller in hardware.controllers.values())]
-    return hardware.camera.driver != "virtual" or any(port not in (None, "virtual") for port in ports)
 
 
 def _arguments(

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 _ANSWER_S = 5.0  # how long a scheduler may take to answer
 _KILL_S = 0.5  # how long a worker of this machine may take to end before it is killed
-
 # packages that start workers by a batch system: its module, its class, and our extra
 _SYSTEMS = {
     "slurm": ("dask_jobqueue", "SLURMCluster", "dask-jobqueue"),

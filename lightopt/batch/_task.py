@@ -21,8 +21,7 @@ from lightopt.core.provenance import computed_by, differences, file_sha256, file
 from lightopt.images import make_folder, write_text_atomic
 
 RECORD_NAME, TERMINAL_NAME = "task.json", "terminal.txt"
-_FORMAT = "lightopt-task/1"
-_UNREADABLE = "unreadable"
+_FORMAT, _UNREADABLE = "lightopt-task/1", "unreadable"
 _CHECK_FAILED, _INTERRUPTED = 1, 130  # exit statuses of a command
 
 RunCommand = Callable[[list[str]], tuple[int, str, str]]

@@ -76,7 +76,6 @@ def _outline(mask: Bool) -> tuple[Float64, Float64]:
 
 
 _FAR_MM = 1e6  # a distant light: its direction differs by less than 0.06° over a part of 1 m
-
 Turn = Literal["x180", "x90", "x-90"]
 _DOWN = np.diag([1.0, -1.0, -1.0])  # axes of a camera that looks straight down with the world's X to the right
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")

@@ -23,7 +23,6 @@ from lightopt.core.transforms import Posture, rotation_from_vector
 
 _PIXEL_CENTRE = 0.5  # of the first pixel here; 0 in OpenCV
 _ROTATION_TOLERANCE = 2e-3  # entries that were written with three decimals are off by less
-
 # names of values in files; the key of the one matrix of a text file is empty
 _K = ("camera_matrix", "cameraMatrix", "K", "mtx", "")
 _DISTORTION = ("distortion_coefficients", "distCoeffs", "dist")

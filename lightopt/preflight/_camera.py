@@ -13,14 +13,10 @@ from lightopt.scene import blur_diameter, build_sensor, pixel_footprint, view_si
 
 # a black level or a saturation level that costs more than this share of the full scale is worth a warning
 LOST_RANGE = 0.25
-
 SMALL_WELL = 1000.0  # electrons at saturation below which shot noise alone is over 3 % of the level
-
 MOST_MAGNIFICATION, LEAST_PIXEL_UM = 20.0, 0.3  # beyond these a length has probably another unit
-
 # what is blurred over more than a pixel is out of focus; a larger share of the surface seen is worth a warning
 FOCUS_PX, MOST_OUT_OF_FOCUS = 1.0, 0.05
-
 SIDES = ("left", "top", "right", "bottom")
 TABLE_TOLERANCE_MM = 1e-3
 

@@ -19,9 +19,7 @@ POINTS = 4000  # surface points or pixels of a posture that are tried: shares ar
 LOBE_SIGMAS = 2.0  # a normal that is off by so many σ from the mirror's still shows most of a light
 _SIDES = 6  # directions that normals are tilted to
 _SHARES_ACROSS = (0.25, 0.5, 0.75)  # of the tilt across the brushing, that are tried as well
-
 _HOLE_SHARE = 0.01  # of the surface in view, above which a mirrored camera hole is worth a note
-
 NOTED_SHARE, WARNED_SHARE = 0.01, 0.05  # of the surface in view
 
 

@@ -28,10 +28,8 @@ from lightopt.rendering import highlight_level
 from lightopt.scene import coarse_points, like_panels, point_spacing, points_advice
 
 NEGLIGIBLE_ERROR = 0.015
-
 # normals that are off by this share of σ change the level on a highlight's flank by about half: facets show
 VISIBLE_ERROR = 0.5
-
 LEAST_BEND = 0.05  # edges where the normal turns by less than this share of σ are flat to this lobe and do not count
 
 

@@ -73,10 +73,8 @@ def check_back_faces(checked: CheckedScene) -> Iterator[Finding]:
 
 BUDGET = 200_000  # patches that are checked; a mesh with more triangles is checked triangle by triangle
 WARNING_SHARE = 0.01  # share of the upper side that is unseen
-
 # a patch belongs to the upper side from this Z component of its normal on: not the vertical walls
 UPPER = math.sin(math.radians(5.0))
-
 # a mean normal faces along an axis if its component is at least this: short means point all ways
 _CLEAR_COMPONENT = 0.38
 

@@ -15,7 +15,7 @@ import pytest
 from captured import PART, PARTS, RIG, expose_all, profile_interval, remeasured
 
 from lightopt import build_scene, render
-from lightopt.estimate.reflectance._coefficients import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._vector import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import CHI2_95, FreeParameters, maximise
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._likelihood import predicted

@@ -12,7 +12,7 @@ import pytest
 from scipy.special import ndtr
 
 from lightopt import build_scene, render
-from lightopt.estimate.reflectance._coefficients import DARK, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._vector import DARK, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._likelihood import Likelihood, lagrange, predicted
 from lightopt.estimate.reflectance._mismatch_causes import explained_share
 from lightopt.estimate.reflectance._quality import Quality, fit_warnings

@@ -15,7 +15,6 @@ from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._coefficients import DARK, LOG_SIGMA
 from lightopt.estimate.reflectance._likelihood import (
     Evaluation,
     add_slopes,
@@ -28,31 +27,23 @@ from lightopt.estimate.reflectance._likelihood import (
     sum_in_chunks,
 )
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
+from lightopt.estimate.reflectance._vector import DARK, LOG_SIGMA
 
 # widths of lobes that are tried [rad]: somewhat beyond the documented range, so that an edge is seen as one
 LEAST_SIGMA, MOST_SIGMA, MOST_GGX_SIGMA = 0.0007, 0.3, 0.7
-
-NODES = 121
 # nodes of ln σ over that range, and how many of them an interpolation takes: its error is some 1e-6 of the lobe
-WINDOW = 5
-
+NODES, WINDOW = 121, 5
 LEAST_MEAN_SQUARE = 1.0 / 12.0  # that of rounding to whole levels: no model can be nearer
-RINGS = 3
 # pixels of one exposure are compared with those of a like geometry: rings per octave of the angle from the mirror
 # direction, and steps of the diffuse light
-DIFFUSE_STEPS = 10
-
-LEAST_ALIKE = 20
+RINGS, DIFFUSE_STEPS = 3, 10
 # a pixel is dust where its residual is so many deviations, and at least this share of the full scale, from the middle
-# of the pixels of a like geometry
-DUST_SPREADS, DUST_LEVELS = 8.0, 0.06
-
+# of the pixels of a like geometry, of which there are so many at least
+DUST_SPREADS, DUST_LEVELS, LEAST_ALIKE = 8.0, 0.06, 20
 MOST_DUST = 0.1  # where more of a geometry's pixels than this are far off, that is the model's fault
-
 # the model describes the images while the residual of least squares is no more than this many times the noise [rms]:
 # what the model gets wrong is then less than three quarters of the noise
 MOST_MISFIT = 1.25
-
 _CHUNK = 65_536
 _WINDOW = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
 

@@ -14,30 +14,24 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._coefficients import FIRST_GAIN, R_D, Coefficients, outlier_share, significant
 from lightopt.estimate.reflectance._likelihood import Criterion, Evaluation, Likelihood
+from lightopt.estimate.reflectance._vector import FIRST_GAIN, R_D, Coefficients, outlier_share, significant
 
 Interval = tuple[float | None, float | None]  # 95 %; None for an end that the images do not bound
-
 # 95 % quantile of χ² with one degree of freedom: twice the log-likelihood may fall by this (Wilks 1938)
 CHI2_95 = 3.841458820694124
-
 # a maximum is found when the next step's predicted gain is less than this [nat]: a hundredth of a standard error
 TOLERANCE = 1e-4
-
 LEAST_LOG_TAU2, MOST_LOG_TAU2 = np.log(1e-4), np.log(1e10)
 LEAST_LOGIT, MOST_LOGIT = -14.0, 2.0
 LEAST_LOG_R_S, MOST_LOG_R_S = np.log(1e-3), np.log(1e12)
 MOST_LOG_GAIN = np.log(100.0)
 FREE_DAMPING = 1e-3
-STALLED = 1e8
 # A climb whose steps had to be damped this much has nowhere to go. It has converged where an undamped step promises
 # less than this [nat], a fifth of a standard error: a clipped level bends the criterion at single pixels.
-STALL_TOLERANCE = 0.02
-
+STALLED, STALL_TOLERANCE = 1e8, 0.02
 # least squares have converged where no parameter has a step left of more than this share of its standard error
 SETTLED = 0.1
-
 LONGEST_STEP = 1.5  # no logarithm changes by more than this in one step
 
 
@@ -99,7 +93,7 @@ class Optimum:
 class Estimate(Coefficients):
     """The best fit and its uncertainty."""
 
-    x: Float64  # parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._coefficients`
+    x: Float64  # parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._vector`
     free: tuple[int, ...]  # places of the k parameters that were fitted
     covariance: Float64  # of those, shape (k, k), if the model is right
     inflation: Float64  # factor of each of their variances for what the model gets wrong, shape (k,)
@@ -260,18 +254,13 @@ LONGEST_DIFFERENCE = 0.1  # but no logarithm is moved by more than this for it
 AT_BOUND = 1e-6
 # a noise parameter with less information than this [nat] is as good as at its bound: others do not depend on it
 LEAST_INFORMATION = 0.05
-
 # a variance between blocks of the image that is this many standard deviations above what chance makes of a right model
 # begins to count, and counts wholly
 BY_CHANCE, SURELY = 3.0, 6.0
-
-ROUNDS = 16
 # an end is found when the likelihood falls by what it should to within this share, a hundredth of the interval
-CLOSE = 0.02
-
+CLOSE, ROUNDS = 0.02, 16
 # regions with a gap of less than this share of the longer one between them are one: ends are known no better
 SAME_REGION = 0.02
-
 # an end that is this many standard errors away and still not found is not there: the images do not bound that side
 FARTHEST = 12.0
 

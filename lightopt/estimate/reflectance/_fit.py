@@ -10,70 +10,31 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
-from lightopt.estimate.reflectance._coefficients import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance import _form_parameters, _quality, _result, _validation
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance, refit
-from lightopt.estimate.reflectance._form_parameters import (
-    FittedParameter,
-    WideLobe,
-    changed_form,
-    fit_form_parameter,
-    fit_wide_lobe,
-)
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular, paper_diffuse, paper_specular
-from lightopt.estimate.reflectance._quality import (
-    Quality,
-    assess_quality,
-    convergence_warnings,
-    fit_warnings,
-    mean_levels,
-    measure_noise,
-    noise_warnings,
-    poor_fit_warnings,
-    refuse_out_of_range,
-)
-from lightopt.estimate.reflectance._result import (
-    FitResult,
-    FittedValue,
-    RegionFit,
-    fitted_dark,
-    fitted_gains,
-    fitted_names,
-    fitted_values,
-    negative_black_level_warnings,
-    separate_region_warnings,
-)
+from lightopt.estimate.reflectance._result import FitResult, FittedValue, RegionFit
 from lightopt.estimate.reflectance._samples import Samples, relit, subsample
 from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, prepare_fit
-from lightopt.estimate.reflectance._validation import (
-    ModelRow,
-    PointsRow,
-    SavePrediction,
-    compare_regions,
-    leave_lights_out,
-    model_row,
-    validation_warnings,
-)
+from lightopt.estimate.reflectance._validation import ModelRow, PointsRow, SavePrediction
+from lightopt.estimate.reflectance._vector import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.images import ImageSet
 from lightopt.optics import LAMBERT, ModelName, Reflectance, farthest_exponent
 from lightopt.scene import coarse_points, scene_of_region
 
 HIGHLIGHT_LEVEL = 0.1  # pixels that a highlight lights by less than this are diffuse only [grey level at exposure 1]
-
 # for that, the lobe is taken this much wider than it was found, as far as any pixels are left: real lobes have heavier
 # tails than a Gaussian, and what is left of them goes into R_d
 WIDENINGS = (2.0, 1.5, 1.2, 1.0)
-
 MODELS: tuple[ModelName, ...] = ("torrance-sparrow", "ggx", "two-lobe")  # the simplest first
 MODEL_MARGIN = 1.02  # a simpler form is kept where it predicts lights that are left out this much worse, or less
-
 LEAST_PIXELS = 200  # so many pixels must be left
 LEAST_R_S = 1e-3
-
 _Fitted = tuple[FitResult, FitSetup, Samples]
+_Form = _form_parameters.FittedParameter | _form_parameters.WideLobe | None
 _FittedLobe = tuple[_Fitted, tuple[ModelRow, ...]]  # and the forms of the lobe that were tried
-
 # second opinions: their pixels per octave, light and posture, the least change of ln R_s or ln σ to report, and the
 # least for twice the logarithm of the likelihoods' ratio
 SECOND_BUDGET = 250
@@ -116,7 +77,7 @@ def _fit_diffuse(setup: FitSetup) -> FitResult:
     samples = setup.collect()
     freed = FreeParameters(gain=options.gain, dark=options.dark)
     whole = fit_reflectance(samples, freed=freed, run=run)
-    first_quality = assess_quality(samples, whole)
+    first_quality = _quality.assess_quality(samples, whole)
     placed = refuse_unexplained_images(setup, samples, whole, first_quality)
     plain, widening, found, quality = samples, max(WIDENINGS), whole, first_quality
     # the tails of GGX leave no pixel to diffuse light alone
@@ -124,19 +85,19 @@ def _fit_diffuse(setup: FitSetup) -> FitResult:
         plain, widening = _diffuse_only(samples, whole)
         held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
         found = fit_reflectance(plain, freed=replace(freed, specular=False), held=held, run=run)
-        quality = assess_quality(plain, found)
-    located = () if found is whole else convergence_warnings(whole)
+        quality = _quality.assess_quality(plain, found)
+    located = () if found is whole else _quality.convergence_warnings(whole)
     first = [f"first fit, which locates the highlights: {text}" for text in located]
-    warnings = [*setup.warnings, *first, *convergence_warnings(found)]
-    warnings += poor_fit_warnings(found, quality, placed=placed)
+    warnings = [*setup.warnings, *first, *_quality.convergence_warnings(found)]
+    warnings += _quality.poor_fit_warnings(found, quality, placed=placed)
     if widening < max(WIDENINGS):
         warnings.append(
             f"few pixels are away from the highlights: R_d was fitted to those beyond {widening:g} times the width of "
             "the fitted lobe. If the true lobe has heavier tails than a Gaussian, R_d is too high"
         )
-    values = fitted_values(found, full_scale=setup.scene.reflectance.full_scale, model=samples.model)[:1]
+    values = _result.fitted_values(found, full_scale=setup.scene.reflectance.full_scale, model=samples.model)[:1]
     held = _unfitted(setup, "diffuse").values[1:]
-    result = _result("diffuse", setup, plain, found, quality, (*values, *held), warnings)
+    result = _likelihood_result("diffuse", setup, plain, found, quality, (*values, *held), warnings)
     pixels, estimate = len(np.unique(found.criterion.samples.sample)), replace(found, scan=whole.scan)
     return replace(result, highlight_fit=None if found is whole else whole, pixels=pixels, estimate=estimate)
 
@@ -215,8 +176,8 @@ def _validated(fitted: _Fitted, save_prediction: SavePrediction | None = None) -
     result, setup, samples = fitted
     if not setup.options.validate or result.estimate is None:
         return result
-    left_out = leave_lights_out(setup, samples, result.estimate, save_prediction)
-    noted = validation_warnings(left_out, setup.scene.sensor)
+    left_out = _validation.leave_lights_out(setup, samples, result.estimate, save_prediction)
+    noted = _validation.validation_warnings(left_out, setup.scene.sensor)
     return replace(result, left_out=left_out, warnings=(*result.warnings, *noted))
 
 
@@ -275,7 +236,9 @@ def _choose_model(prepared: Callable[[ModelName], FitSetup], options: FitOptions
             rows.append(ModelRow(model=model, refused=error.args[0]))
             continue
         assert result.estimate is not None
-        rows.append(model_row(model, leave_lights_out(setup, samples, result.estimate), result.estimate))
+        rows.append(
+            _validation.model_row(model, _validation.leave_lights_out(setup, samples, result.estimate), result.estimate)
+        )
     least = min((row.rms for row in rows if row.rms is not None), default=None)
     if least is None:
         raise InputError(*(f"model {row.model}: {row.refused}" for row in rows))
@@ -291,58 +254,58 @@ def _fit_one(setup: FitSetup) -> _Fitted:
         return _paper_result(setup, samples, record), setup, samples
     formed, setup, samples = _with_fitted_form(setup, setup.collect())
     found = fit_reflectance(samples, freed=options.freed, held=setup.held, run=setup.run)
-    quality = assess_quality(samples, found)
+    quality = _quality.assess_quality(samples, found)
     placed = refuse_unexplained_images(setup, samples, found, quality)
-    refuse_out_of_range(found, float(found.R_s * samples.specular(found.sigma).max()), samples.model)
-    values = fitted_values(found, full_scale=reflectance.full_scale, model=samples.model)
+    _quality.refuse_out_of_range(found, float(found.R_s * samples.specular(found.sigma).max()), samples.model)
+    values = _result.fitted_values(found, full_scale=reflectance.full_scale, model=samples.model)
     if formed is not None:
         values = formed.values(found, values, samples.model)
     interval = next(v.interval for v in values if v.name == "R_s")
     shorter = len({o.exposure for o in setup.observations}) > 1
-    warnings = [*setup.warnings, *convergence_warnings(found), *separate_region_warnings(values)]
-    warnings += fit_warnings(found, quality, interval, shorter=shorter, placed=placed)
-    result = _result("specular", setup, samples, found, quality, values, warnings)
-    if isinstance(formed, FittedParameter):
+    warnings = [*setup.warnings, *_quality.convergence_warnings(found), *_result.separate_region_warnings(values)]
+    warnings += _quality.fit_warnings(found, quality, interval, shorter=shorter, placed=placed)
+    result = _likelihood_result("specular", setup, samples, found, quality, values, warnings)
+    if isinstance(formed, _form_parameters.FittedParameter):
         result = replace(result, fitted=(*result.fitted, values[-1].name))
     return replace(result, correlation=found.correlation(LOG_R_S, LOG_SIGMA)), setup, samples
 
 
-def _with_fitted_form(setup: FitSetup, samples: Samples) -> tuple[FittedParameter | WideLobe | None, FitSetup, Samples]:
+def _with_fitted_form(setup: FitSetup, samples: Samples) -> tuple[_Form, FitSetup, Samples]:
     # what of the form is fitted, and setup and samples with it
     options, model, form = setup.options, samples.model, setup.scene.reflectance.diffuse
     name = options.diffuse if options.diffuse in ("exponent", "oren-nayar") else None
     if model.name == "two-lobe":
         if name is not None:
             raise InputError("model two-lobe: the diffuse form is not fitted at once; give it in the part file")
-        wide = fit_wide_lobe(samples, freed=options.freed, held=setup.held, run=setup.run)
+        wide = _form_parameters.fit_wide_lobe(samples, freed=options.freed, held=setup.held, run=setup.run)
         return wide, setup.with_model(wide.model), replace(samples, model=wide.model)
     if name is None and options.joint and model.across_ratio > 1.0:
         name = "across"
     if name is None:
         return None, setup, samples
-    found = fit_form_parameter(samples, name, caster=setup.caster, freed=options.freed, run=setup.run)
-    model, form = changed_form(model, form, name, found.value)
+    found = _form_parameters.fit_form_parameter(samples, name, caster=setup.caster, freed=options.freed, run=setup.run)
+    model, form = _form_parameters.changed_form(model, form, name, found.value)
     if name == "across":
         return found, setup.with_model(model), replace(samples, model=model)
     return found, setup.with_form(form), relit(samples, setup.caster, form=form)
 
 
-def _result(
+def _likelihood_result(
     kind: Literal["diffuse", "specular"],
     setup: FitSetup,
     samples: Samples,
     found: Estimate,
-    quality: Quality,
+    quality: _quality.Quality,
     values: tuple[FittedValue, ...],
     warnings: Sequence[str],
 ) -> FitResult:
     options, own = setup.options, setup.scene.reflectance
-    noise = measure_noise(samples, mean_levels(samples, found), describes=quality.describes)
-    dark = fitted_dark(setup.scene, found) if options.dark else None
-    more = [*noise_warnings(noise)] if options.write_noise else []
+    noise = _quality.measure_noise(samples, _quality.mean_levels(samples, found), describes=quality.describes)
+    dark = _result.fitted_dark(setup.scene, found) if options.dark else None
+    more = [*_quality.noise_warnings(noise)] if options.write_noise else []
     fitted = ("R_d",)
     if kind == "specular":
-        fitted = (*(fitted if options.joint else ()), *fitted_names(samples.model))
+        fitted = (*(fitted if options.joint else ()), *_result.fitted_names(samples.model))
         coarse = (coarse_points(light, replace(own, sigma=found.sigma)) for light in setup.scene.lights)
         more += [text for text in coarse if text is not None]
     return replace(
@@ -350,7 +313,7 @@ def _result(
         model=samples.model,
         values=values,
         fitted=fitted,
-        gains=fitted_gains(setup.scene, found) if options.gain else None,
+        gains=_result.fitted_gains(setup.scene, found) if options.gain else None,
         dark=dark,
         noise=noise,
         write_noise=options.write_noise,
@@ -358,19 +321,19 @@ def _result(
         observations=len(found.criterion.samples.sample),
         pixels=len(found.criterion.samples.diffuse),
         quality=quality,
-        warnings=(*warnings, *more, *negative_black_level_warnings(dark)),
+        warnings=(*warnings, *more, *_result.negative_black_level_warnings(dark)),
         estimate=found,
     )
 
 
 def _points_row(result: FitResult, setup: FitSetup) -> PointsRow:
     if result.estimate is not None:
-        return compare_regions(setup, result.estimate.x, result.estimate.mean_log_likelihood)
+        return _validation.compare_regions(setup, result.estimate.x, result.estimate.mean_log_likelihood)
     x = np.zeros(FIRST_GAIN + len(setup.scene.lights))
     x[R_D] = result.value("R_d")
     x[LOG_R_S] = math.log(max(result.value("R_s"), LEAST_R_S))
     x[LOG_SIGMA] = math.log(result.value("sigma_rad"))
-    return compare_regions(setup, x, None)
+    return _validation.compare_regions(setup, x, None)
 
 
 def _diffuse_only(samples: Samples, found: Estimate) -> tuple[Samples, float]:
@@ -443,9 +406,9 @@ def _likelihood_warnings(setup: FitSetup, samples: Samples, fitted: Mapping[str,
     # compare the paper's answer, which comes from a mean, a count and a sum, with the likelihood of all pixels
     few = subsample(samples, SECOND_BUDGET)
     whole = fit_reflectance(few, freed=FreeParameters())
-    quality = assess_quality(few, whole)
+    quality = _quality.assess_quality(few, whole)
     placed = refuse_unexplained_images(setup, few, whole, quality)
-    yield from poor_fit_warnings(whole, quality, placed=placed)
+    yield from _quality.poor_fit_warnings(whole, quality, placed=placed)
     likeliest = {"R_d": whole.R_d, "R_s": whole.R_s, "sigma_rad": whole.sigma}
     off = [
         f"{name.replace('sigma_rad', 'σ')} {value:.4g} instead of {likeliest[name]:.4g}"

@@ -21,37 +21,16 @@ from scipy.special import stdtrit
 
 from lightopt.core.arrays import Float64, Index
 from lightopt.core.run_context import RunContext, Share, part_of
+from lightopt.estimate.reflectance import _estimate, _sigma_scan
 from lightopt.estimate.reflectance._clipped_least_squares import MOST_MISFIT, LeastSquares, SpecularTable, find_dust
-from lightopt.estimate.reflectance._coefficients import DARK, FIRST_GAIN, LOG_SIGMA, outlier_share
-from lightopt.estimate.reflectance._estimate import (
-    CHI2_95,
-    Estimate,
-    FreeParameters,
-    Maximum,
-    Optimum,
-    ScanPoint,
-    criterion_drop,
-    has_settled,
-    maximise,
-    uncertainty,
-)
+from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, Maximum, Optimum, ScanPoint, maximise
 from lightopt.estimate.reflectance._likelihood import Likelihood, likelihood_at, predicted
 from lightopt.estimate.reflectance._samples import Samples, subsample
-from lightopt.estimate.reflectance._sigma_scan import (
-    SAME_PEAK,
-    SigmaScan,
-    climb_from_peaks,
-    profile_outwards,
-    scan_budget,
-    scan_points,
-    scan_sigma,
-)
+from lightopt.estimate.reflectance._vector import DARK, FIRST_GAIN, LOG_SIGMA, outlier_share
 
 SUBSET_SHARE = 4  # by how much fewer pixels than least squares the likelihood scans: it starts where least squares end
-
 # peaks and points of the scan within this of the best [nat] are evaluated on all samples, which decide
 CLOSE_CALL = 20.0
-
 MOST_RESTARTS = 3
 TABLE_NODES, WIDE_TABLE_NODES = 5, 9
 MOST_TABLES = 8
@@ -60,17 +39,15 @@ NARROWEST_TABLE, WIDEST_TABLE = 0.003, 0.24
 # the likelihood's specular light is tabulated at ln σ this many standard errors around the estimate, without and with
 # what the model gets wrong, so that it is a smooth function of σ whatever quadrature is behind it
 TABLE_DEVIATIONS, TABLE_INTERVALS = 6.0, 3.0
-
-
 # an optimum of all samples and its climb; None for one far below the best, where only the subset was climbed
 Peak = tuple[Optimum, Estimate | None]
 
 
-def likelihood_estimate(samples: Samples, scan: SigmaScan, run: RunContext) -> Estimate:
+def likelihood_estimate(samples: Samples, scan: _sigma_scan.SigmaScan, run: RunContext) -> Estimate:
     """Maximise the likelihood of all samples from what a scan by least squares found."""
-    few = subsample(scan.samples, max(50, scan_budget(samples) // SUBSET_SHARE))
+    few = subsample(scan.samples, max(50, _sigma_scan.scan_budget(samples) // SUBSET_SHARE))
     profile = _profile_on_subset(few, scan, part_of(run.stage("scanning σ"), 0.5, 1.0))
-    tops = climb_from_peaks(profile, lambda x: climb(few, x, scan.free, USUAL_TABLE))
+    tops = _sigma_scan.climb_from_peaks(profile, lambda x: climb(few, x, scan.free, USUAL_TABLE))
     report = run.stage("refining")
     report(0.2)
     best, peaks = best_first(_climb_on_all(samples, tops))
@@ -85,7 +62,7 @@ def likelihood_estimate(samples: Samples, scan: SigmaScan, run: RunContext) -> E
         points, better = _profile_on_all(samples, few, profile, best)
     if better is not None:  # there is something better still: reported, and not passed for the best
         best = replace(best, maximum=replace(best.maximum, converged=False))
-        points = scan_points(profile, share=_share_of(few, samples))
+        points = _sigma_scan.scan_points(profile, share=_share_of(few, samples))
     report(1.0)
     optima, unexplained = tuple(optimum for optimum, _ in peaks), max(best.unexplained, outlier_share(tops[0][1].x))
     return replace(best, scan=points, optima=optima, unexplained=unexplained, misfit=scan.misfit)
@@ -107,7 +84,7 @@ def climb(samples: Samples, x: Float64, free: Sequence[int], width: float) -> Es
         moves += 1
         inside = abs(float(maximum.x[LOG_SIGMA] - x[LOG_SIGMA])) <= 0.7 * width
         if inside or LOG_SIGMA not in free or moves == MOST_TABLES:
-            covariance, inflation = uncertainty(likelihood, maximum.x, free)
+            covariance, inflation = _estimate.uncertainty(likelihood, maximum.x, free)
             return Estimate(
                 x=maximum.x,
                 free=tuple(free),
@@ -128,7 +105,7 @@ def best_first(peaks: Sequence[Peak]) -> tuple[Estimate, list[Peak]]:
     distinct: list[Peak] = []
     for optimum, ended in sorted(peaks, key=lambda peak: -peak[0].top.value):
         at = optimum.top.x[LOG_SIGMA]
-        if all(abs(at - other.top.x[LOG_SIGMA]) > SAME_PEAK for other, _ in distinct):
+        if all(abs(at - other.top.x[LOG_SIGMA]) > _sigma_scan.SAME_PEAK for other, _ in distinct):
             distinct.append((optimum, ended))
     best = distinct[0][1]
     assert best is not None  # one that is not far below has been climbed to
@@ -150,10 +127,10 @@ def _table_width(found: Estimate) -> float:
 
 def _relevant_drop(found: Estimate) -> float:
     # how far below a maximum something may be and still matter, for the intervals or by chance [nat]
-    return max(CLOSE_CALL, 0.5 * CHI2_95 * float(np.max(found.inflation, initial=1.0)))
+    return max(CLOSE_CALL, 0.5 * _estimate.CHI2_95 * float(np.max(found.inflation, initial=1.0)))
 
 
-def _profile_on_subset(few: Samples, scan: SigmaScan, progress: Share) -> list[Maximum]:
+def _profile_on_subset(few: Samples, scan: _sigma_scan.SigmaScan, progress: Share) -> list[Maximum]:
     def starts_at(number: int) -> list[Float64]:
         # what least squares leave at this σ, and the usual start with its wide shoulders
         at = scan.profile[number].x
@@ -164,7 +141,9 @@ def _profile_on_subset(few: Samples, scan: SigmaScan, progress: Share) -> list[M
 
     values = [point.value for point in scan.profile]
     at, begin = scan.log_sigmas, values.index(max(values))
-    return profile_outwards(lambda s: likelihood_at(few, s), starts_at, at, scan.free, begin=begin, progress=progress)
+    return _sigma_scan.profile_outwards(
+        lambda s: likelihood_at(few, s), starts_at, at, scan.free, begin=begin, progress=progress
+    )
 
 
 def _climb_on_all(samples: Samples, tops: Sequence[tuple[float, Estimate]]) -> list[Peak]:
@@ -199,7 +178,7 @@ def _profile_on_all(
     # all samples decide: they either have something better to climb from, or show how much worse it is.
     share = _share_of(few, samples)
     if LOG_SIGMA not in final.free:
-        return scan_points([replace(profile[0], x=final.x)]), None
+        return _sigma_scan.scan_points([replace(profile[0], x=final.x)]), None
     here = _best_at(few, final.x, final.free)
     value = here.value
     near = max(CLOSE_CALL, share * _relevant_drop(final))
@@ -212,7 +191,7 @@ def _profile_on_all(
             worse = share * (final.value - whole.value)
             point = replace(whole, evaluation=replace(whole.evaluation, value=value - worse))
         shown.append(point)
-    return scan_points(shown, share=share), None
+    return _sigma_scan.scan_points(shown, share=share), None
 
 
 def _best_at(samples: Samples, x: Float64, free: Sequence[int]) -> Maximum:
@@ -227,14 +206,11 @@ def _share_of(few: Samples, samples: Samples) -> float:
 
 # the likelihood's answer is only taken where it predicts the scan's pixels about as well as least squares [rms]
 WORSE_PREDICTION = 1.03
-
 # Groups of images: lights, where there are so many, else lights by posture, else blocks of the images. Further lights
 # share a group.
 LEAST_GROUPS, MOST_GROUPS = 4, 24
-
 # standard error of a parameter that the images do not determine, such as the σ of a lobe without light
 UNDETERMINED = 1e3
-
 # how far from the best the drop of the criterion is taken [standard errors]; the first that is within range
 ERROR_STEPS = (1.0, 0.3, 0.1)
 
@@ -244,7 +220,7 @@ def fit_reflectance(
 ) -> Estimate:
     """Fit R_d, R_s and σ, and what else is freed, to samples; those that are not freed have the values `held`."""
     run = run or RunContext()
-    scan = scan_sigma(samples, freed or FreeParameters(), held, part_of(run.stage("scanning σ"), 0.0, 0.5))
+    scan = _sigma_scan.scan_sigma(samples, freed or FreeParameters(), held, part_of(run.stage("scanning σ"), 0.0, 0.5))
     if scan.misfit > MOST_MISFIT:
         run.stage("refining")(0.5)
         return _least_squares_estimate(samples, scan)
@@ -265,16 +241,16 @@ def refit(samples: Samples, start: Estimate, *, only_reflectance: bool = False) 
     if start.describes:
         return replace(climb(samples, start.x, free, USUAL_TABLE), scan=start.scan)
     # as many pixels as the estimate itself is from
-    few = subsample(samples, scan_budget(samples))
+    few = subsample(samples, _sigma_scan.scan_budget(samples))
     criterion = LeastSquares(few, SpecularTable(few))
     criterion = criterion.without(find_dust(few, predicted(few, criterion.light(start.x), start.x)))
     top = maximise(criterion, start.x, free)
     errors = np.array([start.standard_error(place) for place in free])
-    top = replace(top, converged=has_settled(top, free, errors))
+    top = replace(top, converged=_estimate.has_settled(top, free, errors))
     return replace(start, x=top.x, free=free, criterion=criterion, maximum=top, optima=())
 
 
-def _least_squares_estimate(samples: Samples, scan: SigmaScan) -> Estimate:
+def _least_squares_estimate(samples: Samples, scan: _sigma_scan.SigmaScan) -> Estimate:
     # the best of a scan, with standard errors from the fits without one group of images each
     best, criterion = scan.best, scan.criterion
     fitted = tuple(scan.free[:-2])
@@ -287,7 +263,7 @@ def _least_squares_estimate(samples: Samples, scan: SigmaScan) -> Estimate:
     correlation = scatter.covariance / np.outer(np.maximum(spread, 1e-100), np.maximum(spread, 1e-100))
     np.fill_diagonal(correlation, 1.0)
     covariance = correlation * np.outer(errors, errors)
-    best = replace(best, converged=has_settled(best, fitted, errors))
+    best = replace(best, converged=_estimate.has_settled(best, fitted, errors))
     # the noise that the likelihood would see around this reflectance, for figures that are compared
     noise = maximise(likelihood_at(samples, float(best.x[LOG_SIGMA])), best.x, scan.free[-2:])
     found = Estimate(
@@ -298,13 +274,13 @@ def _least_squares_estimate(samples: Samples, scan: SigmaScan) -> Estimate:
         critical=scatter.quantile**2,
         criterion=criterion,
         maximum=best,
-        scan=scan_points([*scan.profile, best]),
+        scan=_sigma_scan.scan_points([*scan.profile, best]),
         optima=tuple(Optimum(start, top, criterion) for start, top in ((scan.climbs[0][0], best), *scan.climbs[1:])),
         mean_log_likelihood=noise.value / max(1, len(samples.sample)),
         unexplained=outlier_share(noise.x),
         misfit=scan.misfit,
         scatter=scatter.of,
-        unsettled_refits=sum(not has_settled(refit, fitted, errors) for refit in scatter.refits),
+        unsettled_refits=sum(not _estimate.has_settled(refit, fitted, errors) for refit in scatter.refits),
     )
     inflation = _inflation(found, errors)
     root = np.sqrt(inflation)
@@ -318,7 +294,10 @@ def _inflation(found: Estimate, errors: Sequence[float] | Float64) -> Float64:
     for i, (place, error) in enumerate(zip(found.free, errors, strict=True)):
         for step in ERROR_STEPS:
             # where one error away is out of range, nearer: the criterion falls like a parabola
-            drops = [criterion_drop(found, place, best[place] + sign * step * error) / step**2 for sign in (-1.0, 1.0)]
+            drops = [
+                _estimate.criterion_drop(found, place, best[place] + sign * step * error) / step**2
+                for sign in (-1.0, 1.0)
+            ]
             drops = [drop for drop in drops if 0.0 < drop < math.inf]
             if drops:
                 inflation[i] = np.mean(drops)

@@ -21,23 +21,18 @@ from lightopt.config import MOST_ACROSS
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
-from lightopt.estimate.reflectance._clipped_least_squares import (
-    MOST_MISFIT,
-    LeastSquares,
-    SpecularTable,
-    measure_misfit,
-)
-from lightopt.estimate.reflectance._coefficients import LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance import _clipped_least_squares as clipped
+from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable
 from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, FreeParameters, Maximum, maximise
 from lightopt.estimate.reflectance._fit_samples import USUAL_TABLE, climb
 from lightopt.estimate.reflectance._result import DIFFUSE_KEYS, FittedValue
 from lightopt.estimate.reflectance._samples import Samples, relit, subsample
 from lightopt.estimate.reflectance._sigma_scan import SigmaScan, scan_budget, scan_sigma
+from lightopt.estimate.reflectance._vector import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.geometry import RayCaster
 from lightopt.optics import LAMBERT, DiffuseForm, SpecularModel
 
 ParameterName = Literal["exponent", "oren-nayar", "across"]
-
 # as part files allow; a lobe that is alike all round is no brushed one
 RANGES: dict[ParameterName, tuple[float, float]] = {
     "exponent": (0.5, 5.0),
@@ -52,7 +47,6 @@ STARTS: dict[ParameterName, tuple[float, ...]] = {
 STEP = 0.03  # over which the criterion is bent
 FINE = 5e-4  # to which the parameter is searched
 UNDETERMINED = 0.3  # standard error of a parameter that the images do not determine
-
 # of the wide lobe: starts of the search, as ln of its share and of its width over the narrow one's
 WIDE_STARTS = tuple((math.log(share), math.log(ratio)) for share in (0.1, 0.01, 0.001) for ratio in (2.5, 6.0))
 WIDE_RANGES = np.log([[1e-6, 1.0], [1.05, 100.0]])  # as part files allow, in logarithms
@@ -188,7 +182,7 @@ class _Profile:
         return climb(self._samples(value), self._x, self._free, USUAL_TABLE).maximum
 
     def describes(self, value: float) -> bool:
-        return measure_misfit(self._least_squares(value), self._x) <= MOST_MISFIT
+        return clipped.measure_misfit(self._least_squares(value), self._x) <= clipped.MOST_MISFIT
 
     def search(self, start: float) -> float:
         # between the starts on both sides; climbs begin where the one at the start ends
@@ -322,6 +316,6 @@ def _wide_starts(few: Samples, scan: SigmaScan) -> tuple[list[tuple[Float64, Flo
             found.append((at, maximise(criterion, x, scan.free[:-2])))
         last = found[-1][1]
         if last.value >= max(top.value for _, top in found):
-            describes = measure_misfit(criterion, last.x) <= MOST_MISFIT
+            describes = clipped.measure_misfit(criterion, last.x) <= clipped.MOST_MISFIT
     found.sort(key=lambda one: -one[1].value)
     return [(at, top.x) for at, top in found[:3]], describes

@@ -18,17 +18,15 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.estimate.reflectance._coefficients import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
+from lightopt.estimate.reflectance._vector import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 
 # share of the unexplained pixels that are black, and of those that are saturated: dust and glints; the rest is spread
 # evenly over the levels between
 EXTREME_SHARE = 0.05
-
 _CHUNK = 16_384
 _SQRT_HALF = math.sqrt(0.5)
 _SQRT_TWO_PI = math.sqrt(2.0 * math.pi)
-
 _Sums = tuple[Float64, Float64]  # gradient, shape (K,), and curvature, shape (K, K)
 
 

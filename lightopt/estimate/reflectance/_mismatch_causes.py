@@ -22,11 +22,9 @@ from lightopt.estimate.registration import FLIPS, LEVEL_CAP, Agreement, Observat
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 
-LEAST_SHIFT_PX = 0.5
 # a part is reported as displaced when moving it by half a pixel or more takes away half of the squared residual beyond
 # the noise: a wrong reflectance is not blamed on the place
-LEAST_EXPLAINED = 0.5
-
+LEAST_SHIFT_PX, LEAST_EXPLAINED = 0.5, 0.5
 LEAST_EXCESS = 0.1  # residuals beyond the noise count from this share of its variance on
 LEAST_CERTAIN = 3.0  # a displacement counts from this many of its standard errors on
 BUDGET = 250  # pixels per octave, light and posture that are compared at both places

@@ -15,8 +15,8 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, ignore
-from lightopt.estimate.reflectance._coefficients import significant
 from lightopt.estimate.reflectance._samples import Samples
+from lightopt.estimate.reflectance._vector import significant
 
 MOST_ITERATIONS = 500
 MOST_R_S = 1e15

@@ -10,42 +10,25 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance._clipped_least_squares import MOST_MISFIT, image_noise
-from lightopt.estimate.reflectance._coefficients import (
-    DARK,
-    FIRST_GAIN,
-    LOG_R_S,
-    LOG_SIGMA,
-    R_D,
-    parameter_name,
-    significant,
-)
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
 from lightopt.estimate.reflectance._likelihood import predicted
 from lightopt.estimate.reflectance._samples import Samples
+from lightopt.estimate.reflectance._vector import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, parameter_name, significant
 from lightopt.optics import Sensor, SpecularModel
 
-POOR_EPSILON = 0.02
-POOR_NOISE = 3.0
 # residuals beyond this many times the sensor's noise, and unexplained pixels beyond this share, are reported
-MORE_NOISE = 1.5
-
-WIDE_INTERVAL = 0.02
-STRONG_CORRELATION = 0.95
-
+POOR_NOISE, MORE_NOISE, POOR_EPSILON = 3.0, 1.5, 0.02
+WIDE_INTERVAL, STRONG_CORRELATION = 0.02, 0.95
 # widths of lobes that the model is meant for [rad]: Ward found these on real surfaces (paper, section 4.3)
 SIGMA_RANGE = 0.001, 0.2
 GGX_SIGMA_RANGE = 0.001, 0.5  # α up to 1, as part files allow
-
 MOST_R_S = 1e11  # beyond this, R_s runs away along the ridge [grey level]
 EDGE = 1.01  # a value within this factor of an edge is at it
-
 LEVEL_BINS, LEAST_PER_BIN = 12, 150
 # levels nearer than this many deviations to black or to saturation are clipped, and show less noise than there is
 CLEAR_OF_ENDS = 4.0
-
 # residuals beyond this many deviations are dust; what is left of a Gaussian's variance within
 TRIM, TRIMMED_VARIANCE = 3.0, 0.97334
-
 SIGNIFICANT = 3.0
 WELL_KNOWN = 0.3  # a figure is determined where its standard error is no more than this share of it
 

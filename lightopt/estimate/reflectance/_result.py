@@ -10,11 +10,11 @@ from typing import Any, Literal
 
 from lightopt.config import PartConfig, PlacementConfig, ReflectanceConfig, RigConfig, copied_text, input_hashes
 from lightopt.core.provenance import provenance
-from lightopt.estimate.reflectance._coefficients import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
 from lightopt.estimate.reflectance._estimate import Estimate, Interval, profile_regions
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
 from lightopt.estimate.reflectance._quality import MeasuredNoise, Quality, convergence_warnings
 from lightopt.estimate.reflectance._validation import LeftOut, ModelRow, PointsRow
+from lightopt.estimate.reflectance._vector import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
 from lightopt.estimate.registration import Placement, Registration
 from lightopt.images import ImageSet, ResultFolder
 from lightopt.optics import LAMBERT, DiffuseForm, SpecularModel

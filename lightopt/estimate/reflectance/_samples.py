@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lightopt import rendering
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, ignore
@@ -17,26 +18,14 @@ from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import DiffuseForm, Reflectance, Sensor, SpecularModel
-from lightopt.rendering import (
-    UNLIT,
-    WHOLE,
-    LightLayer,
-    PosturePixels,
-    light_layer,
-    specular_of_layers,
-    trace_pixels,
-    visibility_of_lights,
-)
+from lightopt.rendering import LightLayer, PosturePixels, light_layer
 from lightopt.scene import Scene, lens_share
 
-FIRST_OCTAVE_RAD = 0.001
 # pixels are kept by octave of the least angle between normal and half vector: up to 1 mrad, 2 mrad, … so that a lobe of
 # any width has pixels on its flanks
-OCTAVES = 11
-
+FIRST_OCTAVE_RAD, OCTAVES = 0.001, 11
 # blocks along the longer side of the image: what the model gets wrong is taken as alike within each of them
 BLOCKS = 24
-
 WHOLE_IMAGE = slice(None), slice(None)
 UNLIT_SHARE = 0.25  # pixels that no light reaches determine the dark level; this share of an octave's budget is plenty
 
@@ -117,7 +106,7 @@ class Samples:
         """Light per unit of R_s for a lobe of width σ [rad], shape (n,)."""
         layers = [group.layer for group in self.groups if group.layer is not None]
         reflectance = Reflectance(R_d=0.0, R_s=1.0, sigma=sigma, model=self.model)
-        lit = iter(specular_of_layers(layers, reflectance, threads=self.threads))
+        lit = iter(rendering.specular_of_layers(layers, reflectance, threads=self.threads))
         parts = [np.zeros(len(group)) if group.layer is None else group.passed * next(lit) for group in self.groups]
         return np.concatenate(parts)
 
@@ -142,13 +131,15 @@ def collect_samples(
     draws: dict[tuple[int, int | str], int] = {}  # channels of a light take the same pixels
     for done, (posture, light) in enumerate(wanted):
         if pixels is None or pixels.posture != scene.postures[posture]:
-            pixels = trace_pixels(scene, scene.postures[posture], caster, threads=threads)
+            pixels = rendering.trace_pixels(scene, scene.postures[posture], caster, threads=threads)
             own = [number for at, number in wanted if at == posture]
-            seen = visibility_of_lights(pixels, [pixels.view.lights[i] for i in own], caster, threads=threads)
+            seen = rendering.visibility_of_lights(pixels, [pixels.view.lights[i] for i in own], caster, threads=threads)
             verdicts = dict(zip(own, seen, strict=True))
         panel, surface = pixels.view.lights[light], pixels.surface
         own = pixels.clean if surface.material is None else pixels.clean & (surface.material == 0)
-        whole, unlit = (np.flatnonzero(own & (verdicts[light] == verdict)) for verdict in (WHOLE, UNLIT))
+        whole, unlit = (
+            np.flatnonzero(own & (verdicts[light] == verdict)) for verdict in (rendering.WHOLE, rendering.UNLIT)
+        )
         layer = light_layer(surface.take(whole), panel, caster, form=scene.reflectance.diffuse, threads=threads)
         angle = np.zeros(len(whole)) if uniform else layer.deflection
         draw = posture, draws.setdefault((posture, _entry(panel)), light)

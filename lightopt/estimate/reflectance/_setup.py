@@ -11,19 +11,12 @@ import numpy as np
 from lightopt.config import PartConfig, PlacementConfig, RigConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.run_context import RunContext
+from lightopt.estimate import registration
 from lightopt.estimate.reflectance._estimate import FreeParameters
 from lightopt.estimate.reflectance._paper import PaperOptions
 from lightopt.estimate.reflectance._samples import OCTAVES, Samples, collect_samples
 from lightopt.estimate.reflectance._sigma_scan import scan_sigma
-from lightopt.estimate.registration import (
-    Observation,
-    Registration,
-    observed_postures,
-    part_file_placement,
-    place_part,
-    read_observations,
-    register,
-)
+from lightopt.estimate.registration import Observation, Registration
 from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet
 from lightopt.optics import LAMBERT, DiffuseForm, ModelName, Reflectance, SpecularModel
@@ -139,10 +132,12 @@ def prepare_fit(
 
     model: Form of the specular lobe; the part file's where it is None
     """
-    observations = read_observations(image_set, rig, part, threads=run.threads)
+    observations = registration.read_observations(image_set, rig, part, threads=run.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
-    scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False)
+    scene = build_scene(
+        rig, part, postures=registration.observed_postures(image_set), lights=names, points=points, defects=False
+    )
     setup = FitSetup(scene, cast_rays_at(scene), observations, options=options, run=run).with_lobe(model)
     if options.diffuse is not None:
         setup = setup.with_form(LAMBERT)
@@ -150,8 +145,8 @@ def prepare_fit(
         return setup
     freed = FreeParameters(gain=options.gain, dark=options.dark)
     found = register_with_fit(setup.scene, observations, caster=setup.caster, freed=freed, run=run)
-    moved = place_part(setup.scene, found.placement)
-    file_placement = part_file_placement(scene, found.placement, part.placement)
+    moved = registration.place_part(setup.scene, found.placement)
+    file_placement = registration.part_file_placement(scene, found.placement, part.placement)
     return replace(setup, scene=moved, caster=cast_rays_at(moved), registration=found, file_placement=file_placement)
 
 
@@ -173,4 +168,6 @@ def register_with_fit(
         found = scan_sigma(samples, freed or FreeParameters(), None).best
         return replace(moved.reflectance, R_d=found.R_d, R_s=found.R_s, sigma=found.sigma)
 
-    return register(scene, observations, caster=caster, reflectance_at=first_reflectance, reduced=reduced, run=run)
+    return registration.register(
+        scene, observations, caster=caster, reflectance_at=first_reflectance, reduced=reduced, run=run
+    )

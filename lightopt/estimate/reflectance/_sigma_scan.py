@@ -15,10 +15,10 @@ from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, ignore
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable, find_dust, measure_misfit
-from lightopt.estimate.reflectance._coefficients import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, Maximum, ScanPoint, maximise
 from lightopt.estimate.reflectance._likelihood import Criterion, parameter_count, predicted
 from lightopt.estimate.reflectance._samples import Samples, subsample
+from lightopt.estimate.reflectance._vector import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 
 SCAN_SAMPLES = 50_000  # pixels of the scan over σ, in all
 SCAN_STRIDE = 5  # the scan takes each fifth node of the specular table: 25 σ, each 1.29 times the one before
@@ -26,20 +26,14 @@ WEAK_START = 0.1  # share of the R_s that saturates as many pixels as measured, 
 MOST_PEAKS = 4
 SAME_PEAK = 0.02  # climbs that end within this of ln σ have found the same peak
 HELD_SIGMA = 0.05  # width of a lobe that is neither fitted nor given [rad]
-
 Top = TypeVar("Top", Maximum, Estimate)
-
 # σ of a peak of the profile [rad], and where the climb from it ended; the best first
 Climbs = list[tuple[float, Maximum]]
-
 LEAST_DIFFUSE = 0.1  # r_d is guessed where at least this much light arrives per unit of it
-START_EPSILON = 0.03
 # a climb begins with wide shoulders [sensor level], so that pixels far from the first guess still pull at it
-START_DEVIATION = 4.0
-
-SCAN_STEPS, FIRST_STEPS = 30, 5
+START_DEVIATION, START_EPSILON = 4.0, 0.03
 # A scan only has to separate basins [nat]. Of several starts that which is best after the first steps goes on.
-SCAN_TOLERANCE = 0.1
+SCAN_TOLERANCE, SCAN_STEPS, FIRST_STEPS = 0.1, 30, 5
 
 
 @dataclass(frozen=True)

@@ -14,19 +14,11 @@ from scipy.ndimage import binary_erosion
 from scipy.spatial import KDTree
 
 from lightopt.core.arrays import Bool, Float32, Float64
-from lightopt.estimate.reflectance._coefficients import (
-    DARK,
-    FIRST_GAIN,
-    LOG_R_S,
-    LOG_SIGMA,
-    R_D,
-    Coefficients,
-    significant,
-)
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._fit_samples import refit
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup
+from lightopt.estimate.reflectance._vector import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Coefficients, significant
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.optics import ModelName, Sensor, saturated_region
@@ -36,7 +28,6 @@ from lightopt.scene import Scene
 BUDGET = 1500  # pixels per octave, light and posture that the fits without a light use
 MOST_BORDER_PIXELS = 4000
 POOR_SHARE = 5.0 / 255.0  # a prediction that is further off than this share of the sensor's full scale is reported
-
 # gets each image that was left out and the sensor levels that were predicted for it
 SavePrediction = Callable[[Observation, Float32], None]
 

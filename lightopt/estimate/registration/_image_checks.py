@@ -20,30 +20,22 @@ from lightopt.geometry import RayCaster
 from lightopt.scene import Scene, screen_window, view_from_part
 
 Array = NDArray[np.floating]
-
 # the coarse search: pixels per posture, and lights
 PIXELS, MOST_LIGHTS = 6000, 8
 MARGIN_MM = 3.0  # pixels up to this far around the part's nominal outline are used
-
-CLEAR = 3.5
 # images are black where fewer pixels than this share are this many standard deviations of noise above black
-LEAST_BRIGHT_SHARE = 1e-3
-
+LEAST_BRIGHT_SHARE, CLEAR = 1e-3, 3.5
 # a residual beyond the noise of more than this share of the predicted levels (root mean squares) is that of another
 # part, another place or another rig: a wrong reflectance of the right part leaves less once the lights' gains are
 # adjusted
 MISMATCH_SHARE = 0.45
-
 SUSPICIOUS = 0.15  # from this share on, the images of a nearly symmetric part may be mirrored or turned …
 BETTER_SHARE = 0.5  # … and are where that leaves less than this share of the squared residual
-
 LEVEL_CAP = 0.15
 """Residuals count as at most this share of the camera's range where models are compared: a defect or dust decides
 nothing."""
-
 BLACK_SHARE = 0.02  # images with less than this share of the light that is predicted are black
 MOST_SATURATED = 0.5  # images of which more pixels than this share are saturated are refused for that
-
 _ALL, _REVERSED = slice(None), slice(None, None, -1)
 _NO_TURN = "flip the images; a rotation, or another roll of the camera, does not undo this"
 FLIPS: dict[str, tuple[tuple[slice, slice], str]] = {

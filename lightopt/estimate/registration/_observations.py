@@ -19,12 +19,9 @@ from lightopt.optics import Sensor, clipped_mean
 from lightopt.scene import build_sensor
 
 ANGLE_TOLERANCE_DEG = 0.01  # a light that the manifest has this far from where the rig has it was elsewhere
-
-PNG_HALF_WIDTH = 0.5
 # a level q says that the signal was between q − h and q + h [sensor level]: half a level of a quantised PNG, and for an
 # EXR, which is not quantised, so little that it is the value itself
-EXR_HALF_WIDTH = 0.05
-
+PNG_HALF_WIDTH, EXR_HALF_WIDTH = 0.5, 0.05
 _REACH_PX = 4  # a frame without light is smoothed over windows of 9 × 9 pixels, except where it shows more than noise
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lightopt import rendering
 from lightopt.config import PlacementConfig
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.threads import available_processors, in_threads
@@ -16,37 +17,18 @@ from lightopt.estimate.registration._observations import Observation
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import Reflectance
-from lightopt.rendering import (
-    UNLIT,
-    WHOLE,
-    PosturePixels,
-    SurfacePoints,
-    channel_groups,
-    light_layer,
-    light_of_channels,
-    trace_samples,
-    visibility_of_lights,
-)
+from lightopt.rendering import PosturePixels, SurfacePoints
 from lightopt.scene import PartView, Scene, lens_share, move_part, pixel_footprint, view_from_part
 
-GREATEST_SHIFT_MM = 5.0
-GREATEST_TURN_RAD = math.radians(6.0)
 # reach of the search from the file placement: along x and y the larger of both, and about the vertical axis
-GREATEST_SHIFT_PX = 16.0
-
-GREATEST_LIFT_MM, GREATEST_TILT_RAD = 3.0, math.radians(3.0)
+GREATEST_SHIFT_MM, GREATEST_SHIFT_PX, GREATEST_TURN_RAD = 5.0, 16.0, math.radians(6.0)
 # the same in z and in tilt: it lies on the stage
-
+GREATEST_LIFT_MM, GREATEST_TILT_RAD = 3.0, math.radians(3.0)
 LIFT_PIXELS = 8.0  # a shift along the view changes the image by parallax and by highlights alone
-
-MOST_LIFT_ERROR_MM = 0.5
-MOST_ERROR_PX = 1.0
-MOST_TURN_ERROR_RAD = math.radians(0.5)  # a shift or a rotation is determined where its standard error is below this
-
-
+# a shift or a rotation is determined where its standard error is below this
+MOST_ERROR_PX, MOST_LIFT_ERROR_MM, MOST_TURN_ERROR_RAD = 1.0, 0.5, math.radians(0.5)
 NAMES = ("x", "y", "turn", "z", "tilt_x", "tilt_y")
 """The degrees of freedom of a part; the first three keep it on the stage's plate."""
-
 _LENGTHS = ("x", "y", "z")
 
 
@@ -202,9 +184,8 @@ class PoseFrame:
 
 LEAST_R_D, LEAST_R_S = 0.1, 1e-3
 """What R_d and R_s of almost nothing count as, so that they can be changed by factors."""
-
-_LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
 # additive recurrences that fill a pixel evenly: Roberts's R₂, by the plastic number, and quadratic irrationals
+_LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
 _OFFSETS = np.array([0.6180339887498949, 0.4142135623730951])
 
 
@@ -274,10 +255,12 @@ def _layers(
     for index, some, own in surface.by_material(reflectances):
         lobes = [replace(own, sigma=sigma * (own.sigma / first.sigma)) for sigma in sigmas]
         if channels:
-            parts = [light_of_channels(some, channels, own.diffuse, threads=threads)[0]]
-            parts += [light_of_channels(some, channels, lobe, diffuse=False, threads=threads)[1] for lobe in lobes]
+            parts = [rendering.light_of_channels(some, channels, own.diffuse, threads=threads)[0]]
+            parts += [
+                rendering.light_of_channels(some, channels, lobe, diffuse=False, threads=threads)[1] for lobe in lobes
+            ]
         else:
-            layer = light_layer(some, group[0], caster, form=own.diffuse, threads=1)
+            layer = rendering.light_layer(some, group[0], caster, form=own.diffuse, threads=1)
             parts = [layer.diffuse[None], *(layer.specular(lobe, threads=1)[None] for lobe in lobes)]
         shares = own.R_d / max(first.R_d, LEAST_R_D), own.R_s / max(first.R_s, LEAST_R_S)
         for place, part in enumerate(parts):
@@ -303,7 +286,7 @@ def light_at(
     only some of a panel is seen.
     """
     columns, rows = pixels.positions
-    hits, surface = trace_samples(caster, scene.mesh, view.camera, columns, rows, neighbours=True)
+    hits, surface = rendering.trace_samples(caster, scene.mesh, view.camera, columns, rows, neighbours=True)
     some = PosturePixels(
         posture=pixels.posture,
         view=view,
@@ -317,15 +300,15 @@ def light_at(
     names = list(dict.fromkeys(image.light for image in pixels.images))
     panels = {panel.name: panel for panel in view.lights}
 
-    groups = channel_groups([panels[name] for name in names])
+    groups = rendering.channel_groups([panels[name] for name in names])
     threads = threads or available_processors()
     threads_of_group = max(1, threads // max(1, len(groups)))
 
     def shade(number: int) -> None:
         group = [panels[names[i]] for i in groups[number]]
-        verdicts = visibility_of_lights(some, group, caster, moving=True, threads=1)
-        whole = verdicts == WHOLE
-        found = np.stack([np.where(whole | (verdicts == UNLIT), 0.0, np.nan)] * (1 + len(sigmas)))
+        verdicts = rendering.visibility_of_lights(some, group, caster, moving=True, threads=1)
+        whole = verdicts == rendering.WHOLE
+        found = np.stack([np.where(whole | (verdicts == rendering.UNLIT), 0.0, np.nan)] * (1 + len(sigmas)))
         seen = np.flatnonzero(whole.any(axis=0))
         layers = _layers(surface.take(seen), group, caster, scene.reflectances, sigmas, threads_of_group)
         for place, level in enumerate(layers):

@@ -9,59 +9,36 @@ from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.least_squares import Limits
+from lightopt.estimate.registration import _placement
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._placement import (
-    LEAST_R_D,
-    LEAST_R_S,
-    PixelSet,
-    Placement,
-    PoseFrame,
-    light_at,
-    place_part,
-    sensor_scale,
-    view_of_placed,
-)
+from lightopt.estimate.registration._placement import PixelSet, Placement, PoseFrame, light_at
 from lightopt.geometry import RayCaster
 from lightopt.rendering import mask_pixels
 from lightopt.scene import Scene
 
-INNER_PIXELS, FIRST_INNER_PIXELS = 12_000, 3_000
 # pixels per posture: away from silhouettes and creases, also in the first stage, and across silhouettes
-OUTLINE_PIXELS = 800
-
+INNER_PIXELS, FIRST_INNER_PIXELS, OUTLINE_PIXELS = 12_000, 3_000, 800
 MOST_ENTRIES = 15_000_000  # entries of the Jacobian; with many images fewer pixels of each are used
-
 OUTLINE_HALF_WIDTH_PX = 2
 OUTLINE_RAYS = 9  # rays of a pixel that the outline crosses
-
 # an edge pixel is this share of the contrast off its prediction, since images are sampled at points or blurred
 OUTLINE_SHARE = 0.3
-
 OUTLINE_PX = 0.3  # accuracy of what the outline alone determines, however many pixels it crosses: they are off together
 LEAST_CORRELATION = 0.5  # an outline is used where predicted and measured levels across it correlate by more than this
 CLEAR = 3.5  # only pixels are used that the model has this many standard deviations clear of black and of saturation
-
-GAIN_SPREAD = 0.3
-DARK_SPREAD = 3.0
+GAIN_SPREAD, DARK_SPREAD = 0.3, 3.0
 """Lights are about as bright as the rig says, within this share, and black is as black within these sensor levels: only
 images that show it move them."""
-
 LYING = (1.0, math.radians(1.0), math.radians(1.0))
 """A part lies within this of its place in height [mm] and in both tilts [rad]."""
-
 # parameters: ln R_d, ln R_s, ln σ, ln of each light's gain, dark level [sensor level], after the pose
 R_D, R_S, SIGMA, GAINS = 0, 1, 2, 3
-
-_INNER_STEP = 0.5
 # differences are taken so far to both sides [px]: an outline must cross some rays; and over much less, the facets of a
 # round part would seem to determine its turn
-_OUTLINE_STEP = 0.7
-
+_INNER_STEP, _OUTLINE_STEP = 0.5, 0.7
 _SIGMA_STEP = 0.003
-
-_CACHE_PX = 0.1
 # derivatives by pose and σ, which take two evaluations each, are reused for parameters so near to where they were taken
-_CACHE_LOG_SIGMA = 0.02
+_CACHE_PX, _CACHE_LOG_SIGMA = 0.1, 0.02
 
 
 def choose_pixels(
@@ -74,7 +51,7 @@ def choose_pixels(
     threads: int | None = None,
 ) -> tuple[list[PixelSet], list[PixelSet]]:
     """Inner pixels, and pixels across the outline where `outline`; one set per posture that shows any."""
-    placed = place_part(scene, placement)
+    placed = _placement.place_part(scene, placement)
     caster = RayCaster(placed.mesh.vertices, placed.mesh.faces)
     inner: list[PixelSet] = []
     edges: list[PixelSet] = []
@@ -135,7 +112,9 @@ class RefinementProblem:
         names = [light.name for light in scene.lights]
         lights = [_per_observation(p, [names.index(o.light) for o in p.images]) for p in self._sets]
         self._light = _joined(lights).astype(np.intp)
-        self._scale = _joined([_per_observation(p, [sensor_scale(scene, o) for o in p.images]) for p in self._sets])
+        self._scale = _joined(
+            [_per_observation(p, [_placement.sensor_scale(scene, o) for o in p.images]) for p in self._sets]
+        )
         self._measured = _joined([p.levels.ravel() for p in self._sets])
         frames = _joined([_per_observation(p, [float(o.frames) for o in p.images]) for p in self._sets])
         parts = ((np.broadcast_to(o.subtracted, o.levels.shape), p) for p in self._sets for o in p.images)
@@ -218,7 +197,7 @@ class RefinementProblem:
         for pixels in self._sets:
             width = _OUTLINE_STEP if pixels.rays > 1 else _INNER_STEP
             place = self._frame.placement(x[: self._poses] + (0.0 if off is None else width * off))
-            view = view_of_placed(self._scene, pixels.posture, place)
+            view = _placement.view_of_placed(self._scene, pixels.posture, place)
             diffuse, specular = light_at(self._scene, pixels, view, self._caster, sigmas=sigmas, threads=self._threads)
             parts.append(np.concatenate([diffuse[None], specular]).reshape(1 + len(sigmas), -1))
         return np.concatenate(parts, axis=1) if parts else np.zeros((1 + len(sigmas), 0))
@@ -266,7 +245,11 @@ def _per_observation(pixels: PixelSet, values: Sequence[float]) -> Float64:
 def start_parameters(scene: Scene, frame: PoseFrame, placement: Placement) -> Float64:
     """Parameters with the scene's reflectance, gains of 1 and no dark level, shape (K,)."""
     own = scene.reflectance
-    of_surface = [math.log(max(own.R_d, LEAST_R_D)), math.log(max(own.R_s, LEAST_R_S)), math.log(own.sigma)]
+    of_surface = [
+        math.log(max(own.R_d, _placement.LEAST_R_D)),
+        math.log(max(own.R_s, _placement.LEAST_R_S)),
+        math.log(own.sigma),
+    ]
     return np.array([*frame.pose(placement), *of_surface, *np.zeros(len(scene.lights)), 0.0])
 
 

@@ -26,24 +26,10 @@ from lightopt.core.arrays import Float64
 from lightopt.core.least_squares import Solution, solve
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import rotation_z
+from lightopt.estimate.registration import _placement, _refinement
 from lightopt.estimate.registration._image_checks import refuse_useless_images
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._placement import (
-    PixelSet,
-    Placement,
-    PoseFrame,
-    light_at,
-    place_part,
-    sensor_scale,
-    view_of_placed,
-)
-from lightopt.estimate.registration._refinement import (
-    OUTLINE_PX,
-    RefinementProblem,
-    choose_pixels,
-    parameter_limits,
-    start_parameters,
-)
+from lightopt.estimate.registration._placement import PixelSet, Placement, PoseFrame
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
 from lightopt.rendering import trace_samples
@@ -51,22 +37,17 @@ from lightopt.scene import Scene
 
 # rotations to compare [rad]: within the reach of a registration, and all round, by the golden angle
 ROTATIONS = np.concatenate([np.radians([1.9, 3.7, 6.0, 11.0]), np.radians(137.50776) * np.arange(5, 17)])
-
 # facets of a body of revolution are off it by up to one chord error, two of them by up to 1.7 (measured, 24 to 720
 # sections); those of spheres of even triangles by up to 2.6
 DEPTH_FACTOR = 3.0
-
 # interpolated normals are off by up to a third of the angle that a facet spans about the axis (measured likewise)
 NORMAL_FACTOR = 0.5
-
 # and, where facets are of unequal shapes, by up to a tenth of the angle between the normals of their corners (measured
 # on a torus and on fillets of a knob as they are found in the wild)
 CURVED_FACTOR = 0.15
-
 # differences of depth [px] and of normals [rad] up to these are none: light depends on normals, on depth by parallax
 # alone
 LEAST_DEPTH_PX, LEAST_ANGLE = 0.1, math.radians(0.05)
-
 AXIS_PRIOR = 1e-4  # weight of the part's middle for the axis, against normals: flat surface has no axis of its own
 
 
@@ -139,7 +120,7 @@ def _differs(before: _Surface, after: _Surface, pixel: float) -> bool:
 def _trace(scene: Scene, frame: PoseFrame, pixels: PixelSet, pose: Float64, caster: RayCaster) -> _Surface:
     # what is seen in a pose by those of the pixels that see the part
     place, middle = frame.placement(pose), np.array([*(scene.pivot + frame.middle)[:2], 0.0])
-    view = view_of_placed(scene, pixels.posture, place)
+    view = _placement.view_of_placed(scene, pixels.posture, place)
     hits, surface = trace_samples(caster, scene.mesh, view.camera, *pixels.positions)
     vertices, normals = scene.mesh.vertices, scene.mesh.normals
     assert normals is not None
@@ -171,24 +152,17 @@ def _axis(points: Float64, normals: Float64) -> Float64:
 
 
 _log = logging.getLogger("lightopt.estimate")
-
 FIRST_SHIFT_MM = 2.5  # the search begins at the best of the nominal place and of eight this far around it
-
 # residuals beyond this share of a typical lit level count alike: highlights are not modelled while searching
 TRUNCATED = 0.4
-
-LEAST_DIFFUSE = 0.2
-LEAST_LIT = 50
+LEAST_DIFFUSE, LEAST_LIT = 0.2, 50
 FIRST_STEP_MM, FIRST_STEP_RAD = 1.0, math.radians(1.0)
 SEARCH_STEPS = 80
-LIKELY_TURN_RAD = math.radians(2.0)
-TURN_PULL = 1e-4  # penalty of a rotation by this much: it decides where the images do not, for a body of revolution
-
+# penalty of a rotation by this much: it decides where the images do not, for a body of revolution
+LIKELY_TURN_RAD, TURN_PULL = math.radians(2.0), 1e-4
 STAGES = 4  # pixels are chosen anew where the part moved, so many times at most
-
 # of the stages, so many use the outline at least, once it is used: more than `STAGES` where it is late
 OUTLINE_STAGES = 2
-
 STAGE_ITERATIONS = 15  # steps of each: images that show this part take about ten, others never settle
 SETTLED_PX = 0.5  # a part that moved by less than this keeps its pixels
 ALONG_AXIS = 0.9  # a direction is named by a parameter that has this share of it
@@ -244,7 +218,7 @@ def register(
     sets = refuse_useless_images(scene, observations, caster=caster, threads=run.threads)
     start = _search_placement(scene, sets, caster, run)
     if reflectance_at is not None:
-        scene = replace(scene, reflectance=reflectance_at(place_part(scene, start)))
+        scene = replace(scene, reflectance=reflectance_at(_placement.place_part(scene, start)))
     return refine_placement(scene, observations, start, caster=caster, reduced=reduced, run=run)
 
 
@@ -265,9 +239,9 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
         lit: list[Float64] = []
         seen: list[Float64] = []
         for pixels in sets:
-            view = view_of_placed(scene, pixels.posture, place)
-            diffuse, _ = light_at(scene, pixels, view, caster, threads=run.threads)
-            scales = np.array([[sensor_scale(scene, image)] for image in pixels.images])
+            view = _placement.view_of_placed(scene, pixels.posture, place)
+            diffuse, _ = _placement.light_at(scene, pixels, view, caster, threads=run.threads)
+            scales = np.array([[_placement.sensor_scale(scene, image)] for image in pixels.images])
             known = np.isfinite(diffuse)
             lit.append((diffuse * scales)[known])
             seen.append(pixels.levels[known])
@@ -313,24 +287,26 @@ def refine_placement(
     run = run or RunContext()
     progress = run.stage("refining the registration")
     frame = PoseFrame.of(scene)
-    x, own = start_parameters(scene, frame, start), slice(0, frame.freedoms)
-    limits = parameter_limits(scene, frame, x)
+    x, own = _refinement.start_parameters(scene, frame, start), slice(0, frame.freedoms)
+    limits = _refinement.parameter_limits(scene, frame, x)
     solution: Solution | None = None
     outline = False
     iterations, moved = 0, math.inf
     number, stages = 0, STAGES
     while number < stages:
         place, few = frame.placement(x[own]), reduced or number == 0
-        inner, edges = choose_pixels(scene, observations, place, outline=outline, reduced=few, threads=run.threads)
+        inner, edges = _refinement.choose_pixels(
+            scene, observations, place, outline=outline, reduced=few, threads=run.threads
+        )
         if number == 0:
             hidden = unobservable_rotation(scene, frame, inner, x[own], caster=caster)
             limits = replace(limits, undetermined=np.pad(hidden, ((0, 0), (0, len(x) - 3))))
-        problem = RefinementProblem(scene, frame, inner, edges, x, caster=caster, threads=run.threads)
+        problem = _refinement.RefinementProblem(scene, frame, inner, edges, x, caster=caster, threads=run.threads)
         solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)
         iterations += solution.iterations
         moved = frame.distance_px(place, frame.placement(solution.x[own]))
         progress((number + 1) / (STAGES + OUTLINE_STAGES))
-        if not outline and np.any(solution.errors[own] > OUTLINE_PX * frame.pixel_steps):
+        if not outline and np.any(solution.errors[own] > _refinement.OUTLINE_PX * frame.pixel_steps):
             # the inner pixels do not determine the place well enough: begin again, with the outline
             outline = True
             x = np.concatenate([frame.pose(start), solution.x[frame.freedoms :]])

@@ -21,16 +21,13 @@ from lightopt.estimate.rig_calibration._deviations import NORMAL_95
 from lightopt.lights import PanelLight, panel_corners
 from lightopt.scene import PinholeCamera, Stage, pixel_directions, project
 
-_MOST_STEPS = 60
-_ANGLE_TOLERANCE = 1e-13  # [rad]
-
+_MOST_STEPS, _ANGLE_TOLERANCE = 60, 1e-13  # [rad]
 PANEL_PARAMETERS = (
     *(f"centre {axis} [mm]" for axis in "xyz"),
     *(f"rotation about {axis} [rad]" for axis in ("across", "along", "outward")),
     *(f"size {axis} [mm]" for axis in ("across", "along")),
 )
 """Of each panel: centre in the world frame, rotation about its own axes from the fitted pose, sides."""
-
 # standard deviations of the rig file's panels as they are before the fit, far more than they are off
 CENTRE_PRIOR, ROTATION_PRIOR, SIZE_PRIOR = 50.0, 0.5, 0.3  # [mm], [rad], share of the side
 EDGE_PRIOR = 0.5  # blur and threshold move the whole outline in or out by about so much [px]

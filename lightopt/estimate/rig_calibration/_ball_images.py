@@ -23,11 +23,9 @@ from lightopt.optics import Sensor
 
 EDGE_BLUR = 1.2  # of the derivative that finds the outline [px]
 SEARCH = 0.06  # how far the outline may be from the expected radius, as a share of it
-RAYS = 360
+RAYS, LEAST_RAYS = 360, 60
 LEAST_CONTRAST = 8.0  # of the outline's slope, in standard deviations of its noise
-LEAST_RAYS = 60
 OUTLIER = 4.0  # spreads
-
 SMOOTHING = 0.6  # before an edge is interpolated between pixels, which a sharp one is not fit for [px]
 # in standard deviations of the blur: from the edge of a highlight to the levels that its halfway level is of, and from
 # the corners, which blur rounds off, to where the edge is measured

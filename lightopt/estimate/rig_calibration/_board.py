@@ -174,12 +174,10 @@ def board_mesh(target: BoardTargetConfig, *, margin: float = 0.0) -> TriangleMes
     )
 
 
-_LEAST_CORNERS = 8
-_LEAST_MARKERS = 4
+_LEAST_CORNERS, _LEAST_MARKERS = 8, 4
 _LEAST_CONTRAST = 20.0  # of 255
 _MOST_BLUR_PX = 2.0  # standard deviation of an edge's spread
 _SATURATED, _MOST_SATURATED = 0.995, 0.01  # level, as a share of the full scale; share of the pixels of the board
-
 FORMAT = "lightopt-corners/1"
 
 

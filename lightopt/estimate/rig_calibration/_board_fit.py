@@ -14,31 +14,14 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
+from lightopt.estimate.rig_calibration import _joint_fit
 from lightopt.estimate.rig_calibration._board import Board, BoardView
 from lightopt.estimate.rig_calibration._deviations import NORMAL_95
-from lightopt.estimate.rig_calibration._joint_fit import (
-    AT,
-    BOARD_POSITION,
-    CAMERA_POSITION,
-    LENS,
-    NAMES,
-    OPTIONAL,
-    Corners,
-    JointFit,
-    Origin,
-    Prior,
-    Sightings,
-    fit_jointly,
-    inverse,
-    predict,
-    sightings,
-    stage_of,
-)
+from lightopt.estimate.rig_calibration._joint_fit import AT, NAMES, JointFit, Origin, Prior, Sightings, inverse, predict
 from lightopt.scene import PinholeCamera, Stage
 
 _TILTS_DEG, _ROTATIONS_DEG = range(-45, 46, 15), range(0, 360, 30)
 _LEAST_SINE = 0.3  # of the angle at which the camera sees the board
-
 # How well the nominal rig is known beforehand, as standard deviations. What images do not determine stays near nominal;
 # against what they do determine this has no weight.
 # Shares are of the length itself, of the image's width and of the camera's distance.
@@ -74,9 +57,11 @@ def judge_postures(
     postures = [Posture(float(t), float(r)) for t, r in product(_TILTS_DEG, _ROTATIONS_DEG)]
     points = np.arange(board.columns * board.rows)
     outer = points.reshape(board.rows, board.columns)[[0, 0, -1, -1], [0, -1, -1, 0]]
-    outline = predict(fit.x, fit.angles, fit.origin, sightings(board, [outer] * len(taken), taken), slopes=False)[0]
+    outline = predict(
+        fit.x, fit.angles, fit.origin, _joint_fit.sightings(board, [outer] * len(taken), taken), slopes=False
+    )[0]
     readings = np.radians([[p.elevation_deg, p.rotation_deg] for p in postures])
-    seen = sightings(board, [points] * len(postures), readings)
+    seen = _joint_fit.sightings(board, [points] * len(postures), readings)
     pixels, by_x, by_angles = predict(fit.x, np.zeros_like(readings), fit.origin, seen)
     shape = (len(postures), 2 * len(points), -1)
     inside = np.all((pixels >= 0.0) & (pixels <= [camera.width, camera.height]), axis=1).reshape(len(postures), -1)
@@ -163,11 +148,11 @@ def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float6
         if len(flat) < _LEAST_POINTS or np.linalg.matrix_rank(flat) < 2:
             continue
         for turned, shift in _plane_poses(seen.points[mine], rays[mine]):
-            lift, at_zero = stage_of(x).transform(Posture(*np.degrees(seen.readings[view])))
+            lift, at_zero = _joint_fit.stage_of(x).transform(Posture(*np.degrees(seen.readings[view])))
             world = origin.camera.T
             placed = Origin(origin.camera, lift.T @ world @ turned)
             there = x.copy()
-            there[BOARD_POSITION] = lift.T @ (world @ shift + x[CAMERA_POSITION] - at_zero)
+            there[_joint_fit.BOARD_POSITION] = lift.T @ (world @ shift + x[_joint_fit.CAMERA_POSITION] - at_zero)
             predicted, _, _ = predict(there, np.zeros((views, 2)), placed, seen, slopes=False)
             error = np.nan_to_num(pixels - predicted, nan=_BEHIND_PX)
             # the camera's direction shifts a view as a whole
@@ -290,9 +275,9 @@ def fit_board(
     corners = _corners(views, board)
     prior, origin = nominal_prior(board, camera, stage or Stage(), angle_error_deg)
     start = start_from_views(np.where(np.isfinite(prior.mean), prior.mean, 0.0), origin, corners.seen, corners.pixels)
-    start[0][BOARD_POSITION.stop - 1] = board.height
+    start[0][_joint_fit.BOARD_POSITION.stop - 1] = board.height
     tilted = bool(np.ptp(corners.seen.readings[:, 0]) >= _LEAST_TILTED)
-    fit = fit_jointly(corners, start, prior, on_evidence=on_evidence and tilted)
+    fit = _joint_fit.fit_jointly(corners, start, prior, on_evidence=on_evidence and tilted)
     fitted_camera, fitted_stage = _rig(fit, camera)
     predicted_rms, gain = judge_postures(fit, board, corners.seen.readings, fitted_camera)
     unit = np.array([np.degrees(1.0) if "rotation" in NAMES[i] or "elevation" in NAMES[i] else 1.0 for i in fit.free])
@@ -303,7 +288,7 @@ def fit_board(
         values=read_only(fit.x[fit.free] * unit),
         covariance=read_only(fit.of_free * np.outer(unit, unit)),
         board_rotation=read_only(fit.origin.moved(fit.x).board),
-        board_position=read_only(fit.x[BOARD_POSITION]),
+        board_position=read_only(fit.x[_joint_fit.BOARD_POSITION]),
         freed=fit.extra,
         noise=fit.noise,
         common_errors=fit.common,
@@ -315,7 +300,7 @@ def fit_board(
     )
 
 
-def _corners(views: Sequence[BoardView], board: Board) -> Corners:
+def _corners(views: Sequence[BoardView], board: Board) -> _joint_fit.Corners:
     count = board.columns * board.rows
     for view in views:
         if len(view.ids) and not 0 <= view.ids.min() <= view.ids.max() < count:
@@ -323,17 +308,17 @@ def _corners(views: Sequence[BoardView], board: Board) -> Corners:
     if not any(len(view.ids) for view in views):
         raise InputError("no image shows a point of the board")
     readings = np.radians([[view.posture.elevation_deg, view.posture.rotation_deg] for view in views])
-    seen = sightings(board, [view.ids for view in views], readings)
-    return Corners(seen, np.concatenate([view.pixels for view in views]))
+    seen = _joint_fit.sightings(board, [view.ids for view in views], readings)
+    return _joint_fit.Corners(seen, np.concatenate([view.pixels for view in views]))
 
 
 def _rig(fit: JointFit, nominal: PinholeCamera) -> tuple[PinholeCamera, Stage]:
     x = fit.x
     right, down, forward = fit.origin.moved(x).camera
-    k1, k2, p1, p2, k3 = (float(k) for k in x[LENS])
+    k1, k2, p1, p2, k3 = (float(k) for k in x[_joint_fit.LENS])
     camera = replace(
         nominal,
-        position=x[CAMERA_POSITION].copy(),
+        position=x[_joint_fit.CAMERA_POSITION].copy(),
         right=right,
         up=-down,
         forward=forward,
@@ -342,7 +327,7 @@ def _rig(fit: JointFit, nominal: PinholeCamera) -> tuple[PinholeCamera, Stage]:
         aspect=float(x[AT["camera.aspect"]]),
         distortion=replace(nominal.distortion, k1=k1, k2=k2, p1=p1, p2=p2, k3=k3),
     )
-    return camera, stage_of(x)
+    return camera, _joint_fit.stage_of(x)
 
 
 def _residuals(views: Sequence[BoardView], fit: JointFit, seen: Sightings) -> tuple[ViewResidual, ...]:
@@ -365,10 +350,10 @@ def _unobservable(fit: JointFit, tilted: bool) -> tuple[str, ...]:
     # quantities whose error is not much less than it was beforehand. Where the tilt hardly changes, errors of the
     # board's shape pass for another lens, whatever the covariance is
     axes = np.eye(len(NAMES))
-    axes[CAMERA_POSITION, CAMERA_POSITION] = fit.origin.camera
+    axes[_joint_fit.CAMERA_POSITION, _joint_fit.CAMERA_POSITION] = fit.origin.camera
     after = np.sqrt(np.einsum("ij,jk,ik->i", axes[:, fit.free], fit.of_free, axes[:, fit.free]))
     weak = {NAMES[i] for i in fit.free if after[i] > _OBSERVED * fit.prior.sd[i]}
-    quantities = {**_QUANTITIES, **{name.replace("_", " "): NAMES[OPTIONAL[name]] for name in fit.extra}}
+    quantities = {**_QUANTITIES, **{name.replace("_", " "): NAMES[_joint_fit.OPTIONAL[name]] for name in fit.extra}}
     return tuple(
         name
         for name, parameters in quantities.items()

@@ -7,15 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from lightopt.config import (
-    BoardTargetConfig,
-    PartConfig,
-    PlateTargetConfig,
-    RigConfig,
-    TargetsConfig,
-    load_part,
-    load_targets,
-)
+from lightopt.config import BoardTargetConfig, PlateTargetConfig, RigConfig, TargetsConfig, load_part, load_targets
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
@@ -32,15 +24,13 @@ from lightopt.images import dark_name, read_image_set, read_png
 from lightopt.lights import PanelLight
 from lightopt.scene import PinholeCamera, Stage, build_camera, build_lights, build_sensor, build_stage
 
-TARGETS_NAME, RIG_NAME = "targets.yaml", "rig.calibrated.yaml"
+TARGETS, RIG_NAME = "targets.yaml", "rig.calibrated.yaml"
 BOARD, BALL, PLATE, SENSOR = "board", "ball", "plate", ("sensor-a", "sensor-b")
 """Image sets of a calibration, below its folder."""
 CORNERS_NAME = "board.json"
 """Corners of the board that another program found, in place of its image set."""
-
 # covariance of a panel's parameters where only the rig file has them [mm], [rad], [mm]
 _FILED = np.diag(np.square([3.0, 3.0, 3.0, 0.04, 0.04, 0.04, 0.1, 0.1]))
-
 CELL_SHARE = 1 / 40  # side of a plate's cell, of the image's width
 
 
@@ -100,7 +90,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         raise InputError(f"{at}: expected [0, 0, z]: a calibration has its origin on the rotary axis; found {found}")
     if rig.source.path.resolve().parent == folder.resolve() and rig.source.path.name == RIG_NAME:
         raise InputError(f"{rig.source.path}: this is the result; give the rig file that was captured with")
-    targets = load_targets(folder / TARGETS_NAME)
+    targets = load_targets(folder / TARGETS)
     names = (BOARD, BALL, PLATE, *SENSOR)
     sets = {name for name in names if (folder / name).is_dir()}
     if (folder / CORNERS_NAME).is_file():
@@ -199,7 +189,9 @@ class _Images:
         return views
 
     def plate(self, target: PlateTargetConfig, camera: PinholeCamera, stage: Stage, black: float) -> list[PlateView]:
-        scale = build_sensor(self.rig.camera).max_level / self._part(PLATE).reflectance.full_scale
+        scale = (
+            build_sensor(self.rig.camera).max_level / load_part(self.folder / f"{PLATE}.yaml").reflectance.full_scale
+        )
         cell = max(8, round(CELL_SHARE * camera.width))
         views: list[PlateView] = []
         for posture, observations in self._by_posture(PLATE).items():
@@ -233,12 +225,9 @@ class _Images:
                     kind.append(FramePair(first=frames[0], second=frames[1], exposure=entry.exposure))
         return photon_transfer(pairs, darks, bit_depth=self.rig.camera.sensor.bit_depth)
 
-    def _part(self, name: str) -> PartConfig:
-        return load_part(self.folder / f"{name}.yaml")
-
     def _by_posture(self, name: str) -> dict[Posture, list[Observation]]:
-        images = read_image_set(self.folder / name)
+        images, part = read_image_set(self.folder / name), load_part(self.folder / f"{name}.yaml")
         found: dict[Posture, list[Observation]] = {}
-        for one in read_observations(images, self.rig, self._part(name), threads=self.run.threads):
+        for one in read_observations(images, self.rig, part, threads=self.run.threads):
             found.setdefault(one.posture, []).append(one)
         return found

@@ -18,15 +18,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, vector_of_rotation
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS
 from lightopt.estimate.rig_calibration._board import board_mesh
-from lightopt.estimate.rig_calibration._calibrate import (
-    BALL,
-    BOARD,
-    PLATE,
-    RIG_NAME,
-    SENSOR,
-    TARGETS_NAME,
-    RigCalibration,
-)
+from lightopt.estimate.rig_calibration._calibrate import BALL, BOARD, PLATE, RIG_NAME, SENSOR, TARGETS, RigCalibration
 from lightopt.estimate.rig_calibration._deviations import NORMAL_95, Measured
 from lightopt.geometry import TriangleMesh, box_mesh, sphere_mesh, stl_bytes
 from lightopt.images import make_folder, write_bytes_atomic, write_text_atomic
@@ -36,7 +28,6 @@ from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, build_camera, build_lights, build_sensor, build_stage, view_size
 
 COVARIANCE_NAME, FIGURES_NAME, REPORT_NAME = "rig.calibrated.npz", "calibration.json", "report.html"
-
 SQUARES = (12, 9)
 BOARD_SHARE = 0.9  # of the view that the board fills
 BOARD_TILTS_DEG, BOARD_TURNS = (0.0, 40.0, -40.0), 5
@@ -45,7 +36,6 @@ BALL_TILTS_DEG, BALL_TURNS, BALL_SHARE = (20.0, -20.0), 4, 0.2
 PLATE_TILTS_DEG = (0.0, 25.0, -25.0)
 PLATE_THICKNESS_MM = 1.0  # on the virtual bench
 SENSOR_EXPOSURES = (1.0, 1 / 2, 1 / 3, 1 / 4, 1 / 6, 1 / 8, 1 / 12, 1 / 16, 1 / 24)
-
 # light of the parts that stand for the targets at exposure 1, of 255: of white, of a panel in the ball, of the ball
 WHITE, MIRRORED, BODY = 190.0, 120.0, 40.0
 SIGMA = 0.004  # of the ball
@@ -71,7 +61,7 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
         raise InputError(f"{rig.source.at('camera')}: the view reaches beyond the table's horizon; no target fits it")
     make_folder(folder)
     # what the user has measured stays
-    path = folder / TARGETS_NAME
+    path = folder / TARGETS
     if not path.exists():
         write_text_atomic(path, _targets_text(rig, size), overwrite=False)
     targets = load_targets(path)

@@ -25,14 +25,12 @@ from lightopt.scene import PinholeCamera, Stage, pixel_directions
 
 NODES = 3  # of Gauss and Legendre along each side of a panel
 MARGIN_MM = 2.0  # from the plate's edge
-
 # standard deviations before the fit
 EXPONENT_PRIOR, VIGNETTING_PRIOR = 1.0, 0.5
 LAMBERT_PRIOR = 0.03  # of κ, for a plate that reflects as cosθ to the power 1 + κ; real ones are several % off Lambert
 EXPONENT_DECIDED = 0.33  # standard error of n from which the rig file's is kept: it does not tell 0 from 1
 HELD = 1e-6  # standard error of an n that is not fitted
 FALL_OFF_DECIDED = 9.0  # difference of χ² that decides between fall-off and none: three standard deviations
-
 _EACH = len(PANEL_PARAMETERS)
 _COMMON = 4  # n, κ and two coefficients of vignetting
 _STEP = np.array([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3, 0.1, 0.1])

@@ -23,7 +23,6 @@ from lightopt.optics import clipped_mean
 from lightopt.scene import Scene, project, view_from_part
 
 LEAST_BLOCKS = 12  # saturated areas smaller than this have no centre
-
 # lights are exchanged if the correlation of the images that change rises by this on average
 LEAST_GAIN = 0.1
 
@@ -196,7 +195,6 @@ def renamed(images: Sequence[CoarseImage], exchanged: Mapping[str, str]) -> tupl
 
 LEAST_SCORE = 8.0  # of a spot, in standard deviations of the noise and of the rest of the image
 SEEN_AGAIN = 0.5  # a spot shows in another posture where the score there is this share of the least one
-
 SMOOTH_BLOCKS = 8.0  # what is wider than this is no spot
 LARGEST_BLOCKS = 18
 LEAST_FILL = 0.35  # share of its bounding box that a spot fills: edges of highlights that are off fill less

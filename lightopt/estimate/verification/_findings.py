@@ -30,9 +30,7 @@ _KINDS = {
     "dust_part": ("dust or a defect on the part", 1.0, 0, ""),
     "dust_lens": ("dust on lens or sensor", 1.0, 0, ""),
 }
-
 _AXES = {"part": ("x", "y", "z"), "camera": ("right", "up", "ahead"), "panel": ("across", "along", "outward")}
-
 # by what the two causes are of, in alphabetical order
 _TELLING = {
     ("gain", "panel"): "a mirror ball on the stage shows where the panel stands; a light meter its brightness",
@@ -43,9 +41,7 @@ _TELLING = {
     ("camera", "camera"): "a calibration board on the tilted stage",
 }
 _ANOTHER_POSTURE = "images of another posture, with the stage rotated and tilted"
-
 SURE = 3.0  # a blur is reported whose variance is so many standard errors
-
 LEAST_DARK = 0.1  # a dark level that is off by less is not reported [sensor level]
 
 

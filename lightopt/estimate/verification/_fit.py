@@ -20,42 +20,20 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError
 from lightopt.core.least_squares import weighted_sums
-from lightopt.estimate.registration import (
-    LEAST_R_D,
-    LEAST_R_S,
-    Agreement,
-    PixelSet,
-    agreement,
-    light_at,
-    random_pixels,
-    refuse_useless_images,
-    register as register_part,
-    sensor_scale,
-)
-from lightopt.estimate.verification._parameters import (
-    SIGMA_STEP,
-    CoarseImage,
-    Group,
-    Parameters,
-    Predictions,
-    Work,
-    blurred,
-)
+from lightopt.estimate import registration
+from lightopt.estimate.registration import Agreement, PixelSet, agreement
+from lightopt.estimate.verification._parameters import CoarseImage, Group, Parameters, Predictions, Work, blurred
 from lightopt.optics import clipped_mean
 
+SIGMA_STEP = 0.01
 MOST_ENTRIES = 2_500_000  # of the matrix of derivatives
 BLOCKS = 1500  # blocks of each posture, if there are not too many images
 MISFIT_SHARE = 0.01  # of the predicted level: models are no better than that, even of the right part
-
 CLEAR = 4.0  # blocks that the model has this many standard deviations of a pixel below saturation are used
-
 # blocks that change this many times as much as nine of ten do lie across the edge of a shadow: few of them would
 # outweigh all others
 STEEP = 15.0
-
-
 CELLS = 24  # of neighbouring blocks, along the width of an image
-
 BLUR_PX = 1.5  # blur for the difference
 
 
@@ -76,7 +54,7 @@ class Model:
         columns: list[list[NDArray[Any]]] = []  # of each image
         for posture, prediction in predictions.items():
             mine = [n for n, image in enumerate(images) if image.source.posture == posture]
-            row, column = random_pixels(prediction.clean, budget)
+            row, column = registration.random_pixels(prediction.clean, budget)
             if not len(row):
                 continue
             levels = np.stack([images[n].levels[row, column] for n in mine]).astype(np.float64)
@@ -104,7 +82,7 @@ class Model:
         self.cell = np.unique(cell, return_inverse=True)[1].astype(np.int32)
         on = image.astype(np.intp)
         self._light = np.array([self.parameters.lights.index(i.source.light) for i in images], np.intp)[on]
-        self._scale = np.array([sensor_scale(self.scene, i.source) for i in images])[on]
+        self._scale = np.array([registration.sensor_scale(self.scene, i.source) for i in images])[on]
         self._count = np.array([float(i.count) for i in images])[on]
         self._corrected = False
         self._correction = np.zeros(len(on))
@@ -131,9 +109,9 @@ class Model:
             view = self.parameters.view(self.scene, pixels.posture, theta)
             column, row = view.camera.axis_px
             view = replace(view, camera=replace(view.camera, principal_point=(column - x, row - y)))
-            diffuse, specular = light_at(self.scene, pixels, view, caster, sigmas=sigmas, threads=threads)
-            diffuse = max(own.R_d, LEAST_R_D) * diffuse.ravel()
-            specular = max(own.R_s, LEAST_R_S) * scale_s * specular.reshape(2, -1)
+            diffuse, specular = registration.light_at(self.scene, pixels, view, caster, sigmas=sigmas, threads=threads)
+            diffuse = max(own.R_d, registration.LEAST_R_D) * diffuse.ravel()
+            specular = max(own.R_s, registration.LEAST_R_S) * scale_s * specular.reshape(2, -1)
             out.append(np.stack([diffuse + specular[0], specular[0], diffuse + specular[1]]))
         return np.concatenate([np.zeros((3, 0)), *out], axis=1)
 
@@ -211,19 +189,14 @@ class Model:
 
 # twice the logarithm of how much more likely it is, before there are images, that a group is as it was
 PRIOR_ODDS = 14.0
-
 MOST_GROUPS = 6
-HUBER = 1.5
-ROUNDS = 5
-
+HUBER, ROUNDS = 1.5, 5
 # another group explains as much if it leaves no more than this share of what the group explains, or this evidence
 SAME_SHARE, SAME_EVIDENCE = 0.05, 10.0
-
 MOST_STEPS = 6
 SETTLED = 0.05  # a step is the last if it changes no parameter by more than this share of its limit
 STALE_BLOCKS = 0.5  # blocks are chosen anew, and images rendered, where the part's image has moved by more than this
 LEAST_ROWS = 300  # fewer blocks of all images determine nothing
-
 # an excess residual of more than this share of the level is not explained: the part may lie elsewhere
 UNEXPLAINED_SHARE = 0.15
 # the same where its image has moved by more than this, and the residual is still so many times the noise
@@ -371,13 +344,13 @@ def fit_faults(
     Raises InputError: images that show nothing, or that no faults explain.
     """
     observations = [image.source for image in images]
-    refuse_useless_images(work.scene, observations, caster=work.caster, threads=work.run.threads)
+    registration.refuse_useless_images(work.scene, observations, caster=work.caster, threads=work.run.threads)
     origin = np.zeros(work.parameters.size) if good is None else good.theta
     deviations = deviations if good is None else deviations[:, :0]
     fit = _descend(work, images, good, deviations, origin, origin)
     far = work.moved_blocks(fit.theta, origin) > FAR_BLOCKS and fit.left.residual > FAR_RESIDUAL * fit.left.noise
     if register and (far or fit.left.share > UNEXPLAINED_SHARE):
-        found = register_part(work.scene, observations, caster=work.caster, reduced=True, run=work.run)
+        found = registration.register(work.scene, observations, caster=work.caster, reduced=True, run=work.run)
         start = work.parameters.at_placement(work.scene, found.placement)
         other = replace(_descend(work, images, good, deviations, origin, start), registered=True)
         fit = min(fit, other, key=lambda one: one.left.residual)

@@ -29,7 +29,6 @@ from lightopt.rendering import cast_rays_at, mask_pixels, render_posture
 from lightopt.scene import PartView, PinholeCamera, Scene, Stage, project, view_from_part, with_reflectances
 
 _DEG = math.pi / 180.0
-
 # kind: parameters, step of differences, prior, name of the limit; lengths in mm, angles in rad, shares, sensor levels
 _FAULTS = {
     "exposure": (1, 0.0, 0.3, "exposure"),
@@ -46,7 +45,6 @@ _OF_LIGHTS = ("gain", "panel_shift", "panel_turn")
 NUISANCE = {"ln R_s": 0.03, "ln sigma": 0.03, "blur [px²]": 2.0}
 """What a calibrated reflectance may still be off, and the focus, with the standard deviations. R_d is that of the part
 file, since a change of both coefficients is a change of the exposure."""
-SIGMA_STEP = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,7 +227,6 @@ def _as_camera(scene: Scene, p: Parameters, rigs: list[tuple[PinholeCamera, Stag
 
 
 COARSE_WIDTH = 540  # about so many columns of a coarse image
-
 PANEL_MM = 10.0  # a panel that has moved by this is as bad as a part that has moved by a block
 # rigs that differ by less have the same images: in place [block], reflectance and blur [px²]
 SAME_BLOCKS, SAME_SHARE, SAME_BLUR = 0.02, 0.005, 0.2

@@ -23,24 +23,9 @@ from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, observed_postures, read_observations
-from lightopt.estimate.verification._comparison import (
-    LightComparison,
-    compare_image,
-    compare_lights,
-    exchanged_lights,
-    find_spots,
-    renamed,
-)
-from lightopt.estimate.verification._findings import (
-    SURE,
-    Finding,
-    dark_findings,
-    fault_name,
-    focus_findings,
-    group_finding,
-    spot_findings,
-    swap_findings,
-)
+from lightopt.estimate.verification import _comparison, _findings
+from lightopt.estimate.verification._comparison import LightComparison
+from lightopt.estimate.verification._findings import Finding
 from lightopt.estimate.verification._fit import alternatives, fit_faults
 from lightopt.estimate.verification._parameters import Parameters, VerifyLimits, Work, calibrated_deviations
 from lightopt.images import ImageSet, ResultFolder, csv_text, make_folder, write_text_atomic
@@ -150,8 +135,8 @@ def verify_observations(
         known = work.blocks(_matching(observations, baseline))
         good = fit_faults(work, known, where="the known good set", **how)
     images = work.blocks(observations)
-    exchanged = exchanged_lights(work.coarse, images, work.predict(np.zeros(work.parameters.size)))
-    fit = fit_faults(work, renamed(images, exchanged), good, where=where, **how)
+    exchanged = _comparison.exchanged_lights(work.coarse, images, work.predict(np.zeros(work.parameters.size)))
+    fit = fit_faults(work, _comparison.renamed(images, exchanged), good, where=where, **how)
 
     p, theta = work.parameters, fit.theta
     origin = np.zeros(p.size) if good is None else good.theta
@@ -160,28 +145,30 @@ def verify_observations(
     for kind in ("part_shift", "part_turn"):
         plain[p.group(kind).where] = theta[p.group(kind).where]
     predictions = work.predict(plain)
-    before = [compare_image(work, fit, good, number, plain, predictions) for number in range(len(images))]
-    after = [compare_image(work, fit, good, number, theta, fit.predictions) for number in range(len(images))]
-    spots, many = find_spots(work, fit, after)
+    before = [_comparison.compare_image(work, fit, good, number, plain, predictions) for number in range(len(images))]
+    after = [
+        _comparison.compare_image(work, fit, good, number, theta, fit.predictions) for number in range(len(images))
+    ]
+    spots, many = _comparison.find_spots(work, fit, after)
     blur = p.nuisance[-1]
     blur_error = float(np.sqrt(fit.covariance[blur, blur]))
     own, known_good = ([i.source for i in one.images] if one else () for one in (fit, good))
     findings = [
-        *swap_findings(exchanged),
+        *_findings.swap_findings(exchanged),
         *(
-            group_finding(group, fit.faults, fit.covariance, alternatives(fit.evidence, fit.chosen, group))
+            _findings.group_finding(group, fit.faults, fit.covariance, alternatives(fit.evidence, fit.chosen, group))
             for group in fit.chosen
         ),
-        *dark_findings(own, known_good, limits.black),
-        *focus_findings(float(fit.faults[blur]), blur_error, limits.blur_px),
-        *spot_findings(spots, work.side),
+        *_findings.dark_findings(own, known_good, limits.black),
+        *_findings.focus_findings(float(fit.faults[blur]), blur_error, limits.blur_px),
+        *_findings.spot_findings(spots, work.side),
     ]
     hidden = [group for group in p.groups if group not in fit.chosen and not fit.evidence.visible(group)]
-    unseen = [fault_name(group.kind, group.light) for group in hidden]
+    unseen = [_findings.fault_name(group.kind, group.light) for group in hidden]
     return Verification(
         findings=tuple(sorted(findings, key=lambda f: not f.exceeds)),
-        lights=compare_lights(work, before, after, predictions),
-        unseen=(*unseen, *(("focus",) if SURE * blur_error > limits.blur_px**2 else ())),
+        lights=_comparison.compare_lights(work, before, after, predictions),
+        unseen=(*unseen, *(("focus",) if _findings.SURE * blur_error > limits.blur_px**2 else ())),
         warnings=(_MANY_SPOTS,) if many else (),
         limits=limits,
         registered=fit.registered,

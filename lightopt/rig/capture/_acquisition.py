@@ -25,8 +25,6 @@ LEAST_PIXELS = 30
 MOST_PIXELS = 200_000  # of larger images a grid of about so many pixels is compared: the next exposure waits for it
 TOLERANCE = 0.1  # share by which the exposures may differ: exposure times of cameras are not exact
 TOLERANCE_LEVELS = 0.4  # levels by which they may differ in addition: clipping at level 0, an inexact black level
-
-
 Dark = Mapping[float, Float32]  # frames without light of a posture by relative exposure [sensor level], each (H, W)
 
 

@@ -278,9 +278,7 @@ class CaptureSession:
 
 
 Connect = Callable[[CapturePlan], Devices]  # opens the devices of a plan
-
 LOCK_NAME = ".capture.lock"
-
 _FAR = 1 << 20  # Windows keeps others from reading what is locked, so that a byte behind the text is
 
 

@@ -13,14 +13,10 @@ from lightopt.rig.simulated import EXPOSURE_RANGE_US
 from lightopt.scene import angle_outside_range, part_postures, travel_order, travel_s
 
 MOST_FRAMES = 1000  # frames that one image is the mean of, at most
-
 StepKind = Literal["home", "move", "settle", "light on", "expose", "light off"]
-
 _COMMAND_S = 0.03  # setting a light and reading it back: four short dialogues, measured with ccs
-
 # from the end of an exposure to the frame being here: the virtual camera's noise, two bytes at 1 Gbit/s
 _TRANSFER_S_PER_PIXEL = {"virtual": 80e-9, "folder": 10e-9, "aravis": 20e-9, "genicam": 20e-9}
-
 _HOME = Posture(0.0, 0.0)
 
 

@@ -23,20 +23,15 @@ from lightopt.rig.capture._acquisition import AcquiredImage, Dark, ExposureImage
 from lightopt.scene import Scene, with_reflectances
 
 AMBIENT_LEVELS = 0.5  # ambient light that shifts levels by more than this causes a warning [sensor level]
-
 # images are compared at about this width, at which a small displacement of the part does not matter
 COARSE_COLUMNS = 200
-
 STAYED_DARK = 0.03  # an image darker than this share of the prediction is not lit
 CLEARLY_MORE = 0.06  # another light is reported only if its correlation is higher by this much
 RESEMBLES = 0.5  # below this correlation no light is reported: the part is not the one predicted, or is not there
-
 LEAST_CELLS = 50
-
 PIXELS_OF_CELL = 4  # of a larger cell about 4 × 4 pixels are used: the next exposure waits for the result
 PLAIN = 0.8  # correlation of the prediction with itself under noise; below it a low correlation proves nothing
 FLAT = 0.1  # a prediction whose deviation is below this share of its mean has too little pattern for any conclusion
-
 # a frame without light that has this share of a light's image more than the first one shows that it is on
 LEFT_ON = 0.05
 

@@ -20,9 +20,7 @@ from lightopt.scene import VIRTUAL_DEG_PER_S, display_picture
 STAGE = "stage"  # name of the stage among the devices of a virtual bench; controllers have the names of the rig file
 VIRTUAL = "virtual"  # port of a device that is simulated on this computer
 VIRTUAL_EXPOSURE_US = 10_000.0  # exposure time of exposure 1 where all is virtual and the rig does not give one
-
-_CHANNELS_EACH = 4
-_VIRTUAL_LEVEL = 200
+_CHANNELS_EACH, _VIRTUAL_LEVEL = 4, 200
 _LEVEL_TOLERANCE = 0.005  # how far a whole level may be from the weight of an image, as a share
 _VIRTUAL_TILT = config.AxisConfig(axis="1", steps_per_deg=1000.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
 _VIRTUAL_ROTATION = config.AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)

@@ -13,7 +13,6 @@ from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices._camera_sdk import CameraInfo, CameraLibrary, CameraSettings, RawFrame, Value, choose_camera
 
 _BUFFERS = 4
-
 # Errors of reading a register when the camera does not answer; other errors (no such address) are an answer.
 _GONE = ("IoException", "TimeoutException", "InvalidHandleException", "ClosedException")
 

@@ -13,7 +13,6 @@ from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices._device import LinkLostError
 
 _SLICE_S = 0.1  # longest single wait for a frame: signals are heard between two
-
 Value = TypeVar("Value")
 
 

@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 from lightopt.core.errors import HardwareError
 
 ATTEMPTS = 3
-
 Value = TypeVar("Value")
 
 

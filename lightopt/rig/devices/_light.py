@@ -16,7 +16,6 @@ from lightopt.rig.devices._device import Identity, RefusedError, Retry
 from lightopt.rig.devices._serial_link import Link, SerialLink, SerialLog
 
 T = TypeVar("T")
-
 _ATTEMPTS = 3  # to darken a channel whose driver fails in a way that it does not know
 
 

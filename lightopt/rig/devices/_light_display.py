@@ -34,10 +34,8 @@ from lightopt.rig.devices._device import RefusedError, ReplyError
 from lightopt.rig.devices._light import LightController, LightSettings, PictureSettings
 from lightopt.rig.devices._serial_link import Link, SerialLink, SerialLog
 
-_START_S = 30.0
-_END_S = 5.0
+_START_S, _END_S = 30.0, 5.0
 _WINDOW = Path(__file__).with_name("_screen_window.py")
-
 _SLICE_S = 0.02  # longest single wait for a command
 _MOST_STDERR = 500  # characters of what a command printed that a message has
 _ROUNDING = 1e-9

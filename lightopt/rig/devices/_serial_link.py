@@ -114,7 +114,6 @@ _WRITE_S = 1.0  # a write has this long at least: flow control may hold it up lo
 _LATE_BYTES = 4096  # most that is read of what already lies in the input when a deadline is over
 _SENT_BYTES = 300  # most of a command that a message has
 _USUAL_BAUD = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
-
 Value = TypeVar("Value")
 
 

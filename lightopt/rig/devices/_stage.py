@@ -117,7 +117,6 @@ class Dialogue(ABC):
 
 
 HOME_FIRST = "home it first: lightopt bench home RIG"
-
 _POLL_S = 0.02  # between two queries of a moving stage,
 _NEAR_S = 0.004  # and when it should arrive
 _MARGIN_S = 3.0  # beyond twice the travel time: ramps, replies

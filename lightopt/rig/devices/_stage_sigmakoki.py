@@ -26,7 +26,6 @@ from lightopt.rig.devices._stage import Axis, Dialogue, Reading
 
 END = b"\r\n"
 RAMP_MS = 200  # acceleration and deceleration; the controllers' own value at power-up
-
 _POSITION = re.compile(r"\s*([+-]?)\s*(\d+)\s*")
 _LIMITS = {"L": "axis 1", "M": "axis 2", "W": "both axes"}
 _GSC_SPEEDS = {1: (1, 200), 2: (50, 20_000)}  # speed ranges of D: [pulses/s]

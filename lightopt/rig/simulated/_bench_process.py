@@ -16,8 +16,7 @@ from typing import Any, BinaryIO
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.interrupts import start_apart
 
-_START_S = 120.0
-_REQUEST_S = 120.0
+_START_S, _REQUEST_S = 120.0, 120.0
 _ANSWER_S = 10.0  # a process that has nothing to compute for an answer and takes longer hangs
 _LOOK_S = 0.01
 WRONG = 2  # exit status of the process where its description is at fault
@@ -26,7 +25,6 @@ _START = (
     "import sys; sys.path[:] = sys.argv.pop(1).split(chr(10)); "
     "import runpy; runpy.run_module('lightopt.rig.simulated', run_name='__main__', alter_sys=True)"
 )
-
 CAMERA = "camera"  # name of a GigE camera among the devices of a bench
 EXPOSURE_RANGE_US = (10.0, 10e6)
 """Shortest and longest exposure time of the virtual camera [µs]; it holds whole microseconds."""

@@ -18,10 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.integer[Any]]
-
 _DENSE = {0x010A0046: 10, 0x010C0047: 12}  # bits of a pixel in formats without anything between pixels
 _PAIRED = {0x010C0004: 2, 0x010C0006: 4}  # lower bits of each of two pixels in three bytes
-
 # number and bits by name
 FORMATS: dict[str, tuple[int, int]] = {
     "Mono8": (0x01080001, 8),
@@ -55,9 +53,7 @@ def packed(levels: Image, code: int) -> bytes:
 
 # what is seen at an exposure time [µs] and a gain [dB]; whether the frame was triggered or followed another
 Expose = Callable[[float, float, bool], Image]
-
-_ADDRESS = "127.0.0.1"
-_CONTROL_PORT = 3956
+_ADDRESS, _CONTROL_PORT = "127.0.0.1", 3956
 _FREE_S = 100.0
 _LONGEST_US = 1_000_000
 _PERIOD_US = 10_000  # between two frames of a camera that runs freely

@@ -18,12 +18,9 @@ from typing import Any, TypeVar
 from lightopt.rig.simulated._firmware import Firmware, SeenPicture, build
 
 T = TypeVar("T")
-
 Response = tuple[dict[str, Any], bytes]  # a JSON object, and bytes that follow it; often none
-
 # Answers a request; all run in one thread. A ValueError or KeyError becomes the asker's.
 Handler = Callable[[Mapping[str, Any]], Response]
-
 have_ptys = sys.platform != "win32"
 
 

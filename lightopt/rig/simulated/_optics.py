@@ -27,7 +27,6 @@ from lightopt.scene import Scene, display_picture, move_part
 COMPARED_COLUMNS = 100  # pixels that pictures are compared in
 MISFIT = 2e-3  # share of the full radiance that a sum of channels may be off, beside the rounding of levels
 LEAST_SHARE = 2e-3  # of a channel: less is rounding
-
 Levels = UInt8 | NDArray[np.uint16]
 _CACHE_BYTES = 512 << 20
 _MOST_PICTURES = 64  # that are kept, other than those of channels
