@@ -20,8 +20,6 @@ from lightopt.images import MANIFEST_NAME, read_image_set
 
 @dataclass(frozen=True, kw_only=True)
 class OptionForm:
-    """An option of a command."""
-
     flag: bool = False  # without a value
     has_opposite: bool = False  # --no-NAME is a flag, too
     repeatable: bool = False
@@ -212,10 +210,7 @@ def _fingerprint(images: Path | None) -> dict[str, Any]:
 
 
 def option_words(batch: BatchConfig, index: int, form: CommandForm) -> tuple[list[str], list[Path]]:
-    """The options of a job as words of its command line, and the files that they name, relative to the batch file.
-
-    Check :func:`option_problems` first.
-    """
+    """The options of a job, once checked, as words of its command line, and the files that they name."""
     words, files = list[str](), list[Path]()
     for name, value in batch.jobs[index].options.items():
         option = form.options[name]

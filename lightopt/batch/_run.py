@@ -18,8 +18,6 @@ from lightopt.images import csv_text, make_folder, write_text_atomic
 
 @dataclass(frozen=True, kw_only=True)
 class BatchResult:
-    """What became of the tasks of a batch."""
-
     tasks: tuple[Task, ...]
     outcomes: Mapping[str, Outcome]  # by place; those of an interrupted batch lack some
     seconds: float
@@ -27,7 +25,6 @@ class BatchResult:
     paths: tuple[Path, ...]  # summary and page
 
     def count(self, *states: State) -> int:
-        """Number of tasks in any of these states."""
         return sum(outcome.state in states for outcome in self.outcomes.values())
 
 

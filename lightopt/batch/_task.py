@@ -40,8 +40,6 @@ class FromTask:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """A job for a rig and a part."""
-
     job: str
     rig: str
     part: str
@@ -61,8 +59,6 @@ State = Literal["done", "kept", "failed", "skipped"]
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of a task."""
-
     place: str
     state: State
     seconds: float = 0.0
@@ -88,10 +84,7 @@ class _Record:
 
 
 def published(task: Task) -> Outcome | None:
-    """What became of a task whose results are there, complete and of the same inputs; None where it has to be run.
-
-    Raises InputError: Something else is in its place
-    """
+    """Outcome of a task whose results are there, whole and of the same inputs, or None; InputError: others are."""
     try:
         found: dict[str, Any] = json.loads((task.folder / RECORD_NAME).read_text(encoding="utf-8"))
         record = _Record(**found)

@@ -29,8 +29,6 @@ _ROUND = 0.02  # share of its radius by which a disc's outline may be off a circ
 
 @dataclass(frozen=True, kw_only=True)
 class PhotographedPart:
-    """A part in the world."""
-
     name: str
     file: str  # as the part file names it
     units: str | None = "mm"
@@ -168,39 +166,26 @@ def _quoted(text: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """What the photographs show and how they were taken.
+    """What the photographs show and how they were taken."""
 
-    camera: Calibration file with K
-    pose: File with [R|t]; `camera` unless given
-    pose_units: Unit of t
-    turn_world: Rotation about X [deg] that makes Z point up
-    mesh, sphere: The part, one of them: a file, or a radius [mm]
-    mask: Image of the pixels that show the part
-    gamma: Encoding of the levels; linear if None, with a warning for 8 bits
-    bits: Bits of samples that are right-aligned in 16 bits
-    """
-
-    camera: Path
-    pose: Path | None = None
-    pose_units: Literal["mm", "cm", "m"] = "mm"
-    turn_world: Turn | None = None
-    mesh: Path | None = None
+    camera: Path  # calibration file with K
+    pose: Path | None = None  # file with [R|t]; `camera` unless given
+    pose_units: Literal["mm", "cm", "m"] = "mm"  # of t
+    turn_world: Turn | None = None  # rotation about X [deg] that makes Z point up
+    mesh: Path | None = None  # the part: a file, or a sphere
     mesh_units: str | None = None
-    sphere: float | None = None
-    mask: Path | None = None
-    gamma: Literal["linear", "srgb"] | None = None
-    bits: int | None = None
+    sphere: float | None = None  # its radius [mm]
+    mask: Path | None = None  # image of the pixels that show the part
+    gamma: Literal["linear", "srgb"] | None = None  # encoding; linear if None, with a warning for 8 bits
+    bits: int | None = None  # of samples that are right-aligned in 16 bits
 
     @property
     def turn_deg(self) -> float:
-        """Rotation of the world about its X axis."""
         return float((self.turn_world or "x0").removeprefix("x"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedSet:
-    """What :func:`import_photographs` wrote."""
-
     manifest: images.Manifest
     size: tuple[int, int]
     overlap: float | None  # intersection over union of mask and part; None without a mask
@@ -209,12 +194,7 @@ class ImportedSet:
 def import_photographs(
     folder: Path, table: Path, out: Path, *, options: ImportOptions, force: bool = False, run: RunContext | None = None
 ) -> ImportedSet:
-    """Write rig.yaml, part.yaml and an image set of photographs, so that they are read like captured images.
-
-    folder: Of the photographs
-    table: CSV of the lights
-    Raises InputError: Table, calibration, images, part or output folder are not as expected
-    """
+    """Write rig, part and image set of photographs and their CSV of lights; InputError: not as expected."""
     run = run or RunContext()
     rows = read_light_table(table)
     shape = _common_format(folder, rows, options)

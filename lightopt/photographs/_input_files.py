@@ -31,8 +31,6 @@ _ROTATION, _TRANSLATION = ("rvec", "R"), ("tvec", "T", "t")
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """How a camera images."""
-
     focal: tuple[float, float]  # in columns and rows [px]
     principal_point: tuple[float, float]  # column and row [px]; the first pixel's centre is at (0.5, 0.5)
     distortion: Mapping[str, float]  # coefficients k1, k2, p1, p2, k3 by their name
@@ -147,8 +145,6 @@ _UNIT_TOLERANCE = 0.05  # a direction whose length is further off 1 is suspected
 
 @dataclass(frozen=True)
 class TableRow:
-    """One photograph."""
-
     where: str  # file and line, for messages
     image: str
     light: str

@@ -21,8 +21,6 @@ Level = Literal["ok", "note", "warning", "error"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding of a check."""
-
     level: Level
     topic: str  # what it is about, in a word or two
     text: str  # for people: with numbers, and what to do where something is to be done
@@ -44,7 +42,6 @@ class CheckResult:
 
     @property
     def worst(self) -> Level:
-        """The worst level found; ok where there is none."""
         levels: list[Level] = ["ok", *(finding.level for finding in self.findings)]
         return max(levels, key=get_args(Level).index)
 
@@ -83,8 +80,6 @@ class PostureSamples:
 
 @dataclass(frozen=True)
 class CheckedScene:
-    """A rig with a part on it."""
-
     rig: RigConfig
     part: PartConfig
     scene: Scene
@@ -98,7 +93,6 @@ class CheckedScene:
         return np.array([own.R_s > 0.0 for own in self.scene.reflectances])[surface.material]
 
     def of_posture(self, sample: PostureSamples, level: Level, topic: str, text: str, **values: Any) -> Finding:
-        """A finding about a posture of the part file."""
         index = self.samples.index(sample)
         where, values = self.part.source.at("postures", index), {"posture": sample.posture.as_dict(), **values}
         return Finding(level, topic, f"posture {sample.posture}: {text}", where, values)

@@ -45,6 +45,7 @@ MOST_DUST = 0.1  # where more of a geometry's pixels than this are far off, that
 # what the model gets wrong is then less than three quarters of the noise
 MOST_MISFIT = 1.25
 _CHUNK = 65_536
+# Immerkær 1996, doi:10.1006/cviu.1996.0060: what it leaves of anything that is a plane or a saddle is nothing
 _WINDOW = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
 
 
@@ -180,10 +181,7 @@ def find_dust(samples: Samples, mean: Float64) -> Bool:
 
 
 def measure_misfit(criterion: LeastSquares, x: Float64) -> float:
-    """Residual of least squares over the noise, both rms over the lit pixels of one exposure; that of the worst one.
-
-    The noise is that of the rig file or, where they show more, of the images.
-    """
+    """Residual of least squares over the noise by rig file or images, both rms of lit pixels, at the worst exposure."""
     s = criterion.samples
     sensor = s.sensor
     mean = predicted(s, criterion.light(x), x)
@@ -204,10 +202,7 @@ def measure_misfit(criterion: LeastSquares, x: Float64) -> float:
 
 
 def image_noise(samples: Samples) -> float:
-    """Typical deviation of a lit pixel from the plane through its neighbours [sensor level]; 0 where there is none.
-
-    Immerkær 1996, doi:10.1006/cviu.1996.0060: what a 3 × 3 window leaves of anything that is a plane or a saddle.
-    """
+    """Typical deviation of a lit pixel from the plane through its neighbours [sensor level]; 0 where there is none."""
     row, column = samples.places
     height, width = samples.images[0].levels.shape
     use = (row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)

@@ -140,7 +140,6 @@ class Estimate(Coefficients):
         return math.sqrt(self.covariance[i, i] * self.inflation[i])
 
     def correlation(self, first: int, second: int) -> float:
-        """Correlation of two parameters that were fitted."""
         i, j = self.free.index(first), self.free.index(second)
         return float(self.covariance[i, j] / math.sqrt(self.covariance[i, i] * self.covariance[j, j]))
 

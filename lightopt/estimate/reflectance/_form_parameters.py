@@ -60,23 +60,15 @@ WIDE_UNDETERMINED = 0.5  # standard deviation of a logarithm that the images do 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FittedParameter:
-    """A parameter of the form as fitted.
-
-    value, variance: Of the parameter, as the scan's pixels have it
-    slopes: How R_d, ln R_s and ln σ follow the parameter, shape (3,)
-    """
+    """A parameter of the form as fitted."""
 
     name: ParameterName
-    value: float
+    value: float  # as the scan's pixels have it
     variance: float
-    slopes: Float64
+    slopes: Float64  # how R_d, ln R_s and ln σ follow the parameter, shape (3,)
 
     def values(self, found: Estimate, others: Sequence[FittedValue], model: SpecularModel) -> tuple[FittedValue, ...]:
-        """Coefficients and the form's parameter, whose uncertainty the coefficients' errors and intervals include.
-
-        others: The coefficients, as fitted with the form held
-        model: Of the lobe
-        """
+        """Coefficients as fitted with the form held, and the form's parameter, whose uncertainty they include."""
         width = next(one for one in others if one.name == model.width_key)
         own = math.sqrt(self.variance * float(np.mean(found.inflation)) * found.critical / CHI2_95)
         units = (1.0, found.R_s, width.value)
@@ -106,7 +98,6 @@ def _widened(one: FittedValue, more: float) -> FittedValue:
 def changed_form(
     model: SpecularModel, form: DiffuseForm, name: ParameterName, value: float
 ) -> tuple[SpecularModel, DiffuseForm]:
-    """Lobe and form of the diffuse component with another value of the parameter."""
     if name == "across":
         return replace(model, across_ratio=math.exp(value)), form
     return model, DiffuseForm(exponent=value) if name == "exponent" else DiffuseForm(roughness=value)
@@ -115,10 +106,7 @@ def changed_form(
 def fit_form_parameter(
     samples: Samples, name: ParameterName, *, caster: RayCaster, freed: FreeParameters, run: RunContext
 ) -> FittedParameter:
-    """Fit exponent, roughness or the width across the brushing, together with all other parameters.
-
-    Raises InputError: images that do not determine it
-    """
+    """Fit exponent, roughness or width across the brushing, with all others; InputError: not determined."""
     report = run.stage("width across the brushing" if name == "across" else "diffuse form")
     few = subsample(samples, scan_budget(samples))
     profile = _Profile(few, name, caster, freed)
@@ -200,22 +188,14 @@ class _Profile:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WideLobe:
-    """The wider lobe as fitted.
+    """The wider lobe as fitted."""
 
-    model: With its share and its ratio
-    covariance: Of their logarithms, shape (2, 2)
-    slopes: How ln R_s and ln σ follow these logarithms, shape (2, 2)
-    """
-
-    model: SpecularModel
-    covariance: Float64
-    slopes: Float64
+    model: SpecularModel  # with its share and its ratio
+    covariance: Float64  # of their logarithms, shape (2, 2)
+    slopes: Float64  # how ln R_s and ln σ follow these, shape (2, 2)
 
     def values(self, found: Estimate, others: Sequence[FittedValue], model: SpecularModel) -> tuple[FittedValue, ...]:
-        """R_d as fitted with the wide lobe held, and height and width of both lobes, whose logarithms are normal.
-
-        others, model: As of :class:`FittedParameter`
-        """
+        """R_d with the wide lobe held, and height and width of both lobes, whose logarithms are normal."""
         places = [found.free.index(place) for place in (LOG_R_S, LOG_SIGMA)]
         inner = np.diag(found.covariance)[places] * found.inflation[places]
         inflation = float(np.mean(found.inflation[places])) * found.critical / CHI2_95
@@ -234,10 +214,7 @@ class WideLobe:
 
 
 def fit_wide_lobe(samples: Samples, *, freed: FreeParameters, held: Float64 | None, run: RunContext) -> WideLobe:
-    """Fit the wider lobe's share and ratio, together with all other parameters.
-
-    Raises InputError: Images that do not determine them
-    """
+    """Fit the wider lobe's share and ratio, with all other parameters; InputError: not determined by the images."""
     few = subsample(samples, scan_budget(samples))
     report = run.stage("wide lobe")
     scan = scan_sigma(_with_wide(few, None), freed, held)

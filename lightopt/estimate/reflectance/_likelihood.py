@@ -32,8 +32,6 @@ _Sums = tuple[Float64, Float64]  # gradient, shape (K,), and curvature, shape (K
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A criterion at a vector of parameters."""
-
     value: float
     gradient: Float64
     curvature: Float64  # positive semi-definite matrix that stands for minus the Hessian in a Newton step, shape (K, K)

@@ -26,27 +26,18 @@ WIDE_RANGE = 1.5  # where the σ of the sweep within λ_s2 reach over more than 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperOptions:
-    """Thresholds and starting values; the paper prints no threshold and no step.
+    """Thresholds and starting values; the paper prints no threshold and no step."""
 
-    lambda_d: λ_d: difference of the mean brightness that is small enough [grey level].
-    lambda_s1: λ_s1: difference of the saturated pixels that is small enough, as a share of the measured number.
-    lambda_s2: λ_s2: difference of the total specular brightness that is small enough, as a share of the measured one.
-    sigma_step: σ_step [rad]; the rows of Table 1 are multiples of 0.0025.
-    sigma_start, sigma_least, sigma_most: Where the sweep starts, and its range [rad] (section 4.3).
-    R_d_start, R_s_start: Starting values [grey level]; R_s starts at the saturation level.
-    away: Pixels whose normal is at least this far from all half vectors count as diffuse only [rad].
-    """
-
-    lambda_d: float = 0.01
-    lambda_s1: float = 0.005
-    lambda_s2: float = 0.05
-    sigma_step: float = 0.0025
-    sigma_start: float = 0.01
+    lambda_d: float = 0.01  # λ_d: difference of the mean brightness that is small enough [grey level]
+    lambda_s1: float = 0.005  # λ_s1: likewise of the number of saturated pixels, as a share of the measured number
+    lambda_s2: float = 0.05  # λ_s2: likewise of the total specular brightness, as a share of the measured one
+    sigma_step: float = 0.0025  # σ_step [rad]; the rows of Table 1 are multiples of 0.0025
+    sigma_start: float = 0.01  # where the sweep starts [rad] (section 4.3), and its range
     sigma_least: float = 0.001
     sigma_most: float = 0.2
-    R_d_start: float = 10.0
-    R_s_start: float = 255.0
-    away: float = math.radians(20.0)
+    R_d_start: float = 10.0  # starting values [grey level]
+    R_s_start: float = 255.0  # the saturation level
+    away: float = math.radians(20.0)  # pixels with a normal so far from all half vectors count as diffuse only [rad]
 
     def problems(self) -> tuple[str, ...]:
         found = [
@@ -83,8 +74,6 @@ class PaperDiffuse:
 
 @dataclass(frozen=True, kw_only=True)
 class SigmaStep:
-    """One σ of the sweep."""
-
     sigma: float
     R_s: float  # where N_s came close enough to N_m [grey level]
     reached: bool

@@ -60,7 +60,6 @@ class Quality:
 
     @property
     def poor(self) -> bool:
-        """Whether the model describes the images badly."""
         return self.epsilon > POOR_EPSILON or self.typical > POOR_NOISE * self.floor
 
     def as_dict(self) -> dict[str, float | bool | None]:
@@ -68,7 +67,6 @@ class Quality:
 
 
 def assess_quality(samples: Samples, found: Estimate) -> Quality:
-    """Compare a fit with the pixels that it was made from."""
     sensor = samples.sensor
     mean = mean_levels(samples, found)
     level = samples.level.astype(np.float64)
@@ -139,10 +137,7 @@ def fit_warnings(
 
 
 def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False) -> Iterator[str]:
-    """Warn where the model does not describe the images, or the rig file their noise.
-
-    placed: Whether the part's placement is excluded as a cause: it was fitted, or no other explains the residual.
-    """
+    """Warn of images that the model does not describe; `placed`: the part's placement is excluded as a cause."""
     if quality.image_noise > MORE_NOISE * quality.noise:
         yield (
             f"the noise of the images is about {quality.image_noise:.2g} sensor levels, but {quality.noise:.2g} by the "
@@ -283,7 +278,6 @@ def measure_noise(samples: Samples, mean: Float64, *, describes: bool = True) ->
 
 
 def noise_warnings(noise: MeasuredNoise) -> Iterator[str]:
-    """Warn where the noise is not, or only partly, written."""
     if noise.read_noise_levels is None and noise.electrons_per_level is None:
         yield f"the noise is not written: {noise.hindrance}"
     elif noise.hindrance:

@@ -54,8 +54,6 @@ class FittedValue:
 
 @dataclass(frozen=True, kw_only=True)
 class FitResult:
-    """Fitted reflectance."""
-
     kind: Literal["diffuse", "specular"]
     method: Literal["likelihood", "paper"]
     model: SpecularModel  # the specular lobe
@@ -87,7 +85,6 @@ class FitResult:
     paper: PaperDiffuse | PaperSpecular | None = None
 
     def value(self, name: str) -> float:
-        """A coefficient by name."""
         return next(v.value for v in self.values if v.name == name)
 
     @property
@@ -162,15 +159,11 @@ class FitResult:
 
 @dataclass(frozen=True, kw_only=True)
 class RegionFit:
-    """The fit of a region of the part.
-
-    result: None where the images do not determine its reflectance, which then stays as it is
-    refused: Why they do not; None where they do
-    """
+    """The fit of a region of the part."""
 
     name: str
-    result: FitResult | None = None
-    refused: str | None = None
+    result: FitResult | None = None  # None where images do not determine its reflectance, which stays as it is
+    refused: str | None = None  # why they do not
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -191,7 +184,6 @@ def bounded(ends: tuple[float, float], value: Callable[[float], float]) -> Inter
 
 
 def format_interval(interval: Interval) -> str:
-    """Text of an interval."""
     low, high = interval
     if low is None:
         return "no bounds" if high is None else f"up to {high:.6g}, no lower bound"
@@ -220,10 +212,7 @@ def _fitted(
 
 
 def fitted_values(found: Estimate, *, full_scale: float, model: SpecularModel) -> tuple[FittedValue, ...]:
-    """R_d, R_s and the lobe's width, with standard errors and intervals.
-
-    Of a Gaussian lobe also the saturated half-angle under a point light.
-    """
+    """R_d, R_s, the lobe's width, and of a Gaussian lobe the saturated half-angle under a point light; with errors."""
     factor = model.width_factor
     r_s = _fitted("R_s", found.R_s, found, LOG_R_S, math.exp, slope=found.R_s)
     width = factor * found.sigma
@@ -279,21 +268,14 @@ def fitted_dark(scene: Scene, found: Estimate) -> FittedValue:
 def fit_folder(
     folder: Path, rig: RigConfig, part: PartConfig, image_set: ImageSet, options: Mapping[str, Any], *, force: bool
 ) -> ResultFolder:
-    """Open a folder that a fit is written to.
-
-    options: In JSON form
-    Raises InputError: the folder holds a fit of other inputs, and `force` is False.
-    """
+    """Open the folder of a fit, `options` in JSON form; InputError: it has a fit of other inputs, and no `force`."""
     made_from = provenance(inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}, options=options)
     names = {"name": FIT_NAME, "format": "lightopt-fit/1", "what": "a fit"}
     return ResultFolder(folder, made_from, **names, also=(PART_NAME, RIG_NAME), force=force)
 
 
 def write_fit(folder: ResultFolder, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
-    """Write the part, where gains, the dark level or the noise are written the rig, and at last ``fit.json``.
-
-    Raises InputError: a file cannot be written.
-    """
+    """Write the part, the rig where any of it was fitted, and at last ``fit.json``; InputError: cannot be written."""
     texts = {PART_NAME: _part_text(folder.folder, result, part)}
     values = _rig_values(result, rig)
     if result.gains is not None or values:

@@ -32,34 +32,25 @@ PAPER_PIXELS = 150_000  # pixels per image that the paper's procedure counts
 
 @dataclass(frozen=True, kw_only=True)
 class FitOptions:
-    """How to fit.
-
-    gain, dark: Whether they are freed as well.
-    register: Whether the part's placement on the stage is found first.
-    points: Numbers of point lights per panel to try; the rig's own where empty.
-    pixels: Approximate number of pixels to use, over all images.
-    model: Form of the specular lobe, instead of the part file's; auto for that by which left-out lights are predicted
-        best.
-    diffuse: Form of the diffuse component, whose exponent or roughness is fitted, too; None for that of the part file.
-    write_noise: Whether to write the noise of the images into the rig file.
-    """
+    """How to fit."""
 
     method: Literal["likelihood", "paper"] = "likelihood"
     joint: bool = False
-    gain: bool = False
+    gain: bool = False  # whether it is freed as well, and the dark level
     dark: bool = False
-    register: bool = False
-    points: tuple[Points, ...] = ()
-    pixels: int = 1_500_000
+    register: bool = False  # whether the part's placement on the stage is found first
+    points: tuple[Points, ...] = ()  # numbers of point lights per panel to try; the rig's own where empty
+    pixels: int = 1_500_000  # about so many are used, over all images
     validate: bool = True
-    write_noise: bool = False
+    write_noise: bool = False  # whether to write the noise of the images into the rig file
+    # form of the specular lobe, not the part file's; auto for that by which left-out lights are predicted best
     model: ModelName | Literal["auto"] | None = None
+    # form of the diffuse component, whose exponent or roughness is fitted, too; None for that of the part file
     diffuse: Literal["lambert", "exponent", "oren-nayar"] | None = None
     paper: PaperOptions = field(default_factory=PaperOptions)
 
     @property
     def freed(self) -> FreeParameters:
-        """What a specular fit may change."""
         return FreeParameters(diffuse=self.joint, gain=self.gain, dark=self.dark)
 
 
@@ -79,7 +70,6 @@ class FitSetup:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Those of the registration."""
         return () if self.registration is None else self.registration.warnings
 
     @property
@@ -96,11 +86,9 @@ class FitSetup:
         return self.with_model(replace(own, name=name, wide_share=0.0, wide_ratio=1.0, measured=()))
 
     def with_model(self, model: SpecularModel) -> FitSetup:
-        """The same with another specular lobe."""
         return replace(self, scene=replace(self.scene, reflectance=replace(self.scene.reflectance, model=model)))
 
     def with_form(self, form: DiffuseForm) -> FitSetup:
-        """The same with another form of the diffuse component."""
         return replace(self, scene=replace(self.scene, reflectance=replace(self.scene.reflectance, diffuse=form)))
 
     def collect(self, *, uniform: bool = False) -> Samples:
@@ -128,10 +116,7 @@ def prepare_fit(
     *,
     model: ModelName | None = None,
 ) -> FitSetup:
-    """Read the images, build the scene that they show, and register the part where its shift is freed.
-
-    model: Form of the specular lobe; the part file's where it is None
-    """
+    """Read the images, build their scene, with another form of the lobe if given, and register a part that is free."""
     observations = registration.read_observations(image_set, rig, part, threads=run.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]

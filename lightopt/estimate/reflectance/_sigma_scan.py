@@ -52,7 +52,6 @@ class SigmaScan:
 
     @property
     def best(self) -> Maximum:
-        """The least squares of all."""
         return self.climbs[0][1]
 
     def mean_square(self, number: int) -> float:
@@ -62,10 +61,7 @@ class SigmaScan:
 
 
 def scan_sigma(samples: Samples, freed: FreeParameters, held: Float64 | None, progress: Share = ignore) -> SigmaScan:
-    """Fit a subset of the samples by least squares at each σ of the range, and climb from the peaks.
-
-    held: Values (R_d, R_s, σ) of those that are not fitted.
-    """
+    """Fit a subset by least squares at each σ, and climb from the peaks; `held`: R_d, R_s, σ where not fitted."""
     few = subsample(samples, scan_budget(samples))
     free = _free_places(samples, freed)
     guess = _first_guess(few)
@@ -107,7 +103,6 @@ def scan_sigma(samples: Samples, freed: FreeParameters, held: Float64 | None, pr
 
 
 def climb_from_peaks(profile: Sequence[Maximum], climb: Callable[[Float64], Top]) -> list[tuple[float, Top]]:
-    """Climb from each peak of a profile to its top."""
     tops: list[tuple[float, Top]] = []
     for peak in peaks(profile)[:MOST_PEAKS]:
         top = climb(peak.x)

@@ -34,8 +34,6 @@ SavePrediction = Callable[[Observation, Float32], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """A predicted image against the measured one."""
-
     image: str
     rms: float  # of the clipped residual on the part's pixels [grey level at exposure 1]
     rms_sensor: float  # the same in the image as it was delivered [sensor level]
@@ -79,10 +77,7 @@ class LeftOut(Coefficients):
 def leave_lights_out(
     setup: FitSetup, samples: Samples, found: Estimate, save_prediction: SavePrediction | None = None
 ) -> tuple[LeftOut, ...]:
-    """Predict the images of each light from a fit to those of all others; nothing where there is only one light.
-
-    A freed gain or dark level stays as all images have it, since the others do not determine that of a light.
-    """
+    """Predict the images of each light from a fit to the others, with gains and dark level of all; none for one."""
     used = sorted(set(samples.facts.light.tolist()))
     if len(used) < 2:
         return ()
@@ -107,7 +102,6 @@ def leave_lights_out(
 
 
 def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> Iterator[str]:
-    """Warn of fits that did not converge and of poor predictions."""
     if not left_out:
         yield "no validation: it leaves out one light, and the images show only one"
         return
@@ -128,10 +122,7 @@ def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> Iterat
 def compare_image(
     seen: Observation, levels: Float32, hit: Bool, sensor: Sensor, full_scale: float, *, others: Bool | None = None
 ) -> Comparison:
-    """Compare a measured image with the sensor levels predicted for it, not clipped, where the part is; (H, W).
-
-    others: Pixels of regions that are not compared; None for no such
-    """
+    """Compare an image with predicted sensor levels, not clipped, (H, W), on the part but not where `others` are."""
     own = True if others is None else ~others
     top = sensor.saturated_from
     measured = np.minimum(seen.levels, np.float32(top))
@@ -161,10 +152,7 @@ def _border(mask: Bool) -> Float64:
 def predict_images(
     scene: Scene, x: Float64, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
 ) -> Iterator[tuple[Observation, Float32, Geometry]]:
-    """Per observation: itself, the levels that parameters `x`, (K,), predict, not clipped, and what is seen.
-
-    The parameters are those of the scene's first reflectance.
-    """
+    """Per observation: itself, unclipped levels by the first reflectance's parameters, (K,), and what is seen."""
     names = [light.name for light in scene.lights]
     reflectance = replace(scene.reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
     scale = scene.sensor.max_level / scene.reflectance.full_scale
@@ -184,18 +172,13 @@ def predict_images(
 
 @dataclass(frozen=True, kw_only=True)
 class ModelRow:
-    """A form of the specular lobe that was tried, and how well it predicts the images of lights that were left out.
-
-    rms: Of all left-out images together [sensor level]; None where the form was refused. Two lobes keep the share and
-        the ratio that all images have
-    likelihood: Mean log-likelihood of a level of the fit to all images [nat]; None where the form was refused
-    refused: Why these images do not determine the form; None where they do
-    """
+    """A form of the specular lobe that was tried, and how well it predicts the images of left-out lights."""
 
     model: ModelName
+    # of all left-out images together [sensor level]; two lobes keep the share and the ratio that all images have
     rms: float | None = None
-    likelihood: float | None = None
-    refused: str | None = None
+    likelihood: float | None = None  # mean log-likelihood of a level of the fit to all images [nat]
+    refused: str | None = None  # why these images do not determine the form, which has neither then
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -207,7 +190,6 @@ class ModelRow:
 
 
 def model_row(model: ModelName, left_out: Sequence[LeftOut], found: Estimate) -> ModelRow:
-    """What a fit shows of a form of the lobe."""
     squares = [image.rms_sensor**2 for left in left_out for image in left.images]
     return ModelRow(model=model, rms=math.sqrt(float(np.mean(squares))), likelihood=found.mean_log_likelihood)
 
@@ -249,10 +231,7 @@ class PointsRow(Coefficients):
 
 
 def compare_regions(setup: FitSetup, x: Float64, likelihood: float | None) -> PointsRow:
-    """Render all images with the parameters `x`, (K,), and compare the saturated regions with the measured ones.
-
-    Both are taken from whole levels, since the camera delivers no others.
-    """
+    """Compare saturated regions of all images, rendered with the parameters `x`, (K,), with those measured."""
     scene, sensor = setup.scene, setup.scene.sensor
     areas, perimeters = np.zeros(2), np.zeros(2)
     for seen, levels, _ in predict_images(scene, x, setup.observations, caster=setup.caster, threads=setup.run.threads):

@@ -27,8 +27,6 @@ _REACH_PX = 4  # a frame without light is smoothed over windows of 9 × 9 pixels
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
-    """One image."""
-
     light: str
     posture: Posture
     exposure: float  # at which `levels` were taken; 1 for a linear EXR
@@ -45,13 +43,11 @@ class Observation:
 
     @property
     def name(self) -> str:
-        """Name of the image in messages and tables."""
         exposure = "" if self.exposure == 1.0 else f" ×{self.exposure:g}"
         return f"{self.light} {self.posture}{exposure}"
 
 
 def observed_postures(image_set: ImageSet) -> tuple[Posture, ...]:
-    """The postures of a set, each once, in its order."""
     return tuple(dict.fromkeys(entry.posture for entry in image_set.images))
 
 

@@ -76,7 +76,6 @@ class Placement:
 
 
 def place_part(scene: Scene, placement: Placement) -> Scene:
-    """Move the part of a scene to its placement."""
     return move_part(scene, placement.rotation, placement.shift(scene.pivot))
 
 
@@ -125,7 +124,6 @@ class PoseFrame:
 
     @staticmethod
     def of(scene: Scene) -> PoseFrame:
-        """The frame of a scene's part at its file placement."""
         own = scene.mesh.vertices - scene.pivot
         middle = 0.5 * (own.min(axis=0) + own.max(axis=0))
         radius = float(np.sqrt(np.max(np.sum(np.square(own[:, :2] - middle[:2]), axis=1))))
@@ -205,7 +203,6 @@ class PixelSet:
     def look_up(
         posture: Posture, row: Int32, column: Int32, images: Sequence[Observation], black: float, *, rays: int = 1
     ) -> PixelSet:
-        """Look up some pixels in the images of a posture."""
         return PixelSet(
             posture=posture,
             row=row,
@@ -228,10 +225,7 @@ class PixelSet:
 
 
 def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> PartView:
-    """Camera and lights as a part sees them that was moved on the stage.
-
-    The part's own frame stays, so that one ray caster serves all placements.
-    """
+    """Camera and lights as a part moved on the stage sees them, in its own frame: one ray caster serves all."""
     view = view_from_part(scene, posture)
     # x_placed = R·x + t, inverted
     back = placement.rotation.T

@@ -90,10 +90,7 @@ def _across_outline(hit: Bool) -> tuple[Int32, Int32]:
 
 
 class RefinementProblem:
-    """The problem that :func:`lightopt.core.least_squares.solve` solves in each stage.
-
-    Which pixels count is decided once, by what the model predicts at the `start`, shape (K,).
-    """
+    """The least squares of each stage; what the model predicts at the `start`, (K,), decides which pixels count."""
 
     def __init__(
         self,

@@ -100,7 +100,6 @@ class _Surface:
     bend: Float64
 
     def rotated(self, about: Float64, foot: Float64) -> _Surface:
-        """Rotated about the vertical axis through a point."""
         return replace(self, points=(self.points - foot) @ about.T + foot, normals=self.normals @ about.T)
 
 

@@ -82,10 +82,7 @@ def _reflection(distance: Float64, radius: float, psi: Float64) -> tuple[Float64
 
 
 def mirrored_image(camera: PinholeCamera, centre: Float64, radius: float, points: Float64) -> Float64:
-    """Image points (column, row) [px] of points mirrored by a ball, shape (..., 2); NaN where there are none.
-
-    centre, points: [mm], shapes (..., 3), frame of the camera's vectors
-    """
+    """Image points (column, row) [px] of points [mm] mirrored by a ball, camera's frame, (..., 2); NaN: none."""
     mirror = mirror_points(centre, radius, camera.position, points)
     columns, rows, _ = project(camera, mirror.reshape(-1, 3))
     return np.stack([columns, rows], axis=-1).reshape((*mirror.shape[:-1], 2))
@@ -120,8 +117,6 @@ class MirroredPanel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BallView:
-    """The ball in one posture."""
-
     posture: Posture
     outline: Float64  # image points (column, row) of its outline [px], shape (n, 2), with independent errors
     outline_error: float  # their standard deviation [px]
@@ -130,15 +125,12 @@ class BallView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BallFit:
-    """Panels, and the ball that showed them.
-
-    centre, radius: Of the ball, stage frame [mm], shape (3,)
-    covariance: Of centre, radius, edge offset, then :data:`PANEL_PARAMETERS` of each light, shape (5 + 8·L, 5 + 8·L)
-    """
+    """Panels, and the ball that showed them."""
 
     lights: tuple[PanelLight, ...]  # as they were given, with the fitted pose and size
-    centre: Float64
-    radius: float
+    centre: Float64  # of the ball, stage frame [mm], shape (3,)
+    radius: float  # [mm]
+    # of centre, radius, edge offset, then PANEL_PARAMETERS of each light, shape (5 + 8·L, 5 + 8·L)
     covariance: Float64
     rms: float  # of the residuals, in the standard deviations that the images claim; about 1
     unobservable: tuple[str, ...]  # parameters that these postures do not show
@@ -268,10 +260,7 @@ class _Problem:
 
 
 def posed_panel(light: PanelLight, parameters: Float64) -> PanelLight:
-    """A panel displaced by :data:`PANEL_PARAMETERS`: offset of the centre, rotation about its own axes, new sides.
-
-    light: World frame; its fall-off stays normalised where it is.
-    """
+    """A panel, world frame, displaced by :data:`PANEL_PARAMETERS`; its fall-off stays normalised where it was."""
     axes = np.stack([light.across, light.along, light.outward], axis=1)
     across, along, outward = (axes @ rotation_from_vector(parameters[3:6])).T
     centre = light.centre + parameters[:3]
@@ -291,7 +280,6 @@ def posed_panel(light: PanelLight, parameters: Float64) -> PanelLight:
 
 
 def panel_names(lights: Sequence[PanelLight]) -> list[str]:
-    """Names of the :data:`PANEL_PARAMETERS` of all lights."""
     return [f"{light.name} {name}" for light in lights for name in PANEL_PARAMETERS]
 
 

@@ -25,16 +25,13 @@ class Board:
     """A grid of points on a nearly flat board. Point ``id = row · columns + column`` counts from the top left.
 
     Board frame: origin at the grid's centre, x to the right, y up, z out of the printed face.
-
-    columns, rows: Points along the two sides
-    height: Of the grid's centre above the table at tilt reading 0: the board's thickness [mm]. It alone fixes the
-        world's origin along Z
     """
 
-    columns: int
+    columns: int  # points along the two sides
     rows: int
     pitch: float  # distance of neighbouring points, the geometric mean of both sides' [mm]; measure it with a caliper
     pitch_error: float = 1e-4  # standard error of that, as a share of the pitch
+    # of the grid's centre above the table at tilt 0: the board's thickness [mm]. It alone fixes the origin along Z
     height: float = 0.0
     height_error: float = 0.01  # standard error of that [mm]
 
@@ -48,14 +45,12 @@ class Board:
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """Points of a board found in one image.
-
-    pixels: Where the image shows them (column, row) [px], shape (n, 2); pixel (0, 0) has its centre at (0.5, 0.5)
-    """
+    """Points of a board found in one image."""
 
     name: str  # of the image, for messages
     posture: Posture  # readings of the stage
     ids: Index = field(repr=False)  # points' numbers, shape (n,)
+    # where the image shows them (column, row) [px], shape (n, 2); pixel (0, 0) has its centre at (0.5, 0.5)
     pixels: Float64 = field(repr=False)
 
     def __post_init__(self) -> None:
@@ -77,7 +72,6 @@ INSTALL = "pip install 'lightopt[opencv]'"
 
 
 def board_grid(target: BoardTargetConfig) -> Board:
-    """The inner corners of a printed board."""
     columns, rows = target.squares
     return Board(
         columns=columns - 1,
@@ -104,10 +98,7 @@ def opencv() -> Any:
 
 
 def opencv_board(target: BoardTargetConfig) -> Any:
-    """OpenCV's board of a target.
-
-    Raises InputError: No such dictionary, or it has too few markers
-    """
+    """OpenCV's board of a target; InputError: no such dictionary, or it has too few markers."""
     aruco: Any = opencv().aruco
     names = sorted(name for name in dir(aruco) if name.startswith("DICT_"))
     if target.dictionary not in names:
@@ -161,10 +152,7 @@ def white_areas(target: BoardTargetConfig, *, margin: float = 0.0) -> Float64:
 
 
 def board_mesh(target: BoardTargetConfig, *, margin: float = 0.0) -> TriangleMesh:
-    """The white areas as flat triangles that face +z, board frame [mm]; black is where there is nothing.
-
-    As a matt white part under a black sky it looks like the board. Parameters as of :func:`white_areas`.
-    """
+    """The white areas as flat triangles that face +z, board frame [mm]: matt white, under a black sky, a board."""
     left, bottom, right, top = white_areas(target, margin=margin).T
     corners = np.stack([left, bottom, right, bottom, right, top, left, top], axis=1).reshape(-1, 2)
     first = 4 * np.arange(len(left))[:, None]
@@ -183,8 +171,6 @@ FORMAT = "lightopt-corners/1"
 
 @dataclass(frozen=True, eq=False)
 class BoardImage:
-    """An image of the board."""
-
     name: str
     posture: Posture
     pixels: Any  # grey levels, shape (height, width), or with colours (height, width, 3)
@@ -193,11 +179,7 @@ class BoardImage:
 def find_corners(
     images: Sequence[BoardImage], target: BoardTargetConfig, *, full_scale: float = 255.0
 ) -> tuple[list[BoardView], list[str]]:
-    """Corners of the board in each image that shows it, and what is wrong with images, and what to do.
-
-    full_scale: Level at which a pixel is saturated
-    Raises InputError: No OpenCV, images of several sizes, or none that shows the board
-    """
+    """Corners in each image that shows the board, and what is wrong; InputError: no OpenCV, several sizes, no board."""
     sizes = {image.pixels.shape[:2]: image.name for image in images}
     if len(sizes) > 1:
         found = ", ".join(f"{width} × {height} ({name})" for (height, width), name in sizes.items())

@@ -50,10 +50,7 @@ _FAULTY_SHARE, _FAULTY_RATIO = 0.5, 4.0  # outliers in a view; its median residu
 def judge_postures(
     fit: JointFit, board: Board, taken: Float64, camera: PinholeCamera
 ) -> tuple[float, tuple[Posture, float] | None]:
-    """Standard error of a pixel predicted for points of the board over all postures that show it [px], and the best.
-
-    taken: Readings of the views [rad], shape (K, 2)
-    """
+    """Standard error of predicted pixels, all postures that show the board [px], and the best; readings taken [rad]."""
     postures = [Posture(float(t), float(r)) for t, r in product(_TILTS_DEG, _ROTATIONS_DEG)]
     points = np.arange(board.columns * board.rows)
     outer = points.reshape(board.rows, board.columns)[[0, 0, -1, -1], [0, -1, -1, 0]]
@@ -191,10 +188,7 @@ def _plane_poses(points: Float64, rays: Float64) -> list[tuple[Float64, Float64]
 
 @dataclass(frozen=True)
 class ViewResidual:
-    """How well one view fits.
-
-    pixels, offsets: Where the corners were found, and found less predicted [px], shape (corners, 2)
-    """
+    """How well one view fits."""
 
     name: str
     posture: Posture
@@ -203,8 +197,8 @@ class ViewResidual:
     rms: float  # the same of the corners that count [px]
     outliers: int  # corners that do not count, as they are more than 4 robust standard deviations off
     faulty: bool  # whether the view as a whole is wrong
-    pixels: Float64 = field(repr=False)
-    offsets: Float64 = field(repr=False)
+    pixels: Float64 = field(repr=False)  # where the corners were found [px], shape (corners, 2)
+    offsets: Float64 = field(repr=False)  # found less predicted, likewise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -36,26 +36,21 @@ CELL_SHARE = 1 / 40  # side of a plate's cell, of the image's width
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RigCalibration:
-    """What the image sets of a calibration folder show of a rig.
-
-    board, ball, plate, sensor: None where there is no such image set
-    camera, stage, lights: World frame, measured where they were, else as filed
-    """
+    """What the image sets of a calibration folder show of a rig."""
 
     rig: RigConfig  # as it was filed
     folder: Path  # with the image sets and targets.yaml
-    board: BoardFit | None
+    board: BoardFit | None  # as the others, None where there is no such image set
     ball: BallFit | None
     plate: PlateFit | None
     sensor: PhotonTransfer | None
-    camera: PinholeCamera
+    camera: PinholeCamera  # world frame, as stage and lights, measured where they were, else as filed
     stage: Stage
     lights: tuple[PanelLight, ...]
     warnings: tuple[str, ...]
 
     @property
     def unobservable(self) -> tuple[str, ...]:
-        """What the images do not show, although they are there."""
         return tuple(name for fit in (self.board, self.ball) if fit is not None for name in fit.unobservable)
 
     @property
@@ -81,10 +76,7 @@ class RigCalibration:
 
 
 def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None) -> RigCalibration:
-    """Calibrate what the image sets below a calibration folder allow.
-
-    Raises InputError: No image set, targets that do not fit the images, or a target of which too little is seen
-    """
+    """Calibrate what the image sets below a folder allow; InputError: none, or they show no or other targets."""
     if rig.stage.pivot_mm[:2] != (0.0, 0.0):
         at, found = rig.source.at("stage", "pivot_mm"), list(rig.stage.pivot_mm)
         raise InputError(f"{at}: expected [0, 0, z]: a calibration has its origin on the rotary axis; found {found}")
@@ -142,8 +134,6 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
 
 @dataclass(frozen=True)
 class _Images:
-    """What the image sets show of their targets."""
-
     rig: RigConfig
     folder: Path
     targets: TargetsConfig

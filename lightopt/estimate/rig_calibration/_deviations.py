@@ -96,10 +96,7 @@ def displaced(camera: PinholeCamera, stage: Stage, names: Sequence[str], deviati
 
 
 def rig_deviations(camera: PinholeCamera, stage: Stage, names: Sequence[str], covariance: Float64) -> list[Rig]:
-    """Camera and stage, displaced by one standard deviation along each independent direction of their covariance.
-
-    names: Of the covariance's values; those of other things are left out
-    """
+    """Camera and stage, displaced by one standard deviation along each independent direction of a covariance."""
     own = [i for i, name in enumerate(names) if name.startswith(("camera.", "tilt_axis.", "rotary_axis."))]
     columns = square_root(covariance[np.ix_(own, own)]).T
     return [displaced(camera, stage, [names[i] for i in own], column) for column in columns]

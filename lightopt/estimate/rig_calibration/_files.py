@@ -52,10 +52,7 @@ class CalibrationPlan:
 
 
 def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> CalibrationPlan:
-    """Write targets.yaml, and part and mesh of each target, sized for the rig's view.
-
-    Raises InputError: The camera does not see the table, or other files are in the way and `force` is False
-    """
+    """Write targets, and part and mesh of each, sized for the view; InputError: no table in it, or other files."""
     size = view_size(build_camera(rig))
     if size is None:
         raise InputError(f"{rig.source.at('camera')}: the view reaches beyond the table's horizon; no target fits it")
@@ -202,10 +199,7 @@ Values = dict[tuple[str | int, ...], str | None]
 
 
 def calibrated_rig_text(found: RigCalibration) -> str:
-    """Text of the rig file with what was measured in place of what was filed; comments stay.
-
-    Raises InputError: The rig was built in code, or its file has anchors and aliases where values change
-    """
+    """The rig file with what was measured, comments kept; InputError: built in code, or aliases in the way."""
     rig = found.rig
     values: Values = {}
     if found.board is not None:
@@ -366,10 +360,7 @@ def figures(found: RigCalibration) -> dict[str, Any]:
 
 
 def write_calibration(found: RigCalibration, *, force: bool = False) -> tuple[Path, ...]:
-    """Write the calibrated rig, the covariance and the figures into the calibration folder.
-
-    Raises InputError: Other results are there, and `force` is False
-    """
+    """Write calibrated rig, covariance and figures into the folder; InputError: others are there, and no `force`."""
     names, covariance = found.covariance
     packed = io.BytesIO()
     np.savez(packed, names=np.array(names, np.str_), covariance=covariance)

@@ -74,7 +74,6 @@ def sightings(board: Board, ids: list[Index], readings: Float64) -> Sightings:
 
 
 def stage_of(x: Float64) -> Stage:
-    """The stage with these parameters."""
     epsilon = x[AT["tilt_axis.elevation"]]
     return Stage(
         pivot=np.zeros(3),
@@ -219,13 +218,10 @@ _MAD = 1.4826
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known beforehand, independently of each other.
+    """What is known beforehand, independently of each other."""
 
-    mean, sd: Of all parameters, shape (P,); infinite where nothing is known, 0 where a parameter is held
-    """
-
-    mean: Float64
-    sd: Float64
+    mean: Float64  # of all parameters, shape (P,)
+    sd: Float64  # their standard deviations; infinite where nothing is known, 0 where a parameter is held
     angle_sd: float  # of errors of the stage's readings [rad]
 
 
@@ -239,10 +235,7 @@ class Corners:
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """The estimate.
-
-    common: How many times larger the errors are that neighbouring corners have in common; the covariance holds it
-    """
+    """The estimate."""
 
     x: Float64  # all parameters, shape (P,), rotations about `origin`
     origin: Origin
@@ -252,7 +245,7 @@ class JointFit:
     angles: Float64  # errors of tilt and rotation of each view [rad], shape (K, 2)
     angle_sd: float  # standard deviation of such errors, from the prior and from what the fit finds [rad]
     noise: float  # standard deviation of a corner along one axis [px]
-    common: float
+    common: float  # how many times larger errors are that neighbouring corners have in common; in the covariance
     residual: Float64  # found less predicted [px], shape (N, 2)
     inlier: Bool  # corners that count, shape (N,)
     extra: tuple[str, ...]  # optional parameters that are free
@@ -264,11 +257,7 @@ class JointFit:
 
 
 def fit_jointly(corners: Corners, start: tuple[Float64, Origin], prior: Prior, *, on_evidence: bool) -> JointFit:
-    """Fit all that is not held, and with `on_evidence` those of OPTIONAL that matter.
-
-    start: Parameters of shape (P,) and orientations
-    Raises InputError: The corners are of another rig or board
-    """
+    """Fit all that is not held, with `on_evidence` those of OPTIONAL that matter; InputError: another rig or board."""
     (x, origin), angles, spread = start, np.zeros_like(corners.seen.readings), np.inf
     extra: tuple[str, ...] = ()
     free = _free(prior, extra)

@@ -35,36 +35,26 @@ COLLAPSED = 0.5  # share of the expected variance below which a frame is saturat
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FramePair:
-    """Two frames of a still scene under the same light.
+    """Two frames of a still scene under the same light."""
 
-    first, second: Delivered levels, whole numbers, shape (H, W) [sensor level]
-    """
-
-    first: NDArray[Any]
+    first: NDArray[Any]  # delivered levels, whole numbers, shape (H, W) [sensor level]
     second: NDArray[Any]
     exposure: float  # exposure time, in any unit that is common to all pairs
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhotonTransfer:
-    """The sensor as the pairs show it; the names are those of :class:`lightopt.optics.Sensor`.
+    """The sensor as the pairs show it; the names are those of :class:`lightopt.optics.Sensor`."""
 
-    electrons_per_level: 1/K of the conversion gain K [sensor level]
-    saturation_level: Level at which the brightest frames pile up [sensor level]; None where none is saturated
-    linearity_error: Largest deviation of the mean level from a straight line in the exposure time [% of the range]; NaN
-        where not the exposure was varied but the light
-    exposures, means, variances: Of the pairs by exposure: mean level above black and temporal variance without
-        rounding, shape (k,) [sensor level, sensor level²]
-    """
-
-    electrons_per_level: Measured
+    electrons_per_level: Measured  # 1/K of the conversion gain K [sensor level]
     read_noise_levels: Measured  # standard deviation of the noise without light, without rounding [sensor level]
     black_level: Measured  # mean level without light, before clipping at 0 [sensor level]
-    saturation_level: float | None
+    saturation_level: float | None  # where the brightest frames pile up [sensor level]; None: none is saturated
+    # largest deviation of the mean level from a line in the exposure time [% of the range]; NaN: the light was varied
     linearity_error: float
-    exposures: Float64
-    means: Float64
-    variances: Float64
+    exposures: Float64  # of the pairs, ascending, shape (k,)
+    means: Float64  # level above black [sensor level], shape (k,)
+    variances: Float64  # temporal, without rounding [sensor level²], shape (k,)
     fitted: Bool  # pairs that the conversion gain is from, shape (k,)
 
 
@@ -118,10 +108,7 @@ def photon_transfer(pairs: Sequence[FramePair], darks: Sequence[FramePair], *, b
 
 
 def gaussian_of_levels(mean: float, variance: float) -> tuple[float, float]:
-    """Mean and standard deviation of a Gaussian that, rounded and clipped at 0, has this mean and variance.
-
-    All in sensor levels. Noise that rounding hides, below about 0.13 levels, is given as 0.
-    """
+    """Mean and deviation of a Gaussian with these when rounded and clipped at 0 [sensor level]; 0 below 0.13."""
     if variance < 1e-4:
         return mean, 0.0
     spread = math.sqrt(max(variance - ROUNDING_VARIANCE, 0.01))

@@ -29,14 +29,12 @@ LEAST_GAIN = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class LightComparison:
-    """Predicted against captured images of one light, all postures together.
-
-    offset_px, offset_deg: How far the highlights lie from where they are predicted, in the image and as the angle
-        between the directions that the surface mirrors there: by so much the light seems to be off. None likewise.
-    """
+    """Predicted against captured images of one light, all postures together."""
 
     light: str
     overlap: float | None  # intersection over union of the saturated areas; None where there are none
+    # how far the highlights lie from where they are predicted, in the image and as the angle between the directions
+    # that the surface mirrors there: by so much the light seems to be off. None likewise
     offset_px: float | None
     offset_deg: float | None
     residual: float  # root mean square of measured minus predicted, over that of the noise of the means of blocks
@@ -48,17 +46,12 @@ class LightComparison:
 
 @dataclass(frozen=True)
 class Compared:
-    """An image against its prediction, arrays of shape (h, w).
-
-    difference: Measured minus predicted [sensor level], 0 where one of them is saturated or nothing is predicted.
-    deviation: The difference in standard deviations, of the noise and of what a model is off, of the right part on the
-        right rig.
-    """
+    """An image against its prediction, arrays of shape (h, w)."""
 
     image: CoarseImage
-    difference: Float32
+    difference: Float32  # measured minus predicted [sensor level], 0 where one is saturated or nothing is predicted
     noise: Float32  # of the means of blocks [sensor level]
-    deviation: Float32
+    deviation: Float32  # the difference in standard deviations of noise and of what a model of the right rig is off
     expected: Bool  # where the prediction is saturated
     known: Bool  # where there is a difference
 
@@ -66,10 +59,7 @@ class Compared:
 def compare_image(
     work: Work, fit: Fit, good: Fit | None, number: int, theta: Float64, predictions: Predictions
 ) -> Compared:
-    """Compare an image of a fit, by its number, with predictions at some parameters.
-
-    good: Of a known good set: what the prediction for it is off is not counted.
-    """
+    """Compare an image of a fit, by its number, with predictions; what that of a `good` set is off is not counted."""
     image = fit.images[number]
     posture = image.source.posture
     mean, noise, expected = _delivered(work, theta, image, predictions[posture])
@@ -155,10 +145,7 @@ def _rms(some: Sequence[Compared]) -> float:
 
 
 def exchanged_lights(scene: Scene, images: Sequence[CoarseImage], predictions: Predictions) -> dict[str, str]:
-    """For each light whose image shows another one the name of that other one; empty if all are as named.
-
-    By correlation over all postures of the images with the predictions of all lights; each light is shown once.
-    """
+    """Names of lights that images of others show, by correlation with all predictions; empty if all are as named."""
     names = list(dict.fromkeys(image.source.light for image in images))
     if len(names) < 2:
         return {}
@@ -186,7 +173,6 @@ def exchanged_lights(scene: Scene, images: Sequence[CoarseImage], predictions: P
 
 
 def renamed(images: Sequence[CoarseImage], exchanged: Mapping[str, str]) -> tuple[CoarseImage, ...]:
-    """The images with the names of the lights that they show."""
     return tuple(
         replace(image, source=replace(image.source, light=exchanged.get(image.source.light, image.source.light)))
         for image in images
@@ -204,17 +190,13 @@ NEAR_BLOCKS = 3
 
 @dataclass(frozen=True)
 class Spot:
-    """A small place that differs.
+    """A small place that differs."""
 
-    posture, row, column: A posture that shows it, and where in its image [block].
-    where: ``part`` (moves with it), ``lens`` (fixed in the image), or ``unknown`` where one posture alone shows it.
-    """
-
-    posture: Posture
+    posture: Posture  # one that shows it, and where in its image [block]
     row: int
     column: int
     score: float  # in standard deviations; below 0 where it is darker than predicted
-    where: str = "unknown"
+    where: str = "unknown"  # `part` (moves with it), `lens` (fixed in the image); unknown: one posture shows it
 
 
 def find_spots(work: Work, fit: Fit, images: Sequence[Compared]) -> tuple[tuple[Spot, ...], bool]:

@@ -47,18 +47,12 @@ LEAST_DARK = 0.1  # a dark level that is off by less is not reported [sensor lev
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A fault.
-
-    kind: ``gain``, ``exposure``, ``black``, ``part_shift``, ``part_turn``, ``camera_shift``, ``camera_turn``,
-        ``panel_shift``, ``panel_turn``, ``swap``, ``focus``, ``dust_part`` or ``dust_lens``.
-    size: Share of the brightness, sensor levels, mm, degrees, px, or a number of spots or lights; the length of a shift
-        or a rotation.
-    parts: Its components by axis, signed, in the same unit; that of a single number has no name.
-    """
+    """A fault, of the kinds of `_KINDS`."""
 
     kind: str
     light: str = ""  # whose fault it is; empty where it is no light's. For ``swap`` both names
-    size: float
+    size: float  # share of the brightness, sensor levels, mm, degrees, px, or a number; of a shift or turn the length
+    # its components by axis, signed, in the same unit; that of a single number has no name
     parts: dict[str, float] = field(default_factory=dict[str, float])
     error: float = 0.0  # standard error of `size`
     limit: float | None = None  # within tolerance up to this size; None for what is reported only
@@ -67,7 +61,6 @@ class Finding:
 
     @property
     def exceeds(self) -> bool:
-        """Whether the rig has left its tolerances."""
         return self.limit is not None and self.size > self.limit
 
     @property
@@ -77,7 +70,6 @@ class Finding:
 
     @property
     def amount(self) -> str:
-        """Its size in words."""
         _, factor, digits, unit = _KINDS[self.kind]
         sign, value = ("+", self.parts[""]) if "" in self.parts else ("", self.size)
         error = f" ± {factor * self.error:.{digits}f}" if self.error else ""
@@ -86,7 +78,6 @@ class Finding:
 
     @property
     def limit_text(self) -> str:
-        """The limit in words."""
         if not self.limit:
             return "none" if self.limit is None else "none allowed"
         _, factor, _, unit = _KINDS[self.kind]
@@ -117,15 +108,11 @@ class Finding:
 
 
 def fault_name(kind: str, light: str) -> str:
-    """A fault in words."""
     return _KINDS[kind][0].format(light)
 
 
 def group_finding(group: Group, theta: Float64, covariance: Float64, alternatives: Sequence[Group]) -> Finding:
-    """A finding of a group of parameters.
-
-    theta, covariance: Of all parameters, shapes (K,) and (K, K).
-    """
+    """A finding of a group of parameters; `theta`, (K,), and `covariance`, (K, K), are of all."""
     unit = math.degrees(1.0) if group.kind.endswith("turn") else 1.0
     value, spread = unit * theta[group.where], unit**2 * covariance[group.where, group.where]
     if group.kind in ("gain", "exposure"):
@@ -153,10 +140,7 @@ def swap_findings(exchanged: Mapping[str, str]) -> list[Finding]:
 
 
 def dark_findings(images: Sequence[Observation], good: Sequence[Observation], limit: float) -> list[Finding]:
-    """A finding of the level of frames without light, if a set has them: it is subtracted from the images.
-
-    good: Images of a known good set; empty without one.
-    """
+    """A finding of the level of frames without light, which is subtracted, against a good set's, if there is one."""
     some = [[float(np.mean(o.subtracted)) for o in of if not isinstance(o.subtracted, float)] for of in (images, good)]
     own, before = (float(np.median(levels)) if levels else 0.0 for levels in some)
     off = own - before

@@ -250,10 +250,7 @@ class Evidence:
 
 
 def gather(model: Model, theta: Float64, origin: Float64, deviations: Float64) -> Evidence:
-    """Sums of the model linearised at some parameters, with weights by what no fault from the origin explains.
-
-    deviations: Of a calibrated rig from its file, independent ones of one standard deviation each, shape (K, D)
-    """
+    """Sums of the linearised model, by what no fault explains; deviations of a calibrated rig, one sd each, (K, D)."""
     parameters = model.parameters
     residual, slope, used = model.linearise(theta)
     target = residual + np.einsum("ij,j->i", slope, theta - origin)
@@ -312,8 +309,6 @@ def alternatives(evidence: Evidence, chosen: Sequence[Group], group: Group) -> t
 
 @dataclass(frozen=True)
 class Fit:
-    """The faults that explain a set."""
-
     images: tuple[CoarseImage, ...]
     theta: Float64  # from the rig file, with what the rig file may be off, shape (K,)
     faults: Float64  # from the baseline, or from the rig file, shape (K,); covariance: Of these, (K, K)

@@ -49,13 +49,10 @@ file, since a change of both coefficients is a change of the exposure."""
 
 @dataclass(frozen=True, kw_only=True)
 class VerifyLimits:
-    """Greatest departures that are within tolerance; all above 0.
+    """Greatest departures that are within tolerance; all above 0."""
 
-    gain, exposure: Shares of the brightness of one light, and of all of them.
-    """
-
-    gain: float = 0.03
-    exposure: float = 0.02
+    gain: float = 0.03  # share of the brightness of one light
+    exposure: float = 0.02  # share of that of all of them
     black: float = 1.0  # [sensor level]
     part_mm: float = 0.05
     part_deg: float = 0.1
@@ -72,14 +69,11 @@ class VerifyLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Parameters of one fault.
-
-    first, size: Place in the vector of parameters.
-    """
+    """Parameters of one fault."""
 
     kind: str  # ``gain``, ``exposure``, ``black``, ``part_shift``, …
     light: str = ""  # whose fault it is; empty where it is no light's
-    first: int
+    first: int  # place in the vector of parameters
     size: int
     step: float  # for differences [unit of the parameter]; 0 where the derivative has a closed form
     prior: float  # standard deviation of the parameters of a rig with that fault
@@ -87,7 +81,6 @@ class Group:
 
     @property
     def where(self) -> slice:
-        """Its parameters."""
         return slice(self.first, self.first + self.size)
 
 
@@ -101,7 +94,6 @@ class Parameters:
 
     @staticmethod
     def of(scene: Scene, limits: VerifyLimits) -> Parameters:
-        """The parameters of a scene's camera, lights and part."""
         lights = tuple(light.name for light in scene.lights)
         groups: list[Group] = []
         first = 0
@@ -131,7 +123,6 @@ class Parameters:
         return list(range(self.size - len(NUISANCE), self.size))
 
     def group(self, kind: str, light: str = "") -> Group:
-        """A group by its kind and light."""
         return next(group for group in self.groups if (group.kind, group.light) == (kind, light))
 
     def at_placement(self, scene: Scene, placement: Placement) -> Float64:
@@ -183,10 +174,7 @@ def _moved_panel(light: PanelLight, shift: Float64, turn: Float64) -> PanelLight
 
 
 def calibrated_deviations(rig: RigConfig, scene: Scene, p: Parameters) -> Float64:
-    """Independent deviations of one standard deviation each, as columns, shape (K, D); none for a rig as designed.
-
-    Raises InputError: The covariance that the rig file names cannot be read
-    """
+    """Independent deviations of one sd each, (K, D), D = 0 for a rig as designed; InputError: no covariance."""
     names, covariance = read_covariance(rig)
     at = {name: i for i, name in enumerate(names)}
     of_rig = rig_deviations(scene.camera, scene.stage, names, covariance)
@@ -246,15 +234,12 @@ class CoarseImage:
 
 @dataclass(frozen=True, kw_only=True)
 class CoarsePrediction:
-    """What the model has in a posture; levels at exposure 1 [grey level], arrays of shape (h, w).
-
-    points, normals: World frame, shape (h, w, 3).
-    """
+    """What the model has in a posture; levels at exposure 1 [grey level], arrays of shape (h, w)."""
 
     levels: dict[str, Float32]  # by light
     hit: Bool  # of the part
     clean: Bool  # off silhouettes, creases and grazing views
-    points: Float32
+    points: Float32  # world frame, as the normals, shape (h, w, 3)
     normals: Float32
 
 
@@ -262,15 +247,12 @@ Predictions = dict[Posture, CoarsePrediction]
 
 
 class Work:
-    """What is the same for all sets of a scene.
-
-    side: Of the blocks [px].
-    coarse: The scene with blocks as the camera's pixels; what is left at the right and at the bottom is cut off.
-    """
+    """What is the same for all sets of a scene."""
 
     def __init__(self, scene: Scene, parameters: Parameters, run: RunContext) -> None:
         self.scene, self.parameters, self.run = scene, parameters, run
         camera = scene.camera
+        # of blocks [px], which are the pixels of a coarse camera; what is left at the right and at the bottom is cut off
         self.side = max(1, round(camera.width / COARSE_WIDTH))
         column, row = camera.axis_px
         coarse = replace(

@@ -39,11 +39,7 @@ _MANY_SPOTS = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Verification:
-    """How captured images differ from those predicted, and why.
-
-    differences: By posture, light and exposure, measured minus predicted in standard deviations of noise and of what a
-        model is off, without and with the faults in the prediction, shape (2, h, w).
-    """
+    """How captured images differ from those predicted, and why."""
 
     findings: tuple[Finding, ...]  # those that exceed their limits first
     lights: tuple[LightComparison, ...]  # predicted against captured
@@ -51,16 +47,16 @@ class Verification:
     warnings: tuple[str, ...]
     limits: VerifyLimits
     registered: bool  # whether the part was searched for
+    # by posture, light and exposure, measured minus predicted in standard deviations of noise and of what a model is
+    # off, without and with the faults in the prediction, shape (2, h, w)
     differences: Mapping[tuple[Posture, str, float], Float32]
 
     @property
     def within_tolerances(self) -> bool:
-        """Whether no finding exceeds its limit."""
         return not any(finding.exceeds for finding in self.findings)
 
     @property
     def answer(self) -> str:
-        """The result in a sentence."""
         beyond = [f"{f.cause}: {f.amount}" for f in self.findings if f.exceeds]
         if beyond:
             return f"the rig has left its tolerances: {'; '.join(beyond)}"
@@ -228,10 +224,7 @@ def verify_folder(
     register: bool,
     force: bool,
 ) -> ResultFolder:
-    """Open a folder that a verification is written to.
-
-    Raises InputError: The folder holds a verification of other inputs, and `force` is False
-    """
+    """Open the folder of a verification; InputError: it holds one of other inputs, and `force` is False."""
     inputs: dict[str, Any] = {**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}
     if baseline is not None:
         inputs["baseline"] = baseline.fingerprint
@@ -241,11 +234,7 @@ def verify_folder(
 
 
 def append_history(folder: Path, result: Verification, *, name: str, when: datetime) -> list[dict[str, str]]:
-    """Add a verification as a row of ``history.csv`` in a folder, and return all rows, the oldest first.
-
-    name: Of the set.
-    Raises InputError: The folder cannot be written to, or its table is another
-    """
+    """Add a verification of a set as a row of ``history.csv``; returns all rows. InputError: no such table."""
     row: dict[str, Any] = {"time": when.isoformat(), "set": name, "within_tolerances": result.within_tolerances}
     for one in result.findings:
         fault = one.kind if one.kind == "swap" else f"{one.kind} {one.light}".strip()

@@ -164,8 +164,6 @@ class Timing:
 
 @dataclass(frozen=True, kw_only=True)
 class AcquiredImage:
-    """An image as it came from the camera."""
-
     light: str | None  # None for a frame without light
     posture: Posture
     exposure: float  # requested relative exposure

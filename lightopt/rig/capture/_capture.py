@@ -284,8 +284,6 @@ _FAR = 1 << 20  # Windows keeps others from reading what is locked, so that a by
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureResult:
-    """Result of a capture."""
-
     folder: Path
     images: int  # of the plan
     taken: int  # by this run; the others existed before
@@ -375,11 +373,7 @@ def capture(
 
 @contextmanager
 def lock_folder(folder: Path) -> Generator[None]:
-    """Keep other captures out of a folder, which is created if it does not exist.
-
-    The operating system holds the lock: that of a killed process is gone, even if its file still exists.
-    InputError when another process captures into the folder, or it cannot be written.
-    """
+    """Keep other captures out of a folder while this process lives; InputError: another has it, or it is read-only."""
     path = folder / LOCK_NAME
     while True:
         file = _open_locked(path)

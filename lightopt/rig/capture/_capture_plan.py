@@ -59,8 +59,6 @@ class CaptureOptions:
 
 @dataclass(frozen=True)
 class PlanStep:
-    """One step of a plan."""
-
     kind: StepKind
     what: str  # its object: a posture, a light, an exposure
     seconds: float  # estimated duration [s]
@@ -73,8 +71,6 @@ class PlanStep:
 
 @dataclass(frozen=True, kw_only=True)
 class CapturePlan:
-    """A capture as data."""
-
     wiring: Wiring
     options: CaptureOptions
     postures: tuple[Posture, ...]  # in the order of travel

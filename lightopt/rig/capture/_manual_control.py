@@ -140,7 +140,6 @@ def _controller_state(devices: Devices, name: str) -> str:
 
 
 def controller_place(config: ControllerConfig) -> str:
-    """Where a controller is reached."""
     return config.port or (f"monitor {config.monitor}" if config.command is None else config.command[0])
 
 

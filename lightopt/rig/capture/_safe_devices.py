@@ -62,7 +62,6 @@ class Devices:
 
     @property
     def retries(self) -> int:
-        """Number of commands sent again so far."""
         return sum(event.retry for event in self.events())
 
     def __enter__(self) -> "Devices":

@@ -28,8 +28,6 @@ _VIRTUAL_ROTATION = config.AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_p
 
 @dataclass(frozen=True)
 class Wiring:
-    """The devices of a rig."""
-
     hardware: HardwareConfig  # from the rig file, or the virtual bench
     given: bool  # whether the rig file has it
     exposure_us: float  # exposure time of exposure 1 [µs]
@@ -168,12 +166,7 @@ def stage_axes(rig: RigConfig, stage: config.StageDeviceConfig) -> list[Axis]:
 def start_bench(
     rig: RigConfig, wiring: Wiring, *, part: PartConfig | None = None, truth: BenchTruth | None = None
 ) -> BenchProcess:
-    """Start a virtual bench with the virtual devices of a rig, and with a camera where there is a part.
-
-    truth: Where the bench differs from the files; as the rig file has it by default.
-    Raises HardwareError: its process does not start.
-    Raises InputError: the true rig that the rig file names does not fit it.
-    """
+    """Start the virtual devices of a rig, and a camera where there is a part; InputError: the true rig does not fit."""
     hardware = wiring.hardware
     true = rig if part is None else _true_rig(rig)  # which only the camera sees
     devices = _controllers(wiring, true)
@@ -230,7 +223,6 @@ def _true_rig(rig: RigConfig) -> RigConfig:
 
 
 def start_lights(wiring: Wiring) -> BenchProcess:
-    """Start a virtual bench with the virtual light controllers alone."""
     return BenchProcess(_controllers(wiring))
 
 

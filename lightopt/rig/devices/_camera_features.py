@@ -21,8 +21,6 @@ Levels = UInt8 | NDArray[np.uint16]
 
 @dataclass(frozen=True, kw_only=True)
 class PixelFormat:
-    """A format of grey levels."""
-
     name: str
     code: int  # number in the naming convention
     bits: int  # of a level

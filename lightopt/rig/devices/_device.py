@@ -17,8 +17,6 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Identity:
-    """Identity of a device."""
-
     driver: str  # as in the rig file
     port: str  # where it is reached: serial port, URL, camera name or folder
     details: dict[str, str] = field(default_factory=dict[str, str])  # what it answered about itself, by name

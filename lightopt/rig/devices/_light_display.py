@@ -52,11 +52,7 @@ def check_display(command: Sequence[str] | None, folder: Path) -> None:
 
 
 class ScreenProcess:
-    """A window on a monitor, black until it gets a picture at `port`; it ends when its client has closed that.
-
-    Raises InputError: The library is missing, or the monitor is not there or has another resolution.
-    Raises HardwareError: The process does not start.
-    """
+    """A window on a monitor, black until `port` gets a picture; ends with its client. InputError: no such monitor."""
 
     def __init__(self, monitor: int, size: tuple[int, int], *, device: str) -> None:
         check_display(None, Path())
@@ -92,10 +88,7 @@ class ScreenProcess:
 
 
 def screen_levels(picture: Float64, settings: PictureSettings) -> UInt8:
-    """Levels of the screen's own pixels that show a picture, row 0 at its own upper edge.
-
-    picture: Shares of the full radiance as seen from the part, shape (rows, columns)
-    """
+    """Levels of the screen's own pixels for shares of the radiance as seen from the part, shape (rows, columns)."""
     levels = np.round(255.0 * np.clip(picture, 0.0, 1.0) ** (1.0 / settings.gamma)).astype(np.uint8)
     turned = np.rot90(levels, settings.turn_deg // 90)
     return np.ascontiguousarray(np.fliplr(turned) if settings.mirrored else turned)
@@ -183,7 +176,6 @@ class ScreenController(DisplayController):
             raise link.failure("the reply is no acknowledgement", sent=head, reply=reply, kind=ReplyError)
 
     def close(self) -> None:
-        """Close the window."""
         super().close()
         if self._process is not None:
             self._process.close()
@@ -247,7 +239,6 @@ class CommandLink(Link):
         return f"the command failed with exit status {process.returncode}" if process.returncode else None
 
     def close(self) -> None:
-        """Remove the pictures."""
         self._pictures.cleanup()
 
 

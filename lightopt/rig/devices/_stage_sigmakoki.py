@@ -85,8 +85,6 @@ def parse_status(line: bytes) -> Status:
 
 
 class _SigmakokiDialogue(Dialogue):
-    """What the two families share."""
-
     BAUD = 9600
     SPEEDS: ClassVar[tuple[int, int]]  # slowest and fastest [pulses/s]
 
@@ -131,8 +129,6 @@ class _SigmakokiDialogue(Dialogue):
 
 
 class ShotDialogue(_SigmakokiDialogue):
-    """The protocol of the SHOT family."""
-
     RTSCTS = True
     SPEEDS = (1, 500_000)
 
@@ -164,8 +160,6 @@ class ShotDialogue(_SigmakokiDialogue):
 
 
 class GscDialogue(_SigmakokiDialogue):
-    """The protocol of the GSC-02."""
-
     SPEEDS = (_GSC_SPEEDS[1][0], _GSC_SPEEDS[2][1])
 
     @classmethod

@@ -135,8 +135,6 @@ _ASLEEP_S = 0.05  # how late another device may be: polling all of them as often
 
 
 class Device:
-    """A simulated device on its wire."""
-
     def __init__(self, kind: str, options: dict[str, Any], wire: PtyWire | TcpWire) -> None:
         self.firmware = build(kind, options)
         self.wire = wire

@@ -10,8 +10,6 @@ _MODES = 10  # S00 is on/off, S01 … S10 are strobes
 
 
 class CcsFirmware(LampFirmware):
-    """A controller with CCS ``@`` frames."""
-
     def __init__(self, **lamps: Any) -> None:
         super().__init__(**lamps)
         self._digits = max(3, len(str(self._top_level)))

@@ -124,8 +124,6 @@ class _SigmakokiFirmware(StageFirmware):
 
 
 class ShotFirmware(_SigmakokiFirmware):
-    """A SHOT controller."""
-
     VERSION = "V1.30"
     MOVES = ("A", "M")
     SPEED = 10_000.0
@@ -145,8 +143,6 @@ class ShotFirmware(_SigmakokiFirmware):
 
 
 class GscFirmware(_SigmakokiFirmware):
-    """A GSC-02."""
-
     VERSION = "V2.00"
     MOVES = ("M",)
     SPEED = 5000.0
