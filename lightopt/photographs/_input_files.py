@@ -18,7 +18,7 @@ import numpy as np
 
 from lightopt.config import read_opencv_file
 from lightopt.core.arrays import Float64
-from lightopt.core.errors import InputError, refuse
+from lightopt.core.errors import InputError, collected, refuse
 from lightopt.core.transforms import Posture, rotation_from_vector
 
 _PIXEL_CENTRE = 0.5  # of the first pixel here; 0 in OpenCV
@@ -180,10 +180,8 @@ def read_light_table(path: Path) -> tuple[TableRow, ...]:
         if None in cells or None in cells.values():
             problems.append(f"{where}: expected as many cells as the header has")
             continue
-        try:
+        with collected(problems):
             rows.append(_row(where, {name.strip(): cell.strip() for name, cell in cells.items()}))
-        except InputError as error:
-            problems += error.messages
     problems += _contradictions(rows)
     if not rows and not problems:
         problems.append(f"{path}: expected a row per photograph, found none")

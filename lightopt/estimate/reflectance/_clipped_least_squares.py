@@ -6,8 +6,6 @@ one unknown variance, which is put at its best value: −N/2·(ln(2π·mean squa
 without dust, shows whether the model describes the images.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -75,11 +73,7 @@ class SpecularTable:
 
 
 class LeastSquares:
-    """The criterion of least squares over samples.
-
-    fixed: ln σ and the light there, shape (n,), of a criterion that is only evaluated there.
-    weight: Pixels of the images that each observation stands for, on average 1, shape (N,).
-    """
+    """The criterion of least squares over samples, or at `fixed` ln σ with the light there, shape (n,)."""
 
     def __init__(self, samples: Samples, table: SpecularTable, *, fixed: tuple[float, Float64] | None = None) -> None:
         self.samples = samples
@@ -87,10 +81,11 @@ class LeastSquares:
         self.size = parameter_count(samples)
         self._fixed = None if fixed is None else (np.array([fixed[0]]), fixed[1][:, None])
         weight = samples.weight[samples.sample]
+        # pixels of the images that each observation stands for, on average 1, shape (N,)
         self.weight = weight / max(float(np.mean(weight)), 1e-300) if len(weight) else weight
         self.sigma_range = float(table.nodes[0]), float(table.nodes[-1])
 
-    def without(self, left_out: Bool) -> LeastSquares:
+    def without(self, left_out: Bool) -> "LeastSquares":
         """The same of other samples: those not marked in `left_out`, shape (N,)."""
         return LeastSquares(self.samples.select(~left_out), self.table)
 
@@ -158,12 +153,7 @@ def _accumulate(
 
 
 def find_dust(samples: Samples, mean: Float64) -> Bool:
-    """Observations that are far from all others of a like geometry, shape (N,).
-
-    A model that is wrong is wrong alike there, so that its misfit is not taken for dust.
-
-    mean: Predicted levels, not clipped, shape (N,).
-    """
+    """Observations far from all of a like geometry, (N,), by unclipped levels `mean`: wrong models are wrong alike."""
     level, model = clipped_levels(samples, mean)
     residual = level - model
     ring = np.floor(RINGS * np.log2(np.maximum(samples.deflection, 1e-4) / 1e-4)).astype(np.intp)

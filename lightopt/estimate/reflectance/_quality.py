@@ -100,11 +100,7 @@ def mean_levels(samples: Samples, found: Estimate) -> Float64:
 def fit_warnings(
     found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool, placed: bool
 ) -> Iterator[str]:
-    """Warnings about a fit of R_s and σ.
-
-    interval: 95 % of R_s [grey level].
-    shorter: Whether the images have more than one exposure already.
-    """
+    """Warnings about a fit of R_s and σ, with R_s's 95 % interval; `shorter`: images have several exposures."""
     yield from poor_fit_warnings(found, quality, placed=placed)
     if LOG_R_S in found.free and LOG_SIGMA in found.free:
         low, high = interval or (found.R_s, found.R_s)

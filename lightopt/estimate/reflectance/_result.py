@@ -1,7 +1,5 @@
 """The result of a fit, and its files: the part and the rig with the fitted values, and all figures as JSON."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -81,7 +79,7 @@ class FitResult:
     left_out: tuple[LeftOut, ...] = ()  # validation, one entry per light
     rows: tuple[PointsRow, ...] = ()  # one per number of points that was tried
     models: tuple[ModelRow, ...] = ()  # what decided between forms of the lobe
-    regions: tuple[RegionFit, ...] = ()  # of the part, in its order
+    regions: "tuple[RegionFit, ...]" = ()  # of the part, in its order
     paper: PaperDiffuse | PaperSpecular | None = None
 
     def value(self, name: str) -> float:

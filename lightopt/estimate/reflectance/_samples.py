@@ -1,7 +1,5 @@
 """The pixels of a fit, with their geometry and measured levels: all that does not change during the fit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +28,7 @@ WHOLE_IMAGE = slice(None), slice(None)
 UNLIT_SHARE = 0.25  # pixels that no light reaches determine the dark level; this share of an octave's budget is plenty
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class SampleGroup:
     """Pixels of one posture under one light."""
 
@@ -85,12 +83,12 @@ class Samples:
     model: SpecularModel  # of the specular lobe
     threads: int | None = None  # number of threads that work on them; no result depends on it
 
-    def select(self, where: Bool | Index) -> Samples:
+    def select(self, where: Bool | Index) -> "Samples":
         """Only the observations that `where` marks, shape (N,), or lists; the pixels stay."""
         fields = ("sample", "image", "level", "saturated")
         return replace(self, **{name: getattr(self, name)[where] for name in fields})
 
-    def with_images(self, images: Sequence[Observation], flip: tuple[slice, slice] = WHOLE_IMAGE) -> Samples:
+    def with_images(self, images: Sequence[Observation], flip: tuple[slice, slice] = WHOLE_IMAGE) -> "Samples":
         """The same pixels of other images of the same lights, postures and exposures, as `images` are, or flipped."""
         place = (self.image, *self.places)
         levels, saturated = np.stack([o.levels[flip] for o in images]), np.stack([o.saturated[flip] for o in images])
@@ -148,12 +146,7 @@ def collect_samples(
         passed = lens_share(pixels.view.camera, pixels.column + 0.5, pixels.row + 0.5)
         groups += [
             SampleGroup(
-                light=light,
-                posture=pixels.posture,
-                layer=of_light,
-                row=pixels.row[index],
-                column=pixels.column[index],
-                weight=1.0 / share,
+                *(light, pixels.posture, of_light, pixels.row[index], pixels.column[index], 1.0 / share),
                 passed=1.0 if passed is None else passed[index],
             )
             for of_light, index, share in ((layer.take(lit), whole[lit], lit_share), (None, unlit[few], few_share))

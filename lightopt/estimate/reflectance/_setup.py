@@ -1,7 +1,5 @@
 """The set-up of a fit: its options, and rig, part and images made ready."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -78,17 +76,17 @@ class FitSetup:
         reflectance = self.scene.reflectance
         return np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
 
-    def with_lobe(self, name: ModelName | None) -> FitSetup:
+    def with_lobe(self, name: ModelName | None) -> "FitSetup":
         """The same with a specular lobe of this form; None and that of the part file change nothing."""
         own = self.scene.reflectance.model
         if name in (None, own.name):
             return self
         return self.with_model(replace(own, name=name, wide_share=0.0, wide_ratio=1.0, measured=()))
 
-    def with_model(self, model: SpecularModel) -> FitSetup:
+    def with_model(self, model: SpecularModel) -> "FitSetup":
         return replace(self, scene=replace(self.scene, reflectance=replace(self.scene.reflectance, model=model)))
 
-    def with_form(self, form: DiffuseForm) -> FitSetup:
+    def with_form(self, form: DiffuseForm) -> "FitSetup":
         return replace(self, scene=replace(self.scene, reflectance=replace(self.scene.reflectance, diffuse=form)))
 
     def collect(self, *, uniform: bool = False) -> Samples:

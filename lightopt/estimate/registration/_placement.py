@@ -1,7 +1,5 @@
 """The placement of a part on the stage, as the part file has it, and light of single pixels under any placement."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -80,12 +78,8 @@ def place_part(scene: Scene, placement: Placement) -> Scene:
 
 
 def part_file_placement(scene: Scene, placement: Placement, file: PlacementConfig) -> PlacementConfig:
-    """``placement`` of a part file that puts the part at its measured placement, with the anchor that `file` has.
-
-    The anchor uses the bounding box of the rotated part, so that the translation takes back what the anchor moves.
-
-    scene: With the part at its file placement.
-    """
+    """``placement`` of a part file that puts the part of a scene, at its file placement, where it was measured."""
+    # the anchor uses the bounding box of the rotated part: the translation takes back what the anchor moves
     moved = placement.rotation
     turned = scene.mesh.vertices @ moved.T
     low, high = turned.min(axis=0), turned.max(axis=0)
@@ -123,7 +117,7 @@ class PoseFrame:
     freedoms: int = 3  # 3 or 6
 
     @staticmethod
-    def of(scene: Scene) -> PoseFrame:
+    def of(scene: Scene) -> "PoseFrame":
         own = scene.mesh.vertices - scene.pivot
         middle = 0.5 * (own.min(axis=0) + own.max(axis=0))
         radius = float(np.sqrt(np.max(np.sum(np.square(own[:, :2] - middle[:2]), axis=1))))
@@ -187,7 +181,7 @@ _LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
 _OFFSETS = np.array([0.6180339887498949, 0.4142135623730951])
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PixelSet:
     """Pixels of one posture, shape (n,), and what was measured there."""
 
@@ -202,16 +196,10 @@ class PixelSet:
     @staticmethod
     def look_up(
         posture: Posture, row: Int32, column: Int32, images: Sequence[Observation], black: float, *, rays: int = 1
-    ) -> PixelSet:
-        return PixelSet(
-            posture=posture,
-            row=row,
-            column=column,
-            images=tuple(images),
-            levels=np.stack([image.levels[row, column] - black for image in images]).astype(np.float64),
-            saturated=np.stack([image.saturated[row, column] for image in images]),
-            rays=rays,
-        )
+    ) -> "PixelSet":
+        levels = np.stack([image.levels[row, column] - black for image in images]).astype(np.float64)
+        saturated = np.stack([image.saturated[row, column] for image in images])
+        return PixelSet(posture, row, column, tuple(images), levels, saturated, rays=rays)
 
     @property
     def positions(self) -> tuple[Float64, Float64]:

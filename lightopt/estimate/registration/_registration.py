@@ -13,8 +13,6 @@ Input: a scene with the part at its file placement, and observations of it. Outp
    the placement.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable, Sequence
@@ -99,7 +97,7 @@ class _Surface:
     angle: Float64
     bend: Float64
 
-    def rotated(self, about: Float64, foot: Float64) -> _Surface:
+    def rotated(self, about: Float64, foot: Float64) -> "_Surface":
         return replace(self, points=(self.points - foot) @ about.T + foot, normals=self.normals @ about.T)
 
 

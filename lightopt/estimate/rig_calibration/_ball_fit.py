@@ -4,8 +4,6 @@ The ball's outline gives its centre, its mirror images give the panels: points o
 room. Camera and stage are those of the board fit.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ Edges are where the level is halfway between both sides, to a fraction of a pixe
 measured: its edge is displaced, and so is its centroid.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,7 +14,7 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from lightopt.core.arrays import Bool, Float64, Index
-from lightopt.core.errors import InputError, refuse
+from lightopt.core.errors import InputError, collected, refuse
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._ball_fit import BallView, MirroredPanel
 from lightopt.optics import Sensor
@@ -64,10 +62,8 @@ def measure_ball(
     panels: dict[str, MirroredPanel] = {}
     problems: list[str] = []
     for name, image in highlights.items():
-        try:
+        with collected(problems):
             panels[name] = mirrored_panel(image, sensor, centre, 0.97 * radius_px, where=f"{name} at {posture}")
-        except InputError as problem:  # noqa: PERF203  (every light's problem is reported)
-            problems += problem.messages
     refuse(problems)
     return BallView(posture=posture, outline=outline, outline_error=error, panels=panels)
 
@@ -75,12 +71,7 @@ def measure_ball(
 def mirrored_panel(
     image: NDArray[Any], sensor: Sensor, centre: Float64, radius_px: float, *, where: str
 ) -> MirroredPanel:
-    """The quadrilateral as which the ball mirrors a panel.
-
-    image: [sensor level], shape (H, W)
-    centre, radius_px: Of the part of the image to search, (column, row) [px]
-    Raises InputError: As :func:`measure_ball`
-    """
+    """The quadrilateral as which a ball, at (column, row) [px], mirrors a panel; InputError as :func:`measure_ball`."""
     margin = int(np.ceil(radius_px))
     corner = np.maximum(0, centre.astype(np.intp) - margin)
     left, top = int(corner[0]), int(corner[1])

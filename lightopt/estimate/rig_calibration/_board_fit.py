@@ -129,12 +129,7 @@ def nominal_prior(board: Board, camera: PinholeCamera, stage: Stage, angle_error
 
 
 def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float64) -> tuple[Float64, Origin]:
-    """Parameters and orientations with the board in its place.
-
-    x, origin: Nominal; those of the board are not used
-    pixels: Shape (N, 2)
-    Raises InputError: No view has enough points that are not on a line
-    """
+    """Parameters and orientations with the board in its place, from nominal ones; InputError: points on a line."""
     f, cx, cy, aspect = x[AT["camera.focal_px"] : AT["camera.k1"]]
     rays = (pixels - [cx, cy]) / [f, f * aspect]
     views = len(seen.readings)

@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 
 from lightopt.config import BoardTargetConfig, PlateTargetConfig, RigConfig, TargetsConfig, load_part, load_targets
 from lightopt.core.arrays import Float64
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, collected
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, read_observations
@@ -34,7 +34,7 @@ _FILED = np.diag(np.square([3.0, 3.0, 3.0, 0.04, 0.04, 0.04, 0.1, 0.1]))
 CELL_SHARE = 1 / 40  # side of a plate's cell, of the image's width
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RigCalibration:
     """What the image sets of a calibration folder show of a rig."""
 
@@ -118,18 +118,8 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         plate = fit_plate(images.plate(targets.plate, camera, stage, black), lights=lights, panels_covariance=known)
         images.warnings.extend(plate.warnings)
         lights = plate.lights
-    return RigCalibration(
-        rig=rig,
-        folder=folder,
-        board=board,
-        ball=ball,
-        plate=plate,
-        sensor=sensor,
-        camera=camera,
-        stage=stage,
-        lights=lights,
-        warnings=tuple(images.warnings),
-    )
+    fits = board, ball, plate, sensor
+    return RigCalibration(rig, folder, *fits, camera, stage, lights, tuple(images.warnings))
 
 
 @dataclass(frozen=True)
@@ -168,11 +158,9 @@ class _Images:
             best = {**{o.light: o for o in reversed(mine)}, **best}
             shown = {light: o.levels for light, o in best.items()}
             longest = list({o.light: o.levels for o in mine}.values())
-            try:
-                view = measure_ball(shown, posture=posture, radius_px=radius_px, sensor=sensor, outline_images=longest)
-                views.append(view)
-            except InputError as error:
-                problems += error.messages
+            of_view = {"radius_px": radius_px, "sensor": sensor, "outline_images": longest}
+            with collected(problems):
+                views.append(measure_ball(shown, posture=posture, **of_view))
         if not views:
             raise InputError(*(f"{self.folder / BALL}: {text}" for text in problems))
         self.warnings.extend(problems)
@@ -190,10 +178,8 @@ class _Images:
             for light, o in longest.items():
                 levels = (o.levels.astype(np.float64) - black) / (scale * o.exposure)
                 place: dict[str, Any] = {"posture": posture, "camera": camera, "stage": stage, "cell": cell}
-                try:
+                with collected(self.warnings):
                     views.append(plate_cells(levels, ~o.saturated, light=light, plate=target, **place))
-                except InputError as error:
-                    self.warnings.extend(error.messages)
         return views
 
     def sensor(self) -> PhotonTransfer:

@@ -1,7 +1,5 @@
 """Measured values with their uncertainty; the covariance of a calibrated rig, and the rig displaced along it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -32,11 +30,7 @@ def measured(value: float, error: float, *, errors_95: float = NORMAL_95) -> Mea
 
 
 def read_covariance(rig: RigConfig) -> tuple[tuple[str, ...], Float64]:
-    """Names of the values of a calibrated rig, and their covariance as `RigCalibration.covariance` has it.
-
-    Nothing where the rig file has no calibration.
-    Raises InputError: The file with the covariance cannot be read
-    """
+    """Names and covariance of a calibrated rig, as of `RigCalibration`, or none; InputError: cannot be read."""
     if rig.calibration is None:
         return (), np.zeros((0, 0))
     path = rig.source.resolve(rig.calibration.covariance)

@@ -5,8 +5,6 @@ variance is weighted by the variance of its points, and the noise of dark frames
 Gaussian, so that a black level at 0 is allowed. Intervals are by the delete-one jackknife over blocks of the image.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ A panel lights a point of a Lambertian plate by the mean over the panel of ``(re
 Only the product of gain and the plate's brightness shows, so the mean gain is 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal

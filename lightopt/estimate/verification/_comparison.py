@@ -3,8 +3,6 @@
 Spots are small places that are darker or brighter than predicted, on the part or fixed in the image.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """What was found: each fault with its size, its limit, what else it might be, and what would tell."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

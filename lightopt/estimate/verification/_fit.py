@@ -5,8 +5,6 @@ of groups (Kass and Raftery 1995, doi:10.1080/01621459.1995.10476572) counts wha
 so many free parameters would.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -59,15 +57,7 @@ class Model:
                 continue
             levels = np.stack([images[n].levels[row, column] for n in mine]).astype(np.float64)
             full = np.stack([images[n].saturated[row, column] for n in mine])
-            pixels = PixelSet(
-                posture=posture,
-                row=row,
-                column=column,
-                images=tuple(images[n].source for n in mine),
-                levels=levels,
-                saturated=full,
-            )
-            self._sets.append(pixels)
+            self._sets.append(PixelSet(posture, row, column, tuple(images[n].source for n in mine), levels, full))
             width = max(8, prediction.clean.shape[1] // CELLS)
             for own, n in enumerate(mine):
                 level = prediction.levels[images[n].source.light]
@@ -136,7 +126,7 @@ class Model:
         mean, _, noise = self._delivered(theta, self.levels(theta)[0])
         return mean, noise
 
-    def correct(self, good: Model, theta: Float64) -> None:
+    def correct(self, good: "Model", theta: Float64) -> None:
         """Let the prediction at some parameters be what a known good set shows at the same blocks."""
         self._open &= good._open
         self._correction = good.measured - self.predicted(theta)[0]

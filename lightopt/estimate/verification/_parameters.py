@@ -7,8 +7,6 @@ Coarse images are means over square blocks of pixels: those of a camera of large
 there are fewer rays to cast.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -93,7 +91,7 @@ class Parameters:
     middle: Float64  # about which the part turns, world frame at posture (0, 0) [mm], shape (3,)
 
     @staticmethod
-    def of(scene: Scene, limits: VerifyLimits) -> Parameters:
+    def of(scene: Scene, limits: VerifyLimits) -> "Parameters":
         lights = tuple(light.name for light in scene.lights)
         groups: list[Group] = []
         first = 0
@@ -252,7 +250,7 @@ class Work:
     def __init__(self, scene: Scene, parameters: Parameters, run: RunContext) -> None:
         self.scene, self.parameters, self.run = scene, parameters, run
         camera = scene.camera
-        # of blocks [px], which are the pixels of a coarse camera; what is left at the right and at the bottom is cut off
+        # of blocks [px], the pixels of the coarse camera; what is left at the right and at the bottom is cut off
         self.side = max(1, round(camera.width / COARSE_WIDTH))
         column, row = camera.axis_px
         coarse = replace(

@@ -3,8 +3,6 @@
 Also the files of a verification, and the table of all verifications of a rig over time.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -115,11 +113,7 @@ def verify_observations(
     where: str = "images",
     run: RunContext | None = None,
 ) -> Verification:
-    """As :func:`verify_set`, of images that are read, and the scene with their postures and lights.
-
-    deviations: By which the rig may differ from its file, of one standard deviation each, as columns of `Parameters`.
-    where: The set, for messages.
-    """
+    """As :func:`verify_set`, of images that are read; deviations of the rig, of one sd each, are columns, (K, D)."""
     limits = limits or VerifyLimits()
     work = Work(scene, Parameters.of(scene, limits), run or RunContext())
     good = None

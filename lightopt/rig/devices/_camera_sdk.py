@@ -88,7 +88,7 @@ class RawFrame:
 
 
 class CameraSdk(Protocol):
-    """An opened camera, features named by GenICam's SFNC; HardwareError: refused; LinkLostError: gone; not on `close`."""
+    """An opened camera, features named by GenICam's SFNC; HardwareError: refused; LinkLostError: gone; `close` none."""
 
     @property
     def details(self) -> dict[str, str]: ...  # maker, model, serial number, address, as far as they are known

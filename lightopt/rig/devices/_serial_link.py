@@ -200,11 +200,7 @@ class Link:
 
 
 class SerialLink(Link):
-    """A serial port, or anything else that pyserial reaches by a URL, that a driver speaks through.
-
-    Raises InputError when the port is not there (the message lists those that are), is none, or may not be opened.
-    Raises HardwareError when another program has it, or nothing answers at its address.
-    """
+    """A serial port or pyserial URL that a driver speaks through; InputError: no such; HardwareError: used, silent."""
 
     def __init__(
         self,

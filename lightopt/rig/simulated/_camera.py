@@ -3,8 +3,6 @@
 The pixels of a frame follow the answer to its request row by row, little end first.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Mapping
@@ -43,7 +41,7 @@ class BenchCamera:
     def requests(self) -> dict[str, Handler]:
         return {"camera": self._identity, "frame": self._frame, "prepare": self._prepare}
 
-    def _build(self) -> BenchOptics:
+    def _build(self) -> "BenchOptics":
         with self._building:
             if self._optics is None:
                 from lightopt.config import load_rig
@@ -68,7 +66,7 @@ class BenchCamera:
         resolution_px, bit_depth = self.sensor()
         return {"resolution_px": resolution_px, "bit_depth": bit_depth, "triggered": self._setup.truth.triggered}, b""
 
-    def expose(self, exposure_us: float, gain_db: float, triggered: bool) -> Levels:
+    def expose(self, exposure_us: float, gain_db: float, triggered: bool) -> "Levels":
         """Levels of a frame that begins now, or when the one before ended."""
         now = self._state()
         shares, posture = now if triggered or self._seen is None else self._seen
