@@ -218,7 +218,10 @@ def import_photographs(
         images.write_bytes_atomic(out / name, content, overwrite=force)
     rig_config, part_config = load_rig(out / "rig.yaml"), load_part(out / "part.yaml")
     scene = build_scene(rig_config, part_config)
-    facts = _facts(folder, table, rows, options)
+    # options in JSON form, files by their content
+    chosen = {**asdict(options), "table": table}
+    facts = {key: file_sha256(value) if isinstance(value, Path) else value for key, value in chosen.items()}
+    facts["photographs"] = files_sha256(folder, [row.image for row in rows])
     header = set_manifest("captured", rig_config, part_config, scene, options=facts)
     plan = [(row.light, row.posture, row.exposure) for row in rows]
     writer = images.ImageSetWriter(out, header, force=force, plan=plan)
@@ -235,15 +238,9 @@ def import_photographs(
         levels = _grey_levels(samples, full=full, srgb=options.gamma == "srgb", bits=bits)
         if mask is not None:
             levels[~mask] = 0
-        entry = images.ImageEntry(
-            light=row.light,
-            light_elevation_deg=lights[row.light].elevation_deg,
-            light_azimuth_deg=lights[row.light].azimuth_deg,
-            posture=row.posture,
-            exposure=row.exposure,
-            extra={"photograph": row.image},
-        )
-        writer.add_image(entry, png=levels)
+        angles = lights[row.light].elevation_deg, lights[row.light].azimuth_deg
+        of_row = {"posture": row.posture, "exposure": row.exposure, "extra": {"photograph": row.image}}
+        writer.add_image(images.ImageEntry(row.light, *angles, **of_row), png=levels)
         run.stage("importing")((number + 1) / len(rows))
     if shape.bits == 16 and highest < _LOW and options.bits is None:
         run.warn(f"no level reaches {_LOW} of 65535; a camera of 10 to 14 bits needs option 'bits'")
@@ -350,13 +347,6 @@ def _warn_of_photographs(
         run.warn(f"{folder}: {counted(len(others), 'image')} without light, left out: {', '.join(others[:5])}")
     if options.gamma is None and shape.bits == 8:
         run.warn("8-bit levels are read as linear; photographs of ordinary cameras need option 'gamma' srgb")
-
-
-def _facts(folder: Path, table: Path, rows: Sequence[TableRow], options: ImportOptions) -> dict[str, Any]:
-    """Options of an import in JSON form, files by their content."""
-    chosen = {**asdict(options), "table": table}
-    facts = {key: file_sha256(value) if isinstance(value, Path) else value for key, value in chosen.items()}
-    return {**facts, "photographs": files_sha256(folder, [row.image for row in rows])}
 
 
 def _overlap(scene: Scene, mask: Bool) -> float:

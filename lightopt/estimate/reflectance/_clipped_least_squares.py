@@ -15,6 +15,8 @@ from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.estimate.reflectance._likelihood import (
     Evaluation,
+    Light,
+    Sums,
     add_slopes,
     clipped_levels,
     image_factors,
@@ -120,16 +122,13 @@ class LeastSquares:
         return sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads)
 
 
+_Observed = tuple[Int32, Float32, Int32, Float64]
+_Ends = tuple[float, float]
+
+
 @kernel
 def _accumulate(
-    observed: tuple[Int32, Float32, Int32, Float64],
-    start: int,
-    end: int,
-    light: tuple[Float64, Float64, Float64, Float64],
-    facts: ImageFacts,
-    ends: tuple[float, float],
-    x: Float64,
-    sums: tuple[Float64, ...],
+    observed: _Observed, start: int, end: int, light: Light, facts: ImageFacts, ends: _Ends, x: Float64, sums: Sums
 ) -> float:
     # minus half the sum of weighted squares, its gradient, and the matrix of Gauss and Newton
     (sample, level, image, weights), (diffuse, specular, c, dc), (black, top) = observed, light, ends

@@ -328,7 +328,7 @@ def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float]
     """
     target = estimate.critical * float(estimate.inflation[estimate.free.index(place)])
     best = estimate.maximum.value
-    regions = [_around(estimate, place, target)]
+    regions = [_between(estimate, place, target)]
     for other in estimate.optima[1:]:
         drop = 2.0 * (best - other.top.value)
         if drop < target and other.criterion is None:
@@ -340,7 +340,7 @@ def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float]
             covariance = _inverse(here.curvature[np.ix_(estimate.free, estimate.free)])
             top = replace(estimate.maximum, x=other.top.x, evaluation=here)
             there = replace(estimate, x=top.x, criterion=other.criterion, maximum=top, covariance=covariance)
-            regions.append(_around(there, place, target - drop))
+            regions.append(_between(there, place, target - drop))
     # neighbours along the scan belong together
     for within, run in itertools.groupby(estimate.scan, key=lambda point: point.drop < target):
         if within:
@@ -362,7 +362,7 @@ def _joined(regions: list[tuple[float, float]]) -> tuple[tuple[float, float], ..
     return tuple(joined)
 
 
-def _around(estimate: Estimate, place: int, target: float) -> tuple[float, float]:
+def _between(estimate: Estimate, place: int, target: float) -> tuple[float, float]:
     return _end(estimate, place, -1.0, target), _end(estimate, place, 1.0, target)
 
 

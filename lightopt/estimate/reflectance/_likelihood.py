@@ -27,7 +27,10 @@ EXTREME_SHARE = 0.05
 _CHUNK = 16_384
 _SQRT_HALF = math.sqrt(0.5)
 _SQRT_TWO_PI = math.sqrt(2.0 * math.pi)
-_Sums = tuple[Float64, Float64]  # gradient, shape (K,), and curvature, shape (K, K)
+Light = tuple[Float64, Float64, Float64, Float64]  # diffuse, specular, and weights of its nodes
+_Observed = tuple[Int32, Float32, Bool, Int32]
+_Noise = tuple[float, float, float, float, float]
+Sums = tuple[Float64, Float64]  # gradient, shape (K,), and curvature, shape (K, K)
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ def specular_and_slope(i: int, specular: Float64, c: Float64, dc: Float64) -> tu
 
 @kernel
 def add_slopes(
-    score: float, dark: float, bend: float, gain: int, slopes: tuple[float, float, float, float], sums: _Sums
+    score: float, dark: float, bend: float, gain: int, slopes: tuple[float, float, float, float], sums: Sums
 ) -> None:
     """Add the gradient of one observation, and its curvature to the upper triangle.
 
@@ -206,14 +209,7 @@ def _normal_interval(a: float, b: float) -> float:
 
 @kernel
 def _accumulate(
-    observed: tuple[Int32, Float32, Bool, Int32],
-    start: int,
-    end: int,
-    light: tuple[Float64, Float64, Float64, Float64],
-    facts: ImageFacts,
-    sensor: tuple[float, float, float, float, float],
-    x: Float64,
-    sums: _Sums,
+    observed: _Observed, start: int, end: int, light: Light, facts: ImageFacts, sensor: _Noise, x: Float64, sums: Sums
 ) -> float:
     (sample, level, saturated, image), (diffuse, specular, c, dc) = observed, light
     (black, read_variance, levels_per_electron, ceiling, spread_outliers), (gradient, curvature) = sensor, sums

@@ -18,7 +18,7 @@ from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
 from lightopt.estimate.reflectance._quality import Quality, mean_levels
 from lightopt.estimate.reflectance._samples import Samples, collect_samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup, register_with_fit
-from lightopt.estimate.registration import FLIPS, LEVEL_CAP, Agreement, Observation, PoseFrame, agreement, place_part
+from lightopt.estimate.registration import FLIPS, LEVEL_CAP, Observation, PoseFrame, agreement, place_part
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 
@@ -45,7 +45,9 @@ def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate
         shift, excluded = _better_placement(setup, samples, quality)
         if shift is not None:
             raise InputError(f"the images do not look like this part at its nominal placement: {shift}")
-    own = _agreement(samples, found)
+    level, model = clipped_levels(samples, mean_levels(samples, found))
+    black, frames = samples.sensor.black_level, samples.facts.frames[samples.image]
+    own = agreement(level - black, model - black, np.sqrt(samples.sensor.noise_variance(model - black, frames=frames)))
     if not own.mismatch:
         return excluded
     hint = _better_explanation(samples, quality.floor**2)
@@ -142,14 +144,6 @@ def explained_share(before: Float64, after: Float64, noise: float) -> float:
     # share of the excess that is gone, by the measure that shows more; one that is lost in the noise shows nothing
     significant = before > LEAST_EXCESS * noise
     return float(np.max(1.0 - after[significant] / before[significant], initial=0.0))
-
-
-def _agreement(samples: Samples, found: Estimate) -> Agreement:
-    level, model = clipped_levels(samples, mean_levels(samples, found))
-    black = samples.sensor.black_level
-    frames = samples.facts.frames[samples.image]
-    noise = np.sqrt(samples.sensor.noise_variance(model - black, frames=frames))
-    return agreement(level - black, model - black, noise)
 
 
 def _better_explanation(samples: Samples, noise: float) -> str | None:

@@ -79,7 +79,7 @@ def assess_quality(samples: Samples, found: Estimate) -> Quality:
     spread = float(np.var(level[seen])) - max(noise, shown) ** 2 if seen.any() else 0.0
     missed = float(np.mean(residual**2)) - max(noise, shown) ** 2 if seen.any() else 0.0
     return Quality(
-        rms=_rms(residual),
+        rms=math.sqrt(float(np.mean(residual**2))) if len(residual) else 0.0,
         typical=1.4826 * float(np.median(np.abs(residual))) if seen.any() else 0.0,
         noise=noise,
         image_noise=shown,
@@ -178,10 +178,6 @@ def _reasons(found: Estimate, *, placed: bool) -> str:
         reasons.append("the dark level (fit it)")
     reasons.append("the number of points of the panels")
     return f"Possible reasons: {', '.join(reasons)}"
-
-
-def _rms(values: Float64) -> float:
-    return math.sqrt(float(np.mean(values**2))) if len(values) else 0.0
 
 
 def refuse_out_of_range(found: Estimate, brightest: float, model: SpecularModel) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -93,15 +93,10 @@ class FitSetup:
         """Samples of the images, as many as the options want; `uniform` for the paper's procedure."""
         pairs = len({(o.light, o.posture) for o in self.observations})
         budget = max(20, min(MOST_PER_OCTAVE, self.options.pixels // (pairs * OCTAVES)))
-        return collect_samples(
-            self.scene,
-            self.observations,
-            caster=self.caster,
-            budget=PAPER_PIXELS if uniform else budget,
-            uniform=uniform,
-            threads=self.run.threads,
-            progress=self.run.stage("geometry"),
-        )
+        budget = PAPER_PIXELS if uniform else budget
+        how: dict[str, Any] = {"threads": self.run.threads, "progress": self.run.stage("geometry")}
+        images = self.observations
+        return collect_samples(self.scene, images, caster=self.caster, budget=budget, uniform=uniform, **how)
 
 
 def prepare_fit(

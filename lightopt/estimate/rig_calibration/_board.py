@@ -73,14 +73,9 @@ INSTALL = "pip install 'lightopt[opencv]'"
 
 def board_grid(target: BoardTargetConfig) -> Board:
     columns, rows = target.squares
-    return Board(
-        columns=columns - 1,
-        rows=rows - 1,
-        pitch=target.square_mm,
-        pitch_error=target.square_error,
-        height=target.height_mm,
-        height_error=target.height_error_mm,
-    )
+    sizes = {"pitch": target.square_mm, "pitch_error": target.square_error}
+    sizes |= {"height": target.height_mm, "height_error": target.height_error_mm}
+    return Board(columns=columns - 1, rows=rows - 1, **sizes)
 
 
 def opencv() -> Any:

@@ -25,7 +25,7 @@ LEAST_BLOCKS = 12  # saturated areas smaller than this have no centre
 LEAST_GAIN = 0.1
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LightComparison:
     """Predicted against captured images of one light, all postures together."""
 
@@ -110,16 +110,9 @@ def compare_lights(
                 offsets.append(_offset(work, prediction, areas[0], seen))
                 weights.append(least)
         offset = np.average(offsets, axis=0, weights=weights).tolist() if offsets else (None, None)
-        found.append(
-            LightComparison(
-                light=light,
-                overlap=common / union if union >= LEAST_BLOCKS else None,
-                offset_px=offset[0],
-                offset_deg=offset[1],
-                residual=_rms(mine),
-                explained=_rms([one for one in after if one.image.source.light == light]),
-            )
-        )
+        overlap = common / union if union >= LEAST_BLOCKS else None
+        left = _rms([one for one in after if one.image.source.light == light])
+        found.append(LightComparison(light, overlap, *offset, _rms(mine), left))
     return tuple(found)
 
 
@@ -184,6 +177,7 @@ LARGEST_BLOCKS = 18
 LEAST_FILL = 0.35  # share of its bounding box that a spot fills: edges of highlights that are off fill less
 MOST_SPOTS = 12  # more in one posture are no dust, but a part that its model does not describe
 NEAR_BLOCKS = 3
+_Place = tuple[float, float]  # row and column [block]
 
 
 @dataclass(frozen=True)
@@ -217,7 +211,7 @@ def find_spots(work: Work, fit: Fit, images: Sequence[Compared]) -> tuple[tuple[
         own = view_from_part(work.coarse, one.posture)
         point = (world - own.translation) @ own.rotation
         # where the other postures show it
-        places: dict[str, dict[Posture, tuple[float, float]]] = {"part": {}, "lens": {}}
+        places: dict[str, dict[Posture, _Place]] = {"part": {}, "lens": {}}
         for p in scores:
             x, y, _ = project(work.parameters.view(work.coarse, p, fit.theta).camera, point[None])
             places["part"][p] = float(y[0]) - 0.5, float(x[0]) - 0.5
@@ -266,10 +260,7 @@ def _candidates(posture: Posture, score: Float32) -> list[Spot]:
 
 
 def _seen_again(
-    one: Spot,
-    places: Mapping[Posture, tuple[float, float]],
-    scores: Mapping[Posture, Float32],
-    predictions: Predictions,
+    one: Spot, places: Mapping[Posture, _Place], scores: Mapping[Posture, Float32], predictions: Predictions
 ) -> list[bool]:
     # of each other posture that could show it at the given place, whether it does
     seen: list[bool] = []

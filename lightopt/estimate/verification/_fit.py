@@ -191,6 +191,7 @@ LEAST_ROWS = 300  # fewer blocks of all images determine nothing
 UNEXPLAINED_SHARE = 0.15
 # the same where its image has moved by more than this, and the residual is still so many times the noise
 FAR_BLOCKS, FAR_RESIDUAL = 4.0, 2.0
+_Images = tuple[CoarseImage, ...]
 
 
 @dataclass(frozen=True)
@@ -311,13 +312,7 @@ class Fit:
 
 
 def fit_faults(
-    work: Work,
-    images: tuple[CoarseImage, ...],
-    good: Fit | None = None,
-    *,
-    deviations: Float64,
-    where: str,
-    register: bool,
+    work: Work, images: _Images, good: Fit | None = None, *, deviations: Float64, where: str, register: bool
 ) -> Fit:
     """Find the faults that explain images, from those of a known good set or from the rig file.
 
@@ -351,7 +346,7 @@ def fit_faults(
 
 
 def _descend(
-    work: Work, images: tuple[CoarseImage, ...], good: Fit | None, deviations: Float64, origin: Float64, start: Float64
+    work: Work, images: _Images, good: Fit | None, deviations: Float64, origin: Float64, start: Float64
 ) -> Fit:
     p = work.parameters
     limits = np.concatenate([np.full(g.size, g.limit) for g in p.groups])

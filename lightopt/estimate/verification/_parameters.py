@@ -160,15 +160,8 @@ def _moved_panel(light: PanelLight, shift: Float64, turn: Float64) -> PanelLight
     # along its own axes, and about its own centre
     axes = np.stack([light.across, light.along, light.outward], axis=1)
     across, along, outward = (rotation_from_vector(axes[:, :2] @ turn) @ axes).T
-    reference = light.reference_distance or light.distance
-    return replace(
-        light,
-        centre=light.centre + axes @ shift,
-        across=across,
-        along=along,
-        outward=outward,
-        reference_distance=reference,
-    )
+    place = {"centre": light.centre + axes @ shift, "across": across, "along": along, "outward": outward}
+    return replace(light, **place, reference_distance=light.reference_distance or light.distance)
 
 
 def calibrated_deviations(rig: RigConfig, scene: Scene, p: Parameters) -> Float64:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from typing import IO
 
@@ -99,7 +100,11 @@ class CaptureSession:
         if self._plan.home:
             self._report_progress("homing the stage")
             self._engine.home()
-        self._set_dark_references()
+        # frames without light of a previous run
+        for posture, exposure in product(self._plan.postures, self._plan.dark_exposures):
+            wanted = not self._checker.has_dark_reference(exposure)
+            if wanted and self._records.has_dark(posture, exposure):
+                self._checker.set_dark_reference(self._records.read_dark(posture, exposure), exposure)
         for posture in self.todo():
             self._capture_posture(posture)
         if self._plan.options.check_repeatability:
@@ -198,14 +203,6 @@ class CaptureSession:
             self._in_doubt = (posture, lights)
             again = f"{images} were not kept; option 'resume' captures them again"
             raise HardwareError(*error.messages, again) from error
-
-    def _set_dark_references(self) -> None:
-        """Compare frames without light with those of a previous run."""
-        for posture in self._plan.postures:
-            for exposure in self._plan.dark_exposures:
-                wanted = not self._checker.has_dark_reference(exposure)
-                if wanted and self._records.has_dark(posture, exposure):
-                    self._checker.set_dark_reference(self._records.read_dark(posture, exposure), exposure)
 
     def _capture_darks(self, posture: Posture) -> Dark:
         dark: dict[float, Float32] = {}

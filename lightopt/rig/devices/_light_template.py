@@ -40,11 +40,6 @@ class TemplateController(LightController):
     def _query_level(self, channel: int) -> int:
         return self._retry.run(lambda: self._read_once(channel))
 
-    def _command(self, verb: str, channel: int, level: int) -> bytes:
-        letter = chr(ord("A") + channel - 1)
-        text = self._words[verb].format(channel=channel, channel0=channel - 1, letter=letter, level=level)
-        return text.encode("latin-1")
-
     def _read_once(self, channel: int) -> int:
         digits = self._exchange("read", channel, 0)["level"]
         try:
@@ -54,7 +49,9 @@ class TemplateController(LightController):
 
     def _exchange(self, verb: str, channel: int, level: int) -> dict[str, bytes]:
         """Send a command and match its reply; the pattern's groups."""
-        frame = self._command(verb, channel, level)
+        letter = chr(ord("A") + channel - 1)
+        text = self._words[verb].format(channel=channel, channel0=channel - 1, letter=letter, level=level)
+        frame = text.encode("latin-1")
         pattern = self._patterns.get(f"{verb}_reply")
         if pattern is None:
             self._link.send(frame)

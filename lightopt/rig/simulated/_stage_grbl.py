@@ -100,7 +100,10 @@ class GrblFirmware(StageFirmware):
                 self._status_wanted = self._homing  # no report while it seeks the switches
                 out += b"" if self._homing else self._report(now)
             elif byte == b"!":
-                self._hold(now)
+                if self._state == "Idle" and not self._homing:
+                    self._braked = now + _BRAKE_S if self._axes_move(now) else now
+                    self._stop_axes(now)
+                    self._state = "Hold"
             elif byte in b"\r\n":
                 if self._buffer:
                     self._lines.append(self._buffer.decode("ascii", "replace"))
@@ -172,12 +175,6 @@ class GrblFirmware(StageFirmware):
             self._critical = True
             return f"ALARM:{code}\r\n".encode() + _RESET_FIRST
         return f"ALARM:{code}\r\n".encode()
-
-    def _hold(self, now: float) -> None:
-        if self._state == "Idle" and not self._homing:
-            self._braked = now + _BRAKE_S if self._axes_move(now) else now
-            self._stop_axes(now)
-            self._state = "Hold"
 
     def _report(self, now: float) -> bytes:
         moving = self._axes_move(now) and now >= self._idle_until
