@@ -346,10 +346,6 @@ def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float]
         if within:
             values = [float(point.x[place]) for point in run]
             regions.append((min(values), max(values)))
-    return _joined(regions)
-
-
-def _joined(regions: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
     joined: list[tuple[float, float]] = []
     for low, high in sorted(regions):
         if joined:

@@ -166,10 +166,32 @@ def fit_specular(
 
 
 def _fit_lobe(prepared: Callable[[ModelName | None], FitSetup], options: FitOptions) -> _FittedLobe:
-    # with the form of the lobe that the options name or want chosen
-    if options.model == "auto":
-        return _choose_model(prepared, options)
-    return _fit_one(prepared(options.model)), ()
+    # with the form of the lobe that the options name or, if they want it chosen, that predicts lights that are left out
+    # best; the simplest of those about as good
+    if options.model != "auto":
+        return _fit_one(prepared(options.model)), ()
+    if options.method == "paper":
+        raise InputError("the paper's method knows one Gaussian lobe: there is no form of the lobe to choose")
+    rows: list[ModelRow] = []
+    fits: dict[str, _Fitted] = {}
+    for model in MODELS:
+        setup = prepared(model)
+        if len({o.light for o in setup.observations}) < 2:
+            raise InputError("model auto: expected images under at least two lights, to predict each; give the model")
+        try:
+            result, setup, samples = fits[model] = _fit_one(setup)
+        except InputError as error:
+            # a form that these images do not determine, such as two lobes of a surface that has one
+            rows.append(ModelRow(model=model, refused=error.args[0]))
+            continue
+        assert result.estimate is not None
+        left_out = _validation.leave_lights_out(setup, samples, result.estimate)
+        rows.append(_validation.model_row(model, left_out, result.estimate))
+    least = min((row.rms for row in rows if row.rms is not None), default=None)
+    if least is None:
+        raise InputError(*(f"model {row.model}: {row.refused}" for row in rows))
+    chosen = next(row.model for row in rows if row.rms is not None and row.rms <= MODEL_MARGIN * least)
+    return fits[chosen], tuple(rows)
 
 
 def _validated(fitted: _Fitted, save_prediction: SavePrediction | None = None) -> FitResult:
@@ -217,33 +239,6 @@ def _with_regions(result: FitResult, setup: FitSetup, fit: Callable[[FitSetup], 
         raise InputError(result.warnings[-1], *(f"region {one.name}: {one.refused}" for one in regions))
     noted = [f"region {one.name}: {text}" for one in regions for text in one.warnings]
     return replace(result, regions=regions, warnings=(*result.warnings, *noted))
-
-
-def _choose_model(prepared: Callable[[ModelName], FitSetup], options: FitOptions) -> _FittedLobe:
-    # the fit of the form of the lobe that predicts lights that are left out best; the simplest of those about as good
-    if options.method == "paper":
-        raise InputError("the paper's method knows one Gaussian lobe: there is no form of the lobe to choose")
-    rows: list[ModelRow] = []
-    fits: dict[str, _Fitted] = {}
-    for model in MODELS:
-        setup = prepared(model)
-        if len({o.light for o in setup.observations}) < 2:
-            raise InputError("model auto: expected images under at least two lights, to predict each; give the model")
-        try:
-            result, setup, samples = fits[model] = _fit_one(setup)
-        except InputError as error:
-            # a form that these images do not determine, such as two lobes of a surface that has one
-            rows.append(ModelRow(model=model, refused=error.args[0]))
-            continue
-        assert result.estimate is not None
-        rows.append(
-            _validation.model_row(model, _validation.leave_lights_out(setup, samples, result.estimate), result.estimate)
-        )
-    least = min((row.rms for row in rows if row.rms is not None), default=None)
-    if least is None:
-        raise InputError(*(f"model {row.model}: {row.refused}" for row in rows))
-    chosen = next(row.model for row in rows if row.rms is not None and row.rms <= MODEL_MARGIN * least)
-    return fits[chosen], tuple(rows)
 
 
 def _fit_one(setup: FitSetup) -> _Fitted:

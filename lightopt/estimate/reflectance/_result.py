@@ -275,7 +275,17 @@ def fit_folder(
 def write_fit(folder: ResultFolder, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
     """Write the part, the rig where any of it was fitted, and at last ``fit.json``; InputError: cannot be written."""
     texts = {PART_NAME: _part_text(folder.folder, result, part)}
-    values = _rig_values(result, rig)
+    values: _Values = {}
+    for index, light in enumerate(rig.lights):
+        gain = None if result.gains is None else result.gains.get(light.name)
+        if gain is not None and gain.interval is not None:  # the one that is held keeps its line in the file
+            values["lights", index, "gain"] = f"{gain.value:.6g}"
+    if result.dark is not None:
+        values["camera", "sensor", "black_level"] = f"{max(result.dark.value, 0.0):.6g}"
+    noise = result.noise if result.write_noise else None
+    for key in ("read_noise_levels", "electrons_per_level"):
+        if (figure := getattr(noise, key, None)) is not None:
+            values["camera", "sensor", key] = f"{figure:.4g}"
     if result.gains is not None or values:
         texts[RIG_NAME] = copied_text(rig, folder.folder, values)
     written = [folder.write_text(name, text) for name, text in texts.items()]
@@ -330,19 +340,4 @@ def _placement_values(part: PartConfig, found: PlacementConfig) -> _Values:
             values |= {("placement", key, i): f"{value:.6g}" for i, value in enumerate(vector)}
         else:
             values["placement", key] = lists[key]
-    return values
-
-
-def _rig_values(result: FitResult, rig: RigConfig) -> _Values:
-    values: _Values = {}
-    for index, light in enumerate(rig.lights):
-        gain = None if result.gains is None else result.gains.get(light.name)
-        if gain is not None and gain.interval is not None:  # the one that is held keeps its line in the file
-            values["lights", index, "gain"] = f"{gain.value:.6g}"
-    if result.dark is not None:
-        values["camera", "sensor", "black_level"] = f"{max(result.dark.value, 0.0):.6g}"
-    noise = result.noise if result.write_noise else None
-    for key in ("read_noise_levels", "electrons_per_level"):
-        if (figure := getattr(noise, key, None)) is not None:
-            values["camera", "sensor", key] = f"{figure:.4g}"
     return values

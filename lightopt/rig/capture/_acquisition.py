@@ -181,7 +181,17 @@ class AcquisitionEngine:
     def __init__(self, devices: Devices, plan: CapturePlan, *, sensor: Sensor, timing: Timing) -> None:
         devices.step = "querying the identity of the devices"
         self._identities = devices.identities()
-        _check_exposures(devices, plan)
+        # refuse a plan whose exposures the camera cannot hold; each that is in its range is set once
+        low, high = devices.camera.exposure_range_us
+        problems: list[str] = []
+        for exposure in plan.exposures:
+            wanted = plan.exposure_us(exposure)
+            if not low * (1 - EXPOSURE_TOLERANCE) <= wanted <= high * (1 + EXPOSURE_TOLERANCE):
+                problems.append(f"an exposure of {wanted:g} µs is outside the camera's {low:g} to {high:g} µs")
+            elif not _holds(held := devices.camera.set_exposure(wanted), wanted):
+                instead = f"holds {held:g} µs instead, which is exposure {held / plan.wiring.exposure_us:.6g}"
+                problems.append(f"exposure {exposure:g} ({wanted:g} µs): the camera {instead}")
+        refuse(f"{problem}; choose others, or another camera.exposure_us in the rig" for problem in problems)
         self.devices = devices
         self._plan = plan
         self._sensor = sensor
@@ -364,17 +374,3 @@ class AcquisitionEngine:
 
 def _holds(held_us: float, wanted_us: float) -> bool:
     return abs(held_us - wanted_us) <= EXPOSURE_TOLERANCE * wanted_us
-
-
-def _check_exposures(devices: Devices, plan: CapturePlan) -> None:
-    """Refuse a plan whose exposures the camera cannot hold; each that is in its range is set once."""
-    low, high = devices.camera.exposure_range_us
-    problems: list[str] = []
-    for exposure in plan.exposures:
-        wanted = plan.exposure_us(exposure)
-        if not low * (1 - EXPOSURE_TOLERANCE) <= wanted <= high * (1 + EXPOSURE_TOLERANCE):
-            problems.append(f"an exposure of {wanted:g} µs is outside the camera's {low:g} to {high:g} µs")
-        elif not _holds(held := devices.camera.set_exposure(wanted), wanted):
-            instead = f"holds {held:g} µs instead, which is exposure {held / plan.wiring.exposure_us:.6g}"
-            problems.append(f"exposure {exposure:g} ({wanted:g} µs): the camera {instead}")
-    refuse(f"{problem}; choose others, or another camera.exposure_us in the rig" for problem in problems)

@@ -12,7 +12,6 @@ import select
 import socket
 import sys
 import zlib
-from typing import Any
 
 _TICK_S = 0.02
 _CLIENT_S = 30.0  # longest wait for the client
@@ -20,25 +19,21 @@ _BYTES = 1 << 20
 _NO_SCREENS = ("dummy", "offscreen")  # what the library falls back on
 
 
-def _library() -> Any:
-    os.environ |= {
-        "PYGAME_HIDE_SUPPORT_PROMPT": "1",
-        "SDL_VIDEO_MINIMIZE_ON_FOCUS_LOSS": "0",
-        "SDL_WINDOWS_DPI_AWARENESS": "permonitorv2",  # no scaling
-    }
-    pygame = importlib.import_module("pygame")
-    try:
-        pygame.display.init()
-    except pygame.error as error:
-        raise ValueError(f"no desktop can be reached ({error}); run this in a session with a desktop") from None
-    if pygame.display.get_driver() in _NO_SCREENS:
-        raise ValueError("no desktop can be reached; run this in a session with a desktop")
-    return pygame
-
-
 class _Window:
     def __init__(self, monitor: int, size: tuple[int, int]) -> None:
-        self._pygame = pygame = _library()
+        os.environ |= {
+            "PYGAME_HIDE_SUPPORT_PROMPT": "1",
+            "SDL_VIDEO_MINIMIZE_ON_FOCUS_LOSS": "0",
+            "SDL_WINDOWS_DPI_AWARENESS": "permonitorv2",  # no scaling
+        }
+        pygame = importlib.import_module("pygame")
+        try:
+            pygame.display.init()
+        except pygame.error as error:
+            raise ValueError(f"no desktop can be reached ({error}); run this in a session with a desktop") from None
+        if pygame.display.get_driver() in _NO_SCREENS:
+            raise ValueError("no desktop can be reached; run this in a session with a desktop")
+        self._pygame = pygame = pygame
         self._monitor, self._size = monitor, size
         sizes = pygame.display.get_desktop_sizes()
         if monitor > len(sizes):

@@ -117,7 +117,15 @@ class BenchProcess:
         self._reader = threading.Thread(target=self._read_answers, daemon=True)
         try:
             self._reader.start()
-            self.ports: dict[str, str] = self._await_ports()
+            answer: dict[str, Any] = {}
+            with suppress(queue.Empty):
+                answer, _ = self._answers.get(timeout=_START_S)
+            if not answer:
+                with suppress(subprocess.TimeoutExpired):
+                    if self._process.wait(_ANSWER_S) == WRONG:
+                        raise InputError(*self._gone("cannot be as described").messages)
+                raise self._gone("did not start")
+            self.ports: dict[str, str] = answer["ports"]
         except BaseException:
             self.close()
             raise
@@ -202,17 +210,6 @@ class BenchProcess:
                     break
                 self._answers.put((answer, data))
         self._answers.put(({}, b""))
-
-    def _await_ports(self) -> dict[str, str]:
-        answer: dict[str, Any] = {}
-        with suppress(queue.Empty):
-            answer, _ = self._answers.get(timeout=_START_S)
-        if not answer:
-            with suppress(subprocess.TimeoutExpired):
-                if self._process.wait(_ANSWER_S) == WRONG:
-                    raise InputError(*self._gone("cannot be as described").messages)
-            raise self._gone("did not start")
-        return answer["ports"]
 
     def _gone(self, what: str) -> HardwareError:
         output = ""
