@@ -229,7 +229,6 @@ def option_words(batch: BatchConfig, index: int, form: CommandForm) -> tuple[lis
 
 
 def option_problems(batch: BatchConfig, index: int, form: CommandForm) -> Iterator[str]:
-    """What is wrong with the options of a job, each with its line."""
     for name, value in batch.jobs[index].options.items():
         at, option = batch.source.at("jobs", index, "options", name), form.options.get(name)
         if option is None:

@@ -166,8 +166,6 @@ def _quoted(text: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """What the photographs show and how they were taken."""
-
     camera: Path  # calibration file with K
     pose: Path | None = None  # file with [R|t]; `camera` unless given
     pose_units: Literal["mm", "cm", "m"] = "mm"  # of t

@@ -124,9 +124,8 @@ def _numbers(path: Path, values: Mapping[str, Any], names: tuple[str, ...], *sha
     if (numbers.size,) in shapes:
         numbers = numbers.ravel()
     if shapes and numbers.shape not in shapes:
-        expected, found = (
-            " or ".join(" × ".join(map(str, s)) or "one" for s in some) for some in (shapes, [numbers.shape])
-        )
+        words = [" or ".join(" × ".join(map(str, s)) or "one" for s in some) for some in (shapes, [numbers.shape])]
+        expected, found = words
         raise InputError(f"{where}: expected {expected} numbers, found {found}")
     if not np.isfinite(numbers).all():
         raise InputError(f"{where}: expected finite numbers, found {_listed(numbers.ravel())}")

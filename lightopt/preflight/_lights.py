@@ -92,7 +92,7 @@ def check_collisions(checked: CheckedRig) -> Iterator[Finding]:
             reported.add(entries)
             angles = [(p.name, math.degrees(p.elevation), math.degrees(p.azimuth)) for p in meeting]
             places = " and ".join(
-                f"{name} at elevation {up:.3g}°, azimuth {azimuth:.3g}°" for name, up, azimuth in angles
+                f"{name} at elevation {up:.3g}°, azimuth {around:.3g}°" for name, up, around in angles
             )
             text = f"within their ranges {a.name} and {b.name} ({sizes}) can cross each other: {places}"
             yield Finding("note", "lights collide", text, checked.at("lights", j), {"lights": [a.name, b.name]})
@@ -111,9 +111,8 @@ def _moved(rig: RigConfig, index: int, step: float) -> list[PanelLight]:
         return []
     # distances at the ends only
     values = [sorted({*ends}) if key == "distance_mm" else _steps(ends, step) for key, ends in moving.items()]
-    lights = tuple(
-        light.model_copy(update=dict(zip(moving, place, strict=True))) for place in itertools.product(*values)
-    )
+    places = (dict(zip(moving, place, strict=True)) for place in itertools.product(*values))
+    lights = tuple(light.model_copy(update=place) for place in places)
     return list(build_lights(rig.model_copy(update={"lights": lights})))
 
 

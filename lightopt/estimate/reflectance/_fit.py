@@ -50,9 +50,7 @@ def fit_diffuse(
     options: FitOptions | None = None,
     run: RunContext | None = None,
 ) -> FitResult:
-    """Fit R_d to the pixels that are away from every highlight.
-
-    Where the highlights are is found by a fit of the whole model first.
+    """Fit R_d to the pixels that are away from every highlight, which a fit of the whole model finds first.
 
     options: Of the numbers of points only the first is used.
     Raises InputError: images that are not the rig's or not the part's, or that do not determine R_d.

@@ -138,9 +138,8 @@ def _profile_on_subset(few: Samples, scan: _sigma_scan.SigmaScan, progress: Shar
 
     values = [point.value for point in scan.profile]
     at, begin = scan.log_sigmas, values.index(max(values))
-    return _sigma_scan.profile_outwards(
-        lambda s: likelihood_at(few, s), starts_at, at, scan.free, begin=begin, progress=progress
-    )
+    how = {"begin": begin, "progress": progress}
+    return _sigma_scan.profile_outwards(lambda s: likelihood_at(few, s), starts_at, at, scan.free, **how)
 
 
 def _climb_on_all(samples: Samples, tops: Sequence[tuple[float, Estimate]]) -> list[Peak]:

@@ -60,8 +60,6 @@ WIDE_UNDETERMINED = 0.5  # standard deviation of a logarithm that the images do 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FittedParameter:
-    """A parameter of the form as fitted."""
-
     name: ParameterName
     value: float  # as the scan's pixels have it
     variance: float
@@ -188,8 +186,6 @@ class _Profile:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WideLobe:
-    """The wider lobe as fitted."""
-
     model: SpecularModel  # with its share and its ratio
     covariance: Float64  # of their logarithms, shape (2, 2)
     slopes: Float64  # how ln R_s and ln σ follow these, shape (2, 2)

@@ -157,15 +157,12 @@ class FitResult:
 
 @dataclass(frozen=True, kw_only=True)
 class RegionFit:
-    """The fit of a region of the part."""
-
     name: str
     result: FitResult | None = None  # None where images do not determine its reflectance, which stays as it is
     refused: str | None = None  # why they do not
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Those of its fit, or that there is none."""
         if self.result is not None:
             return self.result.warnings
         return (f"not fitted, it keeps the reflectance of the part file: {self.refused}",)
@@ -232,7 +229,6 @@ def fitted_values(found: Estimate, *, full_scale: float, model: SpecularModel) -
 
 
 def fitted_names(model: SpecularModel) -> tuple[str, ...]:
-    """Keys of a part file that a fit of a specular lobe finds."""
     return ("R_s", model.width_key, *(("R_s_wide", "sigma_wide_rad") if model.name == "two-lobe" else ()))
 
 
@@ -248,7 +244,6 @@ def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
 
 
 def negative_black_level_warnings(dark: FittedValue | None) -> Iterator[str]:
-    """Warn of a black level that a rig file cannot hold."""
     if dark is not None and dark.value < 0.0:
         yield (
             f"the fitted black level is {dark.value:.3g}, but a rig file has none below 0: rig.fitted.yaml has 0, and "

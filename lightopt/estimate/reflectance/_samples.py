@@ -135,9 +135,8 @@ def collect_samples(
             verdicts = dict(zip(own, seen, strict=True))
         panel, surface = pixels.view.lights[light], pixels.surface
         own = pixels.clean if surface.material is None else pixels.clean & (surface.material == 0)
-        whole, unlit = (
-            np.flatnonzero(own & (verdicts[light] == verdict)) for verdict in (rendering.WHOLE, rendering.UNLIT)
-        )
+        own = own & np.stack([verdicts[light] == verdict for verdict in (rendering.WHOLE, rendering.UNLIT)])
+        whole, unlit = map(np.flatnonzero, own)
         layer = light_layer(surface.take(whole), panel, caster, form=scene.reflectance.diffuse, threads=threads)
         angle = np.zeros(len(whole)) if uniform else layer.deflection
         draw = posture, draws.setdefault((posture, _entry(panel)), light)

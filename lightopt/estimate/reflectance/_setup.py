@@ -30,8 +30,6 @@ PAPER_PIXELS = 150_000  # pixels per image that the paper's procedure counts
 
 @dataclass(frozen=True, kw_only=True)
 class FitOptions:
-    """How to fit."""
-
     method: Literal["likelihood", "paper"] = "likelihood"
     joint: bool = False
     gain: bool = False  # whether it is freed as well, and the dark level
@@ -113,9 +111,8 @@ def prepare_fit(
     observations = registration.read_observations(image_set, rig, part, threads=run.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
-    scene = build_scene(
-        rig, part, postures=registration.observed_postures(image_set), lights=names, points=points, defects=False
-    )
+    postures = registration.observed_postures(image_set)
+    scene = build_scene(rig, part, postures=postures, lights=names, points=points, defects=False)
     setup = FitSetup(scene, cast_rays_at(scene), observations, options=options, run=run).with_lobe(model)
     if options.diffuse is not None:
         setup = setup.with_form(LAMBERT)

@@ -35,7 +35,6 @@ def outlier_share(x: Float64) -> float:
 
 
 def parameter_name(place: int, lights: tuple[str, ...]) -> str:
-    """Name of a place in the vector of parameters, for messages."""
     gains = (f"the gain of {light}" for light in lights)
     noise = ("the deviation beside the noise", "the share of outliers")
     return ("R_d", "R_s", "σ", "the dark level", *gains, *noise)[place]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -238,9 +239,8 @@ def _layers(
         lobes = [replace(own, sigma=sigma * (own.sigma / first.sigma)) for sigma in sigmas]
         if channels:
             parts = [rendering.light_of_channels(some, channels, own.diffuse, threads=threads)[0]]
-            parts += [
-                rendering.light_of_channels(some, channels, lobe, diffuse=False, threads=threads)[1] for lobe in lobes
-            ]
+            lit = partial(rendering.light_of_channels, some, channels, diffuse=False, threads=threads)
+            parts += [lit(lobe)[1] for lobe in lobes]
         else:
             layer = rendering.light_layer(some, group[0], caster, form=own.diffuse, threads=1)
             parts = [layer.diffuse[None], *(layer.specular(lobe, threads=1)[None] for lobe in lobes)]

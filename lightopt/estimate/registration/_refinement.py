@@ -109,9 +109,8 @@ class RefinementProblem:
         names = [light.name for light in scene.lights]
         lights = [_per_observation(p, [names.index(o.light) for o in p.images]) for p in self._sets]
         self._light = _joined(lights).astype(np.intp)
-        self._scale = _joined(
-            [_per_observation(p, [_placement.sensor_scale(scene, o) for o in p.images]) for p in self._sets]
-        )
+        scales = [[_placement.sensor_scale(scene, o) for o in p.images] for p in self._sets]
+        self._scale = _joined([_per_observation(*one) for one in zip(self._sets, scales, strict=True)])
         self._measured = _joined([p.levels.ravel() for p in self._sets])
         frames = _joined([_per_observation(p, [float(o.frames) for o in p.images]) for p in self._sets])
         parts = ((np.broadcast_to(o.subtracted, o.levels.shape), p) for p in self._sets for o in p.images)
@@ -242,11 +241,8 @@ def _per_observation(pixels: PixelSet, values: Sequence[float]) -> Float64:
 def start_parameters(scene: Scene, frame: PoseFrame, placement: Placement) -> Float64:
     """Parameters with the scene's reflectance, gains of 1 and no dark level, shape (K,)."""
     own = scene.reflectance
-    of_surface = [
-        math.log(max(own.R_d, _placement.LEAST_R_D)),
-        math.log(max(own.R_s, _placement.LEAST_R_S)),
-        math.log(own.sigma),
-    ]
+    r_d, r_s = max(own.R_d, _placement.LEAST_R_D), max(own.R_s, _placement.LEAST_R_S)
+    of_surface = map(math.log, (r_d, r_s, own.sigma))
     return np.array([*frame.pose(placement), *of_surface, *np.zeros(len(scene.lights)), 0.0])
 
 

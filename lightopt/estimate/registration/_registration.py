@@ -85,17 +85,13 @@ def unobservable_rotation(
 
 @dataclass(frozen=True)
 class _Surface:
-    """What n pixels see: points from the part's middle and normals, in the part's axes; how far off facets may be.
-
-    `depth` is the chord error [mm], `angle` the azimuthal extent, `bend` the greatest difference of corners' normals
-    [rad] of the facets, shape (n,).
-    """
+    """What n pixels see: points from the part's middle and normals, in the part's axes; how far off facets may be."""
 
     points: Float64
     normals: Float64
-    depth: Float64
-    angle: Float64
-    bend: Float64
+    depth: Float64  # chord error of the facets [mm], shape (n,)
+    angle: Float64  # their azimuthal extent [rad], shape (n,)
+    bend: Float64  # greatest difference of their corners' normals [rad], shape (n,)
 
     def rotated(self, about: Float64, foot: Float64) -> "_Surface":
         return replace(self, points=(self.points - foot) @ about.T + foot, normals=self.normals @ about.T)
@@ -292,9 +288,8 @@ def refine_placement(
     number, stages = 0, STAGES
     while number < stages:
         place, few = frame.placement(x[own]), reduced or number == 0
-        inner, edges = _refinement.choose_pixels(
-            scene, observations, place, outline=outline, reduced=few, threads=run.threads
-        )
+        how = {"outline": outline, "reduced": few, "threads": run.threads}
+        inner, edges = _refinement.choose_pixels(scene, observations, place, **how)
         if number == 0:
             hidden = unobservable_rotation(scene, frame, inner, x[own], caster=caster)
             limits = replace(limits, undetermined=np.pad(hidden, ((0, 0), (0, len(x) - 3))))
@@ -326,7 +321,7 @@ def _result(solution: Solution, frame: PoseFrame, iterations: int, moved: float,
     # exactly as in the part file, not but for rounding
     pose = np.where(share > 1.0 - 1e-6, 0.0, solution.x[own])
     not_converged = (
-        () if len(directions) == frame.freedoms else _convergence_warnings(solution, frame, iterations, moved)
+        _convergence_warnings(solution, frame, iterations, moved) if len(directions) < frame.freedoms else ()
     )
     known, errors = share <= ALONG_AXIS, solution.errors[own]
     return Registration(

@@ -123,8 +123,6 @@ class BallView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BallFit:
-    """Panels, and the ball that showed them."""
-
     lights: tuple[PanelLight, ...]  # as they were given, with the fitted pose and size
     centre: Float64  # of the ball, stage frame [mm], shape (3,)
     radius: float  # [mm]
@@ -298,10 +296,7 @@ def _ball_start(views: Sequence[BallView], camera: PinholeCamera, stage: Stage, 
 
 
 def _ordered(problem: _Problem) -> tuple[_Image, ...]:
-    """The images with their corners in the order of :func:`lightopt.lights.panel_corners`.
-
-    The shape about its centre alone shows which corner is which: a panel may be far from where the file has it.
-    """
+    """The images, corners as of :func:`lightopt.lights.panel_corners`, by the shape alone: panels may be far off."""
     predicted = problem.mirrored(problem.start)
     numbers = {light.name: k for k, light in enumerate(problem.lights)}
     orders = [(first + sense * np.arange(4)) % 4 for first, sense in itertools.product(range(4), (1, -1))]

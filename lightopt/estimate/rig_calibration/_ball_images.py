@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.errors import InputError, collected, refuse
 from lightopt.core.transforms import Posture
-from lightopt.estimate.rig_calibration._ball_fit import BallView, MirroredPanel
+from lightopt.estimate.rig_calibration._ball_fit import BallView, MirroredPanel as Panel
 from lightopt.optics import Sensor
 
 EDGE_BLUR = 1.2  # of the derivative that finds the outline [px]
@@ -30,6 +30,7 @@ SMOOTHING = 0.6  # before an edge is interpolated between pixels, which a sharp 
 LEVEL_MARGIN, CORNER_MARGIN = 2.7, 2.7
 LEAST_SIDE, LEAST_INNER = 12.0, 20  # of a highlight [px], and of its even middle [px²]
 LEAST_EDGE_POINTS = 6
+_Sided = tuple[Float64, Index, Float64, Float64]
 NEIGHBOURS = 2.0  # crossings of an edge that share one pixel's noise, by which the variance of the fit is more
 LEAST_EDGE_ERROR = 0.02  # systematic error of a contour point [px]
 SECOND = 0.3  # another highlight of this share of the area is one too many
@@ -59,7 +60,7 @@ def measure_ball(
     total = np.sum([image.astype(np.float64) for image in images], axis=0)
     outline, error = _outline(total, radius_px, f"ball at {posture}")
     centre = outline.mean(axis=0)
-    panels: dict[str, MirroredPanel] = {}
+    panels: dict[str, Panel] = {}
     problems: list[str] = []
     for name, image in highlights.items():
         with collected(problems):
@@ -68,9 +69,7 @@ def measure_ball(
     return BallView(posture=posture, outline=outline, outline_error=error, panels=panels)
 
 
-def mirrored_panel(
-    image: NDArray[Any], sensor: Sensor, centre: Float64, radius_px: float, *, where: str
-) -> MirroredPanel:
+def mirrored_panel(image: NDArray[Any], sensor: Sensor, centre: Float64, radius_px: float, *, where: str) -> Panel:
     """The quadrilateral as which a ball, at (column, row) [px], mirrors a panel; InputError as :func:`measure_ball`."""
     margin = int(np.ceil(radius_px))
     corner = np.maximum(0, centre.astype(np.intp) - margin)
@@ -135,7 +134,7 @@ def _rough_corners(points: Float64) -> Float64:
     return np.array([first, points[np.argmax(side)], third, points[np.argmin(side)]])
 
 
-def _fit_sides(contour: Float64, corners: Float64, margin: float, where: str) -> MirroredPanel:
+def _fit_sides(contour: Float64, corners: Float64, margin: float, where: str) -> Panel:
     """Fit a quadrilateral with sides bowed as parabolas, of four corners and four bows, to a contour [px]."""
     shape, noise = np.concatenate([corners.ravel(), np.zeros(4)]), np.inf
     covariance = np.zeros((12, 12))
@@ -149,12 +148,10 @@ def _fit_sides(contour: Float64, corners: Float64, margin: float, where: str) ->
         shape, noise = found.x, 1.4826 * float(np.median(np.abs(found.fun)))
         variance = max(2.0 * float(found.cost) / (len(found.fun) - len(shape)), LEAST_EDGE_ERROR**2)
         covariance = NEIGHBOURS * variance * np.linalg.inv(found.jac.T @ found.jac)
-    return MirroredPanel(corners=shape[:8].reshape(4, 2), covariance=covariance[:8, :8])
+    return Panel(corners=shape[:8].reshape(4, 2), covariance=covariance[:8, :8])
 
 
-def _side_distances(
-    points: Float64, shape: Float64, sides: Index | None = None
-) -> tuple[Float64, Index, Float64, Float64]:
+def _side_distances(points: Float64, shape: Float64, sides: Index | None = None) -> _Sided:
     # of points from their side, or the nearest one: distance, side, place along it and its length [px]
     start, bow = shape[:8].reshape(4, 2), shape[8:]
     chord = np.roll(start, -1, axis=0) - start

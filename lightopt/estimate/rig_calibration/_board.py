@@ -228,9 +228,8 @@ def _cause(cv2: Any, target: BoardTargetConfig, image: UInt8, corners: int) -> s
             f"{_LEAST_CORNERS} corners. Show more of the board, or check its numbers of squares"
         )
     # the largest of each kind
-    others = [
-        n for n in dir(cv2.aruco) if n.startswith("DICT_") and n.isupper() and n[-3:] not in ("_50", "100", "250")
-    ]
+    names = [n for n in dir(cv2.aruco) if n.startswith("DICT_") and n.isupper()]
+    others = [n for n in names if n[-3:] not in ("_50", "100", "250")]
     found = {name: len(_markers(cv2, name, image)) for name in others}
     best = max(found, key=lambda name: found[name])
     if found[best] >= _LEAST_MARKERS:

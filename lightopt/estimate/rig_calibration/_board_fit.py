@@ -54,9 +54,8 @@ def judge_postures(
     postures = [Posture(float(t), float(r)) for t, r in product(_TILTS_DEG, _ROTATIONS_DEG)]
     points = np.arange(board.columns * board.rows)
     outer = points.reshape(board.rows, board.columns)[[0, 0, -1, -1], [0, -1, -1, 0]]
-    outline = predict(
-        fit.x, fit.angles, fit.origin, _joint_fit.sightings(board, [outer] * len(taken), taken), slopes=False
-    )[0]
+    in_views = _joint_fit.sightings(board, [outer] * len(taken), taken)
+    outline = predict(fit.x, fit.angles, fit.origin, in_views, slopes=False)[0]
     readings = np.radians([[p.elevation_deg, p.rotation_deg] for p in postures])
     seen = _joint_fit.sightings(board, [points] * len(postures), readings)
     pixels, by_x, by_angles = predict(fit.x, np.zeros_like(readings), fit.origin, seen)
@@ -183,8 +182,6 @@ def _plane_poses(points: Float64, rays: Float64) -> list[tuple[Float64, Float64]
 
 @dataclass(frozen=True)
 class ViewResidual:
-    """How well one view fits."""
-
     name: str
     posture: Posture
     corners: int

@@ -167,9 +167,8 @@ class _Images:
         return views
 
     def plate(self, target: PlateTargetConfig, camera: PinholeCamera, stage: Stage, black: float) -> list[PlateView]:
-        scale = (
-            build_sensor(self.rig.camera).max_level / load_part(self.folder / f"{PLATE}.yaml").reflectance.full_scale
-        )
+        reflectance = load_part(self.folder / f"{PLATE}.yaml").reflectance
+        scale = build_sensor(self.rig.camera).max_level / reflectance.full_scale
         cell = max(8, round(CELL_SHARE * camera.width))
         views: list[PlateView] = []
         for posture, observations in self._by_posture(PLATE).items():

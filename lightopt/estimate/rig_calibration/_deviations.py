@@ -16,8 +16,6 @@ NORMAL_95 = 1.959964  # standard errors to each side
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """A value, its standard error and the 95 % interval."""
-
     value: float
     error: float
     interval_95: tuple[float, float]

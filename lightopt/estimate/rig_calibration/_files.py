@@ -130,11 +130,8 @@ def _postures(rig: RigConfig, tilts: Sequence[float], turns: int) -> list[Postur
     else:
         rotations = np.linspace(first, last, turns) if turns > 1 else np.array([first])
     elevations = dict.fromkeys(float(np.clip(tilt, low, high)) for tilt in tilts)
-    return [
-        Posture(elevation_deg=tilt, rotation_deg=round(float(rotation), 3))
-        for tilt in elevations
-        for rotation in rotations
-    ]
+    turns_deg = [round(float(rotation), 3) for rotation in rotations]
+    return [Posture(elevation_deg=tilt, rotation_deg=turn) for tilt in elevations for turn in turns_deg]
 
 
 def _targets_text(rig: RigConfig, size: tuple[float, float]) -> str:

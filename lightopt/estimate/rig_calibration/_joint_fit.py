@@ -235,8 +235,6 @@ class Corners:
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """The estimate."""
-
     x: Float64  # all parameters, shape (P,), rotations about `origin`
     origin: Origin
     prior: Prior
@@ -368,9 +366,8 @@ def _polished(
         pull = slopes.T @ residual.ravel()[rows] / (noise * common) - precision * (now - mean)
         if pull @ covariance @ pull <= _SETTLED or step == _POLISH_STEPS:
             fitted, angles = problem.split(now)
-            return JointFit(
-                fitted, origin, prior, free, covariance, angles, angle_sd, noise, common, residual, inlier, extra
-            )
+            noises = angle_sd, noise, common
+            return JointFit(fitted, origin, prior, free, covariance, angles, *noises, residual, inlier, extra)
 
         def cost(there: Float64, rows: Bool = rows, unit: float = noise * common) -> float:
             off = problem.residuals(there)[rows] / unit

@@ -182,8 +182,6 @@ _Place = tuple[float, float]  # row and column [block]
 
 @dataclass(frozen=True)
 class Spot:
-    """A small place that differs."""
-
     posture: Posture  # one that shows it, and where in its image [block]
     row: int
     column: int

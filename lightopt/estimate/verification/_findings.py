@@ -131,10 +131,10 @@ def group_finding(group: Group, theta: Float64, covariance: Float64, alternative
 
 def swap_findings(exchanged: Mapping[str, str]) -> list[Finding]:
     """A finding of lights that show each other's image; none where each shows its own."""
+    if not exchanged:
+        return []
     text = ", ".join(f"images of {name} show {other}" for name, other in exchanged.items())
-    return (
-        [Finding(kind="swap", light=text, size=len(exchanged), limit=0.0, note=f" lights: {text}")] if exchanged else []
-    )
+    return [Finding(kind="swap", light=text, size=len(exchanged), limit=0.0, note=f" lights: {text}")]
 
 
 def dark_findings(images: Sequence[Observation], good: Sequence[Observation], limit: float) -> list[Finding]:
@@ -161,9 +161,8 @@ def spot_findings(spots: Sequence[Spot], side: int) -> list[Finding]:
     for where, kind, limit in (("lens", "dust_lens", 0.0), ("part", "dust_part", None), ("unknown", "dust_part", None)):
         some = [spot for spot in spots if spot.where == where]
         if some:
-            places = "; ".join(
-                f"column {side * (s.column + 0.5):.0f}, row {side * (s.row + 0.5):.0f}" for s in some[:3]
-            )
+            spots_px = [(side * (s.column + 0.5), side * (s.row + 0.5)) for s in some[:3]]
+            places = "; ".join(f"column {column:.0f}, row {row:.0f}" for column, row in spots_px)
             more = ", …" if len(some) > 3 else ""
             note = f" {'place' if len(some) == 1 else 'places'} (at {places} in posture {some[0].posture}{more})"
             others = (("dust_lens", ""),) if where == "unknown" else ()

@@ -196,19 +196,14 @@ _Images = tuple[CoarseImage, ...]
 
 @dataclass(frozen=True)
 class Evidence:
-    """Sums over all rows, which all sets of groups are compared with.
-
-    normal: SᵀWS, shape (K, K); pull: SᵀWr, shape (K,), with r the residuals of the rig without faults. Both without
-        what deviations of a calibrated rig explain as well.
-    deviation_normal, deviation_pull: What :meth:`deviation` is linear in, shapes (K, K) and (K,).
-    """
+    """Sums over all rows, which all sets of groups are compared with."""
 
     parameters: Parameters
-    normal: Float64
-    pull: Float64
+    normal: Float64  # SᵀWS, shape (K, K), without what deviations of a calibrated rig explain as well
+    pull: Float64  # SᵀWr, shape (K,), likewise, with r the residuals of the rig without faults
     inflation: float  # by how much neighbouring residuals that no fault explains exceed independent ones
     weight: Float64  # of each row, shape (n,)
-    deviation_normal: Float64
+    deviation_normal: Float64  # what `deviation` is linear in, shape (K, K), and (K,)
     deviation_pull: Float64
 
     def solve(self, groups: Sequence[Group]) -> tuple[float, Float64, Float64]:
@@ -265,9 +260,8 @@ def gather(model: Model, theta: Float64, origin: Float64, deviations: Float64) -
     through = normal @ deviations
     back = deviations @ np.linalg.inv(inflation * np.eye(deviations.shape[1]) + deviations.T @ through)
     by_normal, by_pull = back @ through.T, back @ (deviations.T @ toward)
-    return Evidence(
-        parameters, normal - normal @ by_normal, toward - normal @ by_pull, inflation, weight, by_normal, by_pull
-    )
+    normal, pull = normal - normal @ by_normal, toward - normal @ by_pull
+    return Evidence(parameters, normal, pull, inflation, weight, by_normal, by_pull)
 
 
 def choose(evidence: Evidence) -> tuple[Group, ...]:

@@ -67,8 +67,6 @@ class VerifyLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Parameters of one fault."""
-
     kind: str  # ``gain``, ``exposure``, ``black``, ``part_shift``, …
     light: str = ""  # whose fault it is; empty where it is no light's
     first: int  # place in the vector of parameters
@@ -84,8 +82,6 @@ class Group:
 
 @dataclass(frozen=True)
 class Parameters:
-    """All parameters of a scene."""
-
     lights: tuple[str, ...]
     groups: tuple[Group, ...]
     middle: Float64  # about which the part turns, world frame at posture (0, 0) [mm], shape (3,)

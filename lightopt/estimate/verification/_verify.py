@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,6 @@ _MANY_SPOTS = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Verification:
-    """How captured images differ from those predicted, and why."""
-
     findings: tuple[Finding, ...]  # those that exceed their limits first
     lights: tuple[LightComparison, ...]  # predicted against captured
     unseen: tuple[str, ...]  # faults that these images would not show at their limits, in words
@@ -135,10 +134,9 @@ def verify_observations(
     for kind in ("part_shift", "part_turn"):
         plain[p.group(kind).where] = theta[p.group(kind).where]
     predictions = work.predict(plain)
-    before = [_comparison.compare_image(work, fit, good, number, plain, predictions) for number in range(len(images))]
-    after = [
-        _comparison.compare_image(work, fit, good, number, theta, fit.predictions) for number in range(len(images))
-    ]
+    compare = partial(_comparison.compare_image, work, fit, good)
+    before = [compare(number, plain, predictions) for number in range(len(images))]
+    after = [compare(number, theta, fit.predictions) for number in range(len(images))]
     spots, many = _comparison.find_spots(work, fit, after)
     blur = p.nuisance[-1]
     blur_error = float(np.sqrt(fit.covariance[blur, blur]))

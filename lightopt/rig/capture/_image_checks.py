@@ -53,8 +53,6 @@ class PredictedImages:
 
 @dataclass(frozen=True, kw_only=True)
 class LightCheck:
-    """Result of the check that an image is lit by its light."""
-
     problem: str | None = None  # message about what is wrong
     brightness: float = 0.0  # mean brightness of the part above dark, as a share of the prediction
     resemblance: float = 0.0  # correlation with the prediction of the light

@@ -20,6 +20,7 @@ from lightopt.scene import VIRTUAL_DEG_PER_S, display_picture
 STAGE = "stage"  # name of the stage among the devices of a virtual bench; controllers have the names of the rig file
 VIRTUAL = "virtual"  # port of a device that is simulated on this computer
 VIRTUAL_EXPOSURE_US = 10_000.0  # exposure time of exposure 1 where all is virtual and the rig does not give one
+Truth = BenchTruth | None
 _CHANNELS_EACH, _VIRTUAL_LEVEL = 4, 200
 _LEVEL_TOLERANCE = 0.005  # how far a whole level may be from the weight of an image, as a share
 _VIRTUAL_TILT = config.AxisConfig(axis="1", steps_per_deg=1000.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
@@ -152,10 +153,8 @@ def _too_bright(rig: RigConfig, wiring: Wiring) -> Iterator[str]:
 
 
 def stage_axes(rig: RigConfig, stage: config.StageDeviceConfig) -> list[Axis]:
-    axes = (
-        ("elevation", stage.elevation, rig.stage.elevation_range_deg),
-        ("rotation", stage.rotation, rig.stage.rotation_range_deg),
-    )
+    ranges = rig.stage.elevation_range_deg, rig.stage.rotation_range_deg
+    axes = zip(("elevation", "rotation"), (stage.elevation, stage.rotation), ranges, strict=True)
     return [
         Axis(name, axis.axis, range_deg, **axis.model_dump(exclude={"axis"}))
         for name, axis, range_deg in axes
@@ -163,9 +162,7 @@ def stage_axes(rig: RigConfig, stage: config.StageDeviceConfig) -> list[Axis]:
     ]
 
 
-def start_bench(
-    rig: RigConfig, wiring: Wiring, *, part: PartConfig | None = None, truth: BenchTruth | None = None
-) -> BenchProcess:
+def start_bench(rig: RigConfig, wiring: Wiring, *, part: PartConfig | None = None, truth: Truth = None) -> BenchProcess:
     """Start the virtual devices of a rig, and a camera where there is a part; InputError: the true rig does not fit."""
     hardware = wiring.hardware
     true = rig if part is None else _true_rig(rig)  # which only the camera sees

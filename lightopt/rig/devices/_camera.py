@@ -132,11 +132,7 @@ class MachineCamera:
         return self._exposure.set_us(exposure_us)
 
     def grab(self, *, timeout_s: float) -> Frame:
-        """Take one frame, or the next that is completed where there is no trigger.
-
-        All attempts together take no longer than `timeout_s`, of which each has an equal part, and no less than the
-        exposure time: fewer attempts where there is no time for as many exposures.
-        """
+        """Take a frame, or the next without a trigger; attempts share `timeout_s`, none shorter than its exposure."""
         if self._wait_ready is not None:
             self._wait_ready()
         end = time.monotonic() + timeout_s

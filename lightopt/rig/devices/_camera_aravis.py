@@ -41,8 +41,6 @@ def find_aravis_cameras() -> list[CameraInfo]:
 
 
 class AravisSdk(CameraLibrary):
-    """A camera opened with Aravis, as a :class:`~lightopt.rig.devices._camera_sdk.CameraSdk`."""
-
     def __init__(self, settings: CameraSettings) -> None:
         super().__init__(settings.where)
         self._library = load_aravis()

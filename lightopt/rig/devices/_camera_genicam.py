@@ -42,8 +42,6 @@ def find_genicam_cameras(producer: Path | str) -> list[CameraInfo]:
 
 
 class GenicamSdk(CameraLibrary):
-    """A camera opened with a maker's producer, as a :class:`~lightopt.rig.devices._camera_sdk.CameraSdk`."""
-
     def __init__(self, settings: CameraSettings) -> None:
         super().__init__(settings.where)
         self._acquirer: Any = None

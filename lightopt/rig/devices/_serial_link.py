@@ -158,11 +158,7 @@ class PriorityLock:
 
 
 class Link:
-    """What a driver has of every link: whose it is, its lock, and how irregularities and failures are reported.
-
-    Its `lock` is held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait
-    breaks them off by ``lock.priority()``; whoever waits for a reply then gets a :class:`PreemptedError`.
-    """
+    """What a driver has of every link; ``lock.priority()`` breaks off dialogues that have its `lock`: PreemptedError."""
 
     def __init__(self, port: str, *, device: str, timeout_s: float, log: SerialLog | None) -> None:
         self.port = port
@@ -250,11 +246,7 @@ class SerialLink(Link):
             return reply
 
     def send(self, frame: bytes) -> None:
-        """Discard pending input and send a frame without waiting for a reply.
-
-        Where the query before was broken off (its reply was late, or the program was interrupted), the reply may still
-        be on its way; the line is then first listened to until it is silent.
-        """
+        """Send a frame; pending input is discarded, after silence where a reply may still be on its way."""
         with self.lock:
             if self._owed:
                 self._owed = False
@@ -279,14 +271,10 @@ class SerialLink(Link):
     def read(
         self, *, end: bytes | re.Pattern[bytes] | None, deadline_s: float | None = None, after: bytes = b""
     ) -> bytes:
-        """Read a reply up to and with its end. What lies in the input at the deadline was in time and is read, too.
+        """Read a reply up to and with its `end`: bytes, a pattern, or None: silence after a byte; `after` was sent.
 
-        end: Bytes that end it; or a pattern, which ends it where it is first found; or None: silence after at least one
-            byte.
-        after: The command that was sent, for messages.
-
-        Raises ReplyError when the deadline passes before the end, PreemptedError when something that cannot wait needs
-        the wire, LinkLostError when the device is gone.
+        What lies in the input at the deadline was in time. ReplyError: the deadline passes before the end;
+        PreemptedError: what cannot wait needs the wire; LinkLostError: the device is gone.
         """
         limit_s = self.timeout_s if deadline_s is None else deadline_s
         until = time.monotonic() + limit_s

@@ -16,15 +16,11 @@ _LONGEST = 256  # bytes of an incomplete command that are kept
 
 @dataclass(frozen=True)
 class SeenPicture:
-    """What a screen shows; `number` is that of the picture, the same whenever it is shown.
-
-    radiance: Shares of the full one as seen from the part, with the light's `along` upwards, shape (rows, columns)
-    rounding: How far that may be from the radiance that was meant, since levels are whole numbers; shape as above
-    """
+    """What a screen shows; `number` is that of the picture, the same whenever it is shown."""
 
     number: int
-    radiance: Float64
-    rounding: Float64
+    radiance: Float64  # shares of the full one as seen from the part, `along` upwards, shape (rows, columns)
+    rounding: Float64  # how far that may be from what was meant, since levels are whole numbers; likewise
 
 
 class Firmware:
