@@ -15,11 +15,11 @@ import pytest
 from captured import PART, PARTS, RIG, expose_all, profile_interval, remeasured
 
 from lightopt import build_scene, render
-from lightopt.estimate.reflectance._vector import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import CHI2_95, FreeParameters, maximise
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._likelihood import predicted
 from lightopt.estimate.reflectance._samples import collect_samples
+from lightopt.estimate.reflectance._vector import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.rendering import cast_rays_at
 
 TRUTH = {R_D: 45.0, LOG_R_S: math.log(12500.0), LOG_SIGMA: math.log(0.0475)}

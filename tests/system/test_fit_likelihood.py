@@ -14,11 +14,11 @@ import pytest
 from captured import PART, PARTS, RIG, captured, profile_interval
 
 from lightopt import build_scene
-from lightopt.estimate.reflectance._vector import LOG_R_S, LOG_SIGMA
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples
+from lightopt.estimate.reflectance._vector import LOG_R_S, LOG_SIGMA
 from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at
 

@@ -17,12 +17,12 @@ from measured_ball import Ball, Surface, hemisphere
 
 from lightopt import build_scene
 from lightopt.core.errors import InputError
-from lightopt.estimate.reflectance._vector import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._quality import assess_quality
 from lightopt.estimate.reflectance._samples import collect_samples
 from lightopt.estimate.reflectance._setup import FitSetup
+from lightopt.estimate.reflectance._vector import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.registration import _image_checks, _refinement
 from lightopt.rendering import cast_rays_at
 

@@ -14,9 +14,9 @@ import pytest
 from captured import PART, PARTS, RIG, captured
 
 from lightopt import build_scene
-from lightopt.estimate.reflectance._vector import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._samples import collect_samples
+from lightopt.estimate.reflectance._vector import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at

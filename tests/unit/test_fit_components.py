@@ -12,12 +12,12 @@ import pytest
 from scipy.special import ndtr
 
 from lightopt import build_scene, render
-from lightopt.estimate.reflectance._vector import DARK, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._likelihood import Likelihood, lagrange, predicted
 from lightopt.estimate.reflectance._mismatch_causes import explained_share
 from lightopt.estimate.reflectance._quality import Quality, fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples, subsample
 from lightopt.estimate.reflectance._validation import compare_image
+from lightopt.estimate.reflectance._vector import DARK, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.registration import Observation
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import cast_rays_at

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from lightopt.estimate.reflectance._vector import FIRST_GAIN, R_D
 from lightopt.estimate.reflectance._fit_samples import UNDETERMINED, leave_groups_out, upper_covariance
 from lightopt.estimate.reflectance._likelihood import Evaluation
+from lightopt.estimate.reflectance._vector import FIRST_GAIN, R_D
 
 POSTURE = "one"
 

@@ -13,13 +13,13 @@ import pytest
 from lightopt import load_rig
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance import FitResult, FittedValue, _fit, _fit_samples, format_interval
-from lightopt.estimate.reflectance._vector import DARK, FIRST_GAIN, LOG_SIGMA, R_D, parameter_name
 from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint, has_settled, maximise, profile_regions
 from lightopt.estimate.reflectance._likelihood import Evaluation
 from lightopt.estimate.reflectance._quality import convergence_warnings, poor_fit_warnings, refuse_out_of_range
 from lightopt.estimate.reflectance._result import bounded, separate_region_warnings
 from lightopt.estimate.reflectance._sigma_scan import peaks, profile_over_sigma
 from lightopt.estimate.reflectance._validation import Comparison, LeftOut, validation_warnings
+from lightopt.estimate.reflectance._vector import DARK, FIRST_GAIN, LOG_SIGMA, R_D, parameter_name
 from lightopt.optics import SpecularModel
 
 

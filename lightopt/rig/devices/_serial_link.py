@@ -158,7 +158,7 @@ class PriorityLock:
 
 
 class Link:
-    """What a driver has of every link; ``lock.priority()`` breaks off dialogues that have its `lock`: PreemptedError."""
+    """What a driver has of every link; ``lock.priority()`` breaks off dialogues with its `lock`: PreemptedError."""
 
     def __init__(self, port: str, *, device: str, timeout_s: float, log: SerialLog | None) -> None:
         self.port = port
