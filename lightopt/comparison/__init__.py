@@ -4,9 +4,5 @@
 comparison: ``comparison.json``, ``comparison.csv`` and ``report.html``.
 """
 
-from lightopt.comparison._compare import (
-    PRESETS as PRESETS,
-    compare_lighting as compare_lighting,
-    preset_files as preset_files,
-)
-from lightopt.comparison._results import answer_text as answer_text, systems_table as systems_table
+from lightopt.comparison._compare import PRESETS, compare_lighting, preset_files
+from lightopt.comparison._results import answer_text, systems_table

@@ -25,7 +25,16 @@ def name_of(face: Path) -> str:
 
 
 def exports(face: Path) -> set[str]:
-    """What is imported as itself, ``from a import x as x``, or listed."""
+    """What is imported from the package's own modules and not used in the face itself, or listed."""
+    tree = ast.parse(face.read_text(encoding="utf-8"))
+    imported = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    own = [node for node in imported if f"{node.module}.".startswith(f"{name_of(face)}.")]
+    here = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    return {alias.name for node in own for alias in node.names} - here | exports_to_type_checkers(face)
+
+
+def exports_to_type_checkers(face: Path) -> set[str]:
+    """What is imported as itself, ``from a import x as x``, or listed: those who use the package may import it."""
     tree = ast.parse(face.read_text(encoding="utf-8"))
     imported = [alias for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names]
     listed = [ast.literal_eval(node.value) for node in tree.body if isinstance(node, ast.Assign) and is_all(node)]
@@ -74,6 +83,14 @@ def test_what_is_exported_is_used_outside(face):
     name = name_of(face)
     used = {imported for path, module, imported in imports() if module == name and package_of(path) != face.parent}
     assert exports(face) - used == set()
+
+
+@pytest.mark.parametrize("face", FACES, ids=map(name_of, FACES))
+def test_what_examples_and_pages_use_is_exported_to_type_checkers(face):
+    name = name_of(face)
+    readers = {*PAGES, *(ROOT / "examples").rglob("*.py")}
+    used = {imported for path, module, imported in imports() if module == name and path in readers}
+    assert used & exports(face) <= exports_to_type_checkers(face)
 
 
 def test_private_modules_export_nothing():

@@ -11,28 +11,15 @@ Entry: ``plan_calibration(rig, folder)`` says what to capture, ``calibrate_rig(r
 """
 
 from lightopt.estimate.rig_calibration._board import (
-    Board as Board,
+    Board,
     BoardImage as BoardImage,
-    BoardView as BoardView,
+    BoardView,
     board_grid as board_grid,
     board_mesh as board_mesh,
     find_corners as find_corners,
-    white_areas as white_areas,
+    white_areas,
 )
-from lightopt.estimate.rig_calibration._board_fit import BoardFit as BoardFit, fit_board as fit_board
-from lightopt.estimate.rig_calibration._calibrate import (
-    RigCalibration as RigCalibration,
-    calibrate_rig as calibrate_rig,
-)
-from lightopt.estimate.rig_calibration._deviations import (
-    Measured as Measured,
-    read_covariance as read_covariance,
-    rig_deviations as rig_deviations,
-    square_root as square_root,
-)
-from lightopt.estimate.rig_calibration._files import (
-    REPORT_NAME as REPORT_NAME,
-    figures as figures,
-    plan_calibration as plan_calibration,
-    write_calibration as write_calibration,
-)
+from lightopt.estimate.rig_calibration._board_fit import BoardFit, fit_board as fit_board
+from lightopt.estimate.rig_calibration._calibrate import RigCalibration, calibrate_rig
+from lightopt.estimate.rig_calibration._deviations import Measured, read_covariance, rig_deviations, square_root
+from lightopt.estimate.rig_calibration._files import REPORT_NAME, figures, plan_calibration, write_calibration

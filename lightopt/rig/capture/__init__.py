@@ -8,26 +8,26 @@
 - images: ``_image_checks.py`` (and repeatability of the stage), ``_captured_set.py`` (on disk).
 """
 
-from lightopt.rig.capture._acquisition import Timing as Timing
-from lightopt.rig.capture._capture import CaptureResult as CaptureResult, capture as capture
+from lightopt.rig.capture._acquisition import Timing
+from lightopt.rig.capture._capture import CaptureResult, capture as capture
 from lightopt.rig.capture._capture_plan import (
     CaptureOptions as CaptureOptions,
-    CapturePlan as CapturePlan,
-    cycle_time as cycle_time,
+    CapturePlan,
+    cycle_time,
     make_plan as make_plan,
 )
-from lightopt.rig.capture._captured_set import check_folder as check_folder
-from lightopt.rig.capture._connect import check_devices as check_devices, connect_devices as connect_devices
-from lightopt.rig.capture._lights_off import switch_off as switch_off
+from lightopt.rig.capture._captured_set import check_folder
+from lightopt.rig.capture._connect import check_devices, connect_devices
+from lightopt.rig.capture._lights_off import switch_off
 from lightopt.rig.capture._manual_control import (
-    check_angles as check_angles,
-    check_level as check_level,
-    check_on_time as check_on_time,
-    check_snap as check_snap,
-    controller_place as controller_place,
-    device_statuses as device_statuses,
-    hold_light as hold_light,
-    snap as snap,
+    check_angles,
+    check_level,
+    check_on_time,
+    check_snap,
+    controller_place,
+    device_statuses,
+    hold_light,
+    snap,
 )
-from lightopt.rig.capture._safe_devices import Devices as Devices
-from lightopt.rig.capture._wiring import wiring_of as wiring_of
+from lightopt.rig.capture._safe_devices import Devices
+from lightopt.rig.capture._wiring import wiring_of

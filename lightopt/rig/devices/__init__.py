@@ -10,32 +10,27 @@ Its simulated counterpart is the module of the same name in ``lightopt.rig.simul
 (``_serial_link.py``), the one home of pyserial. Aravis and harvesters are loaded when a camera is searched for.
 """
 
-from lightopt.rig.devices._camera import Camera as Camera, Frame as Frame
-from lightopt.rig.devices._camera_features import Levels as Levels
-from lightopt.rig.devices._camera_sdk import CameraInfo as CameraInfo, CameraSettings as CameraSettings
-from lightopt.rig.devices._device import (
-    Event as Event,
-    Identity as Identity,
-    frame_limit_s as frame_limit_s,
-    now as now,
-)
+from lightopt.rig.devices._camera import Camera, Frame
+from lightopt.rig.devices._camera_features import Levels
+from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings
+from lightopt.rig.devices._device import Event, Identity, frame_limit_s, now
 from lightopt.rig.devices._drivers import (
-    LIGHT_DRIVERS as LIGHT_DRIVERS,
-    check_camera_driver as check_camera_driver,
-    check_stage as check_stage,
-    find_cameras as find_cameras,
-    open_camera as open_camera,
-    open_stage as open_stage,
+    LIGHT_DRIVERS,
+    check_camera_driver,
+    check_stage,
+    find_cameras,
+    open_camera,
+    open_stage,
 )
 from lightopt.rig.devices._light import (
-    LightController as LightController,
-    LightSettings as LightSettings,
-    LightsStillOnError as LightsStillOnError,
-    PictureSettings as PictureSettings,
-    all_off as all_off,
-    run_in_parallel as run_in_parallel,
+    LightController,
+    LightSettings,
+    LightsStillOnError,
+    PictureSettings,
+    all_off,
+    run_in_parallel,
 )
-from lightopt.rig.devices._light_display import check_display as check_display
-from lightopt.rig.devices._serial_link import SerialLog as SerialLog
-from lightopt.rig.devices._serial_ports import port_problem as port_problem, serial_ports as serial_ports
-from lightopt.rig.devices._stage import Axis as Axis, Stage as Stage, StageState as StageState
+from lightopt.rig.devices._light_display import check_display
+from lightopt.rig.devices._serial_link import SerialLog
+from lightopt.rig.devices._serial_ports import port_problem, serial_ports
+from lightopt.rig.devices._stage import Axis, Stage, StageState

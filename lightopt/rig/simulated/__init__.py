@@ -8,11 +8,11 @@ not import the driver, nor the driver it: the two meet on the wire only.
 """
 
 from lightopt.rig.simulated._bench_process import (
-    CAMERA as CAMERA,
-    EXPOSURE_RANGE_US as EXPOSURE_RANGE_US,
-    AxisWire as AxisWire,
-    BenchProcess as BenchProcess,
-    BenchTruth as BenchTruth,
-    CameraSetup as CameraSetup,
-    LightWire as LightWire,
+    CAMERA,
+    EXPOSURE_RANGE_US,
+    AxisWire,
+    BenchProcess,
+    BenchTruth,
+    CameraSetup,
+    LightWire,
 )
