@@ -5,6 +5,6 @@ line. Its results are in a folder of their own, together with the hash of all th
 computed twice. Home of Dask.
 """
 
-from lightopt.batch._expand import CommandForm, OptionForm
-from lightopt.batch._run import BatchResult, answer_text, jobs_table, run_batch
-from lightopt.batch._schedule import Workers
+from ._expand import CommandForm, OptionForm
+from ._run import BatchResult, answer_text, jobs_table, run_batch
+from ._schedule import Workers

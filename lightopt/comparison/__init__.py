@@ -4,5 +4,5 @@
 comparison: ``comparison.json``, ``comparison.csv`` and ``report.html``.
 """
 
-from lightopt.comparison._compare import PRESETS, compare_lighting, preset_files
-from lightopt.comparison._results import answer_text, systems_table
+from ._compare import PRESETS, compare_lighting, preset_files
+from ._results import answer_text, systems_table

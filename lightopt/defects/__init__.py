@@ -4,14 +4,8 @@ Knows points, normals and lengths; no mesh, no camera and no light. Defects are 
 move nothing: neither points nor silhouettes nor shadows. ``benchmarks/displaced.py`` has what that costs.
 """
 
-from lightopt.defects._placed_defects import (
-    PlacedDefect,
-    mark_surface,
-    surface_coordinates,
-    tangent_direction,
-    tangent_references,
-)
-from lightopt.defects._shape import (
+from ._placed_defects import PlacedDefect, mark_surface, surface_coordinates, tangent_direction, tangent_references
+from ._shape import (
     BUILT_IN_CATALOGUE,
     MAX_SLOPE,
     SHAPE_KINDS,
@@ -23,7 +17,7 @@ from lightopt.defects._shape import (
     radial_place,
     slope_of_depth,
 )
-from lightopt.defects._statistic import (
+from ._statistic import (
     CATALOGUE_SHARE,
     CONFIRMED,
     DARK,
@@ -37,8 +31,8 @@ from lightopt.defects._statistic import (
     least_z,
     rest_of_images,
 )
-from lightopt.defects._waviness import Waviness, clipped_variance
-from lightopt.defects._whole_defects import (
+from ._waviness import Waviness, clipped_variance
+from ._whole_defects import (
     FORESHORTENINGS,
     PLANNING_GRID,
     DefectHypotheses,

@@ -7,7 +7,7 @@ Positions are scored on the levels that the camera would deliver at exposure 1. 
 of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
 """
 
-from lightopt.design._blind_spots import (
+from ._blind_spots import (
     BLIND_CLASSES,
     BLIND_LIGHTS,
     BLIND_SHARES_OF,
@@ -21,21 +21,14 @@ from lightopt.design._blind_spots import (
     blind_legend,
     blind_text,
 )
-from lightopt.design._candidates import AXES, Curve, find_candidates as find_candidates, place_of, place_text
-from lightopt.design._files import DesignOutput, finish_design as finish_design, write_design as write_design
-from lightopt.design._optimize import design_tolerances, optimize as optimize
-from lightopt.design._problem import CalibratedThreshold, OptimizeOptions as OptimizeOptions, PlanOptions as PlanOptions
-from lightopt.design._result import (
-    LEFT_OUT_MEANING,
-    DesignResult,
-    ObjectiveResult,
-    PlanResult,
-    SetResult,
-    places_of as places_of,
-)
-from lightopt.design._result_json import plan_document
-from lightopt.design._tolerances import DEFAULT_TOLERANCE_TARGET, JointTolerances, Tolerances, WidestTolerance
-from lightopt.design.from_images._optimize_from_images import (
+from ._candidates import AXES, Curve, find_candidates as find_candidates, place_of, place_text
+from ._files import DesignOutput, finish_design as finish_design, write_design as write_design
+from ._optimize import design_tolerances, optimize as optimize
+from ._problem import CalibratedThreshold, OptimizeOptions as OptimizeOptions, PlanOptions as PlanOptions
+from ._result import LEFT_OUT_MEANING, DesignResult, ObjectiveResult, PlanResult, SetResult, places_of as places_of
+from ._result_json import plan_document
+from ._tolerances import DEFAULT_TOLERANCE_TARGET, JointTolerances, Tolerances, WidestTolerance
+from .from_images._optimize_from_images import (
     FromImagesOptions,
     FromImagesResult,
     finish_from_images,
@@ -43,12 +36,12 @@ from lightopt.design.from_images._optimize_from_images import (
     optimize_from_images,
     write_from_images,
 )
-from lightopt.design.from_images._samples import agreement_text, synthesise
-from lightopt.design.objectives import OBJECTIVES
-from lightopt.design.objectives._detectability import DetectabilityObjective, deciding_text, finding_text
-from lightopt.design.objectives._objective import Objective, area_text, near_meaning, share_text, shares_of
-from lightopt.design.responses._evidence import DetectionModel
-from lightopt.design.responses._image_evaluator import luminance_matrix as luminance_matrix
-from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, area_units
-from lightopt.design.responses._pairs import PlannedCatalogue, planned_catalogue
-from lightopt.design.search._exact_search import search
+from .from_images._samples import agreement_text, synthesise
+from .objectives import OBJECTIVES
+from .objectives._detectability import DetectabilityObjective, deciding_text, finding_text
+from .objectives._objective import Objective, area_text, near_meaning, share_text, shares_of
+from .responses._evidence import DetectionModel
+from .responses._image_evaluator import luminance_matrix as luminance_matrix
+from .responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, area_units
+from .responses._pairs import PlannedCatalogue, planned_catalogue
+from .search._exact_search import search

@@ -4,21 +4,13 @@ The one home of trimesh and cascadio. Knows triangles and lengths, no camera and
 the frame of the part's file, in mm, Z up.
 """
 
-from lightopt.geometry._caster import Hits, RayCaster, resolve_hits
-from lightopt.geometry._load_mesh import UNITLESS_SUFFIXES, LoadedMesh, load_mesh
-from lightopt.geometry._mesh_formats import box_mesh, sphere_mesh, stl_bytes as stl_bytes
-from lightopt.geometry._patches import Patches, estimate_patch_count, longest_edges, refine
-from lightopt.geometry._regions import (
-    BoxRegion,
-    ColouredRegion,
-    MaskRegion,
-    NamedRegion,
-    Region,
-    RegionAtPoints,
-    mesh_with_regions,
-)
-from lightopt.geometry._topology import merge_rows, mesh_edges, points_inside
-from lightopt.geometry._triangle_mesh import (
+from ._caster import Hits, RayCaster, resolve_hits
+from ._load_mesh import UNITLESS_SUFFIXES, LoadedMesh, load_mesh
+from ._mesh_formats import box_mesh, sphere_mesh, stl_bytes as stl_bytes
+from ._patches import Patches, estimate_patch_count, longest_edges, refine
+from ._regions import BoxRegion, ColouredRegion, MaskRegion, NamedRegion, Region, RegionAtPoints, mesh_with_regions
+from ._topology import merge_rows, mesh_edges, points_inside
+from ._triangle_mesh import (
     Brushing,
     CurvedBrushing,
     RoundBrushing,

@@ -1,14 +1,7 @@
 """Images on disk: EXR, PNG and the sets that rendering and capturing share. The one home of OpenImageIO."""
 
-from lightopt.images._atomic import (
-    csv_text,
-    make_folder,
-    remove_file,
-    write_bytes_atomic,
-    write_npz_atomic,
-    write_text_atomic,
-)
-from lightopt.images._image_files import (
+from ._atomic import csv_text, make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
+from ._image_files import (
     PhotographFormat,
     photograph_format,
     read_exr,
@@ -18,7 +11,7 @@ from lightopt.images._image_files import (
     write_exr,
     write_png,
 )
-from lightopt.images._manifest import (
+from ._manifest import (
     DARK_CHECKED_KEY,
     EVENTS_KEY,
     MANIFEST_NAME,
@@ -32,7 +25,7 @@ from lightopt.images._manifest import (
     read_manifest,
     sheet_name,
 )
-from lightopt.images._overlap import Overlap, find_overlaps, overlap_map_name, write_overlap_map, write_overlaps
-from lightopt.images._result_folder import ResultFolder, paths_inside, read_listing, remove_listed
-from lightopt.images._set_reader import ImageSet, read_image_set as read_image_set
-from lightopt.images._set_writer import ImageSetWriter, remove_image_set, resumable_manifest
+from ._overlap import Overlap, find_overlaps, overlap_map_name, write_overlap_map, write_overlaps
+from ._result_folder import ResultFolder, paths_inside, read_listing, remove_listed
+from ._set_reader import ImageSet, read_image_set as read_image_set
+from ._set_writer import ImageSetWriter, remove_image_set, resumable_manifest

@@ -3,7 +3,7 @@
 Kernels of :mod:`lightopt.rendering` add up the light of a kind by the functions of its `_…_emission` module alone.
 """
 
-from lightopt.lights._light_surface import (
+from ._light_surface import (
     RADIANCE,
     SPHERE,
     Element,
@@ -23,7 +23,7 @@ from lightopt.lights._light_surface import (
     surface_light,
     surface_mesh,
 )
-from lightopt.lights._panel import (
+from ._panel import (
     PanelLight,
     PanelNumbers,
     attenuated,
@@ -37,12 +37,4 @@ from lightopt.lights._panel import (
     pose_light,
     rectangles_meet,
 )
-from lightopt.lights._pattern import (
-    PICTURE,
-    Pattern,
-    bar_pattern,
-    pattern_at,
-    pattern_picture,
-    picture_patterns,
-    sine_pattern,
-)
+from ._pattern import PICTURE, Pattern, bar_pattern, pattern_at, pattern_picture, picture_patterns, sine_pattern

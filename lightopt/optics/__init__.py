@@ -4,10 +4,10 @@ A model is a scalar function compiled as a kernel, called per surface point and 
 :mod:`lightopt.rendering`; it knows neither meshes nor rigs.
 """
 
-from lightopt.optics._albedo import least_white_level, white_level
-from lightopt.optics._gaussian_sum import gaussian_sum
-from lightopt.optics._lens import airy_diameter, airy_kernel, circle_of_confusion, depth_of_field, pupil_points
-from lightopt.optics._reflection_model import (
+from ._albedo import least_white_level, white_level
+from ._gaussian_sum import gaussian_sum
+from ._lens import airy_diameter, airy_kernel, circle_of_confusion, depth_of_field, pupil_points
+from ._reflection_model import (
     EVERYWHERE,
     LAMBERT,
     MAX_LOBE_EXPONENT,
@@ -33,5 +33,5 @@ from lightopt.optics._reflection_model import (
     specular_lobe,
     square_across,
 )
-from lightopt.optics._saturated_region import saturated_region
-from lightopt.optics._sensor import Sensor, clipped_mean, expose, image_rng, saturated
+from ._saturated_region import saturated_region
+from ._sensor import Sensor, clipped_mean, expose, image_rng, saturated

@@ -1,3 +1,3 @@
 """One's own photographs: from images, a table of lights and a calibration to rig, part and image set."""
 
-from lightopt.photographs._import import ImportOptions, import_photographs
+from ._import import ImportOptions, import_photographs

@@ -237,8 +237,9 @@ def import_photographs(
         if mask is not None:
             levels[~mask] = 0
         angles = lights[row.light].elevation_deg, lights[row.light].azimuth_deg
-        of_row = {"posture": row.posture, "exposure": row.exposure, "extra": {"photograph": row.image}}
-        writer.add_image(images.ImageEntry(row.light, *angles, **of_row), png=levels)
+        extra = {"photograph": row.image}
+        entry = images.ImageEntry(row.light, *angles, posture=row.posture, exposure=row.exposure, extra=extra)
+        writer.add_image(entry, png=levels)
         run.stage("importing")((number + 1) / len(rows))
     if shape.bits == 16 and highest < _LOW and options.bits is None:
         run.warn(f"no level reaches {_LOW} of 65535; a camera of 10 to 14 bits needs option 'bits'")

@@ -1,19 +1,13 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
-from lightopt.rendering._converged_panel import (
-    channel_groups,
-    highlight_level,
-    panel_to_shade,
-    shade_isolated,
-    shadow_targets,
-)
-from lightopt.rendering._image_set import (
+from ._converged_panel import channel_groups, highlight_level, panel_to_shade, shade_isolated, shadow_targets
+from ._image_set import (
     BACK_FACE_SHARE,
     RenderOptions as RenderOptions,
     render_image_set as render_image_set,
     set_manifest,
 )
-from lightopt.rendering._images import (
+from ._images import (
     Geometry,
     PostureImages,
     cast_rays_at as cast_rays_at,
@@ -23,8 +17,8 @@ from lightopt.rendering._images import (
     render_pixels,
     render_posture,
 )
-from lightopt.rendering._light_layer import LightLayer, light_layer, specular_of_layers
-from lightopt.rendering._patches import (
+from ._light_layer import LightLayer, light_layer, specular_of_layers
+from ._patches import (
     DEFAULT_PATCH_BUDGET,
     PatchTable as PatchTable,
     build_patches as build_patches,
@@ -35,16 +29,8 @@ from lightopt.rendering._patches import (
     patches_for_edge,
     visible_points,
 )
-from lightopt.rendering._pixels import (
-    CREASE_COSINE,
-    UNLIT,
-    WHOLE,
-    PosturePixels,
-    mask_pixels,
-    trace_pixels,
-    visibility_of_lights,
-)
-from lightopt.rendering._scene_checks import panels_in_part, refuse_unusable_scene, too_few_pixels
-from lightopt.rendering._surface import GRAZING_DEG, SurfacePoints, hidden_by, trace_samples
-from lightopt.rendering._surface_light import light_of_channels, mirrored_places
-from lightopt.rendering._surface_variants import shade_variants, surface_variants
+from ._pixels import CREASE_COSINE, UNLIT, WHOLE, PosturePixels, mask_pixels, trace_pixels, visibility_of_lights
+from ._scene_checks import panels_in_part, refuse_unusable_scene, too_few_pixels
+from ._surface import GRAZING_DEG, SurfacePoints, hidden_by, trace_samples
+from ._surface_light import light_of_channels, mirrored_places
+from ._surface_variants import shade_variants, surface_variants

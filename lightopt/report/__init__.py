@@ -4,12 +4,12 @@ Those of ``lightopt optimize`` are in :mod:`lightopt.report.design`, those of ``
 :mod:`lightopt.report.inspection`.
 """
 
-from lightopt.report._calibration import board_sheet as board_sheet, calibration_lines, calibration_report
-from lightopt.report._contact_sheet import add_contact_sheets, contact_sheet
-from lightopt.report._drawing import chart, figure_image, fixed_style
-from lightopt.report._fit_pictures import fit_chart, residual_picture
-from lightopt.report._images import png_bytes
-from lightopt.report._page import (
+from ._calibration import board_sheet as board_sheet, calibration_lines, calibration_report
+from ._contact_sheet import add_contact_sheets, contact_sheet
+from ._drawing import chart, figure_image, fixed_style
+from ._fit_pictures import fit_chart, residual_picture
+from ._images import png_bytes
+from ._page import (
     Answer,
     Gallery,
     Note,
@@ -22,10 +22,6 @@ from lightopt.report._page import (
     camera_picture,
     page_html as page_html,
 )
-from lightopt.report._rig_drawing import rig_drawing
-from lightopt.report._surface import (
-    ColouredSurface as ColouredSurface,
-    SurfaceClass as SurfaceClass,
-    SurfaceLayer as SurfaceLayer,
-)
-from lightopt.report._verification import findings_table, history_chart, lights_table, verification_report
+from ._rig_drawing import rig_drawing
+from ._surface import ColouredSurface as ColouredSurface, SurfaceClass as SurfaceClass, SurfaceLayer as SurfaceLayer
+from ._verification import findings_table, history_chart, lights_table, verification_report

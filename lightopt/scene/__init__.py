@@ -3,7 +3,7 @@
 :func:`build_scene` is the only code that knows both the YAML's words and the physics.
 """
 
-from lightopt.scene._build import (
+from ._build import (
     build_camera,
     build_lights,
     build_scene,
@@ -15,7 +15,7 @@ from lightopt.scene._build import (
     unit_hint,
     view_size,
 )
-from lightopt.scene._camera import (
+from ._camera import (
     Distortion,
     Framing,
     Lens,
@@ -34,17 +34,9 @@ from lightopt.scene._camera import (
     through_lens,
     typical_blur,
 )
-from lightopt.scene._defects import angle_outside_range, build_catalogue, defect_facts, place_defects
-from lightopt.scene._image_area import area_in_view, lights_meet, obstructions
-from lightopt.scene._lights import display_picture
-from lightopt.scene._point_spacing import coarse_points, coarse_warnings, like_panels, point_spacing, points_advice
-from lightopt.scene._scene import (
-    PartView,
-    Placement,
-    Scene,
-    move_part,
-    scene_of_region,
-    view_from_part,
-    with_reflectances,
-)
-from lightopt.scene._stage import VIRTUAL_DEG_PER_S, Stage, pace_text, travel_order, travel_s
+from ._defects import angle_outside_range, build_catalogue, defect_facts, place_defects
+from ._image_area import area_in_view, lights_meet, obstructions
+from ._lights import display_picture
+from ._point_spacing import coarse_points, coarse_warnings, like_panels, point_spacing, points_advice
+from ._scene import PartView, Placement, Scene, move_part, scene_of_region, view_from_part, with_reflectances
+from ._stage import VIRTUAL_DEG_PER_S, Stage, pace_text, travel_order, travel_s

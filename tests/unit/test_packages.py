@@ -27,8 +27,7 @@ def name_of(face: Path) -> str:
 def exports(face: Path) -> set[str]:
     """What is imported from the package's own modules and not used in the face itself, or listed."""
     tree = ast.parse(face.read_text(encoding="utf-8"))
-    imported = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
-    own = [node for node in imported if f"{node.module}.".startswith(f"{name_of(face)}.")]
+    own = [node for node in tree.body if isinstance(node, ast.ImportFrom) and node.level]
     here = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     return {alias.name for node in own for alias in node.names} - here | exports_to_type_checkers(face)
 
@@ -63,7 +62,7 @@ def imports() -> list[tuple[Path, str, str]]:
             source = "\n".join(re.findall(r"^```python\n(.*?)^```", source, re.M | re.S))
         nodes = list(ast.walk(ast.parse(source)))
         mine = [
-            (path, node.module, alias.name)
+            (path, f"{name_of(path)}.{node.module}" if node.level else node.module, alias.name)
             for node in nodes
             if isinstance(node, ast.ImportFrom) and node.module
             for alias in node.names

@@ -15,6 +15,7 @@ Stein 1981, doi:10.1214/aos/1176345462).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import stdtrit
@@ -138,8 +139,8 @@ def _profile_on_subset(few: Samples, scan: _sigma_scan.SigmaScan, progress: Shar
 
     values = [point.value for point in scan.profile]
     at, begin = scan.log_sigmas, values.index(max(values))
-    how = {"begin": begin, "progress": progress}
-    return _sigma_scan.profile_outwards(lambda s: likelihood_at(few, s), starts_at, at, scan.free, **how)
+    fitted = partial(likelihood_at, few)
+    return _sigma_scan.profile_outwards(fitted, starts_at, at, scan.free, begin=begin, progress=progress)
 
 
 def _climb_on_all(samples: Samples, tops: Sequence[tuple[float, Estimate]]) -> list[Peak]:

@@ -3,16 +3,9 @@
 Entry: ``register(scene, observations, caster=...) -> Registration``, with observations from ``read_observations``.
 """
 
-from lightopt.estimate.registration._image_checks import (
-    FLIPS,
-    LEVEL_CAP,
-    Agreement,
-    agreement,
-    refuse_mismatch,
-    refuse_useless_images,
-)
-from lightopt.estimate.registration._observations import Observation, observed_postures, read_observations
-from lightopt.estimate.registration._placement import (
+from ._image_checks import FLIPS, LEVEL_CAP, Agreement, agreement, refuse_mismatch, refuse_useless_images
+from ._observations import Observation, observed_postures, read_observations
+from ._placement import (
     LEAST_R_D,
     LEAST_R_S,
     PixelSet,
@@ -24,5 +17,5 @@ from lightopt.estimate.registration._placement import (
     sensor_scale,
     view_of_placed,
 )
-from lightopt.estimate.registration._refinement import DARK_SPREAD, GAIN_SPREAD, random_pixels
-from lightopt.estimate.registration._registration import Registration, register
+from ._refinement import DARK_SPREAD, GAIN_SPREAD, random_pixels
+from ._registration import Registration, register

@@ -288,8 +288,9 @@ def refine_placement(
     number, stages = 0, STAGES
     while number < stages:
         place, few = frame.placement(x[own]), reduced or number == 0
-        how = {"outline": outline, "reduced": few, "threads": run.threads}
-        inner, edges = _refinement.choose_pixels(scene, observations, place, **how)
+        inner, edges = _refinement.choose_pixels(
+            scene, observations, place, outline=outline, reduced=few, threads=run.threads
+        )
         if number == 0:
             hidden = unobservable_rotation(scene, frame, inner, x[own], caster=caster)
             limits = replace(limits, undetermined=np.pad(hidden, ((0, 0), (0, len(x) - 3))))

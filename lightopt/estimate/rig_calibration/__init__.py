@@ -10,7 +10,7 @@ Entry: ``plan_calibration(rig, folder)`` says what to capture, ``calibrate_rig(r
 - Pairs of frames: ``_photon_transfer`` gives the sensor.
 """
 
-from lightopt.estimate.rig_calibration._board import (
+from ._board import (
     Board,
     BoardImage as BoardImage,
     BoardView,
@@ -19,7 +19,7 @@ from lightopt.estimate.rig_calibration._board import (
     find_corners as find_corners,
     white_areas,
 )
-from lightopt.estimate.rig_calibration._board_fit import BoardFit, fit_board as fit_board
-from lightopt.estimate.rig_calibration._calibrate import RigCalibration, calibrate_rig
-from lightopt.estimate.rig_calibration._deviations import Measured, read_covariance, rig_deviations, square_root
-from lightopt.estimate.rig_calibration._files import REPORT_NAME, figures, plan_calibration, write_calibration
+from ._board_fit import BoardFit, fit_board as fit_board
+from ._calibrate import RigCalibration, calibrate_rig
+from ._deviations import Measured, read_covariance, rig_deviations, square_root
+from ._files import REPORT_NAME, figures, plan_calibration, write_calibration

@@ -1,6 +1,7 @@
 """Calibrate a rig from the image sets of a calibration folder: camera and stage, panels, their light, the sensor."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -158,9 +159,9 @@ class _Images:
             best = {**{o.light: o for o in reversed(mine)}, **best}
             shown = {light: o.levels for light, o in best.items()}
             longest = list({o.light: o.levels for o in mine}.values())
-            of_view = {"radius_px": radius_px, "sensor": sensor, "outline_images": longest}
+            ball = partial(measure_ball, radius_px=radius_px, sensor=sensor, outline_images=longest)
             with collected(problems):
-                views.append(measure_ball(shown, posture=posture, **of_view))
+                views.append(ball(shown, posture=posture))
         if not views:
             raise InputError(*(f"{self.folder / BALL}: {text}" for text in problems))
         self.warnings.extend(problems)

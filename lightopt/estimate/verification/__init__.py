@@ -3,15 +3,7 @@
 Entry: ``verify_set(rig, part, image_set, ...) -> Verification``.
 """
 
-from lightopt.estimate.verification._comparison import LightComparison
-from lightopt.estimate.verification._findings import Finding
-from lightopt.estimate.verification._parameters import VerifyLimits
-from lightopt.estimate.verification._verify import (
-    HISTORY_NAME,
-    REPORT_NAME,
-    Verification,
-    append_history,
-    plan_limits,
-    verify_folder,
-    verify_set,
-)
+from ._comparison import LightComparison
+from ._findings import Finding
+from ._parameters import VerifyLimits
+from ._verify import HISTORY_NAME, REPORT_NAME, Verification, append_history, plan_limits, verify_folder, verify_set

@@ -109,10 +109,10 @@ def compare_lights(
             if least >= LEAST_BLOCKS and seen.any():
                 offsets.append(_offset(work, prediction, areas[0], seen))
                 weights.append(least)
-        offset = np.average(offsets, axis=0, weights=weights).tolist() if offsets else (None, None)
+        pixels, degrees = np.average(offsets, axis=0, weights=weights).tolist() if offsets else (None, None)
         overlap = common / union if union >= LEAST_BLOCKS else None
         left = _rms([one for one in after if one.image.source.light == light])
-        found.append(LightComparison(light, overlap, *offset, _rms(mine), left))
+        found.append(LightComparison(light, overlap, pixels, degrees, _rms(mine), left))
     return tuple(found)
 
 

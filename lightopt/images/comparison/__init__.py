@@ -1,7 +1,7 @@
 """Comparison of images and image sets with golden ones: differences in numbers and as a picture."""
 
-from lightopt.images.comparison._channels import ComparisonThresholds
-from lightopt.images.comparison._files import (
+from ._channels import ComparisonThresholds
+from ._files import (
     FileComparison,
     SetComparison,
     compare_files,

@@ -1,8 +1,8 @@
 """Tables, pictures and the page of ``lightopt optimize``."""
 
-from lightopt.report.design._from_images import chosen_table, defects_table, from_images_report, scores_table
-from lightopt.report.design._pictures import capture_text
-from lightopt.report.design._plan import (
+from ._from_images import chosen_table, defects_table, from_images_report, scores_table
+from ._pictures import capture_text
+from ._plan import (
     blind_tables,
     defect_tables,
     exposure_note,
@@ -12,5 +12,5 @@ from lightopt.report.design._plan import (
     posture_table,
     tolerance_table,
 )
-from lightopt.report.design._report import best_table, design_report as design_report
-from lightopt.report.design._surface import blind_pictures
+from ._report import best_table, design_report as design_report
+from ._surface import blind_pictures

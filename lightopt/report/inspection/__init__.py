@@ -1,7 +1,7 @@
 """Pictures, tables and pages of ``lightopt inspect``."""
 
-from lightopt.report.inspection._pictures import defect_overlay
-from lightopt.report.inspection._report import (
+from ._pictures import defect_overlay
+from ._report import (
     batch_report,
     dark_text,
     defect_table,

@@ -8,18 +8,13 @@
 - images: ``_image_checks.py`` (and repeatability of the stage), ``_captured_set.py`` (on disk).
 """
 
-from lightopt.rig.capture._acquisition import Timing
-from lightopt.rig.capture._capture import CaptureResult, capture as capture
-from lightopt.rig.capture._capture_plan import (
-    CaptureOptions as CaptureOptions,
-    CapturePlan,
-    cycle_time,
-    make_plan as make_plan,
-)
-from lightopt.rig.capture._captured_set import check_folder
-from lightopt.rig.capture._connect import check_devices, connect_devices
-from lightopt.rig.capture._lights_off import switch_off
-from lightopt.rig.capture._manual_control import (
+from ._acquisition import Timing
+from ._capture import CaptureResult, capture as capture
+from ._capture_plan import CaptureOptions as CaptureOptions, CapturePlan, cycle_time, make_plan as make_plan
+from ._captured_set import check_folder
+from ._connect import check_devices, connect_devices
+from ._lights_off import switch_off
+from ._manual_control import (
     check_angles,
     check_level,
     check_on_time,
@@ -29,5 +24,5 @@ from lightopt.rig.capture._manual_control import (
     hold_light,
     snap,
 )
-from lightopt.rig.capture._safe_devices import Devices
-from lightopt.rig.capture._wiring import wiring_of
+from ._safe_devices import Devices
+from ._wiring import wiring_of

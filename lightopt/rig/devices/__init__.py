@@ -10,27 +10,13 @@ Its simulated counterpart is the module of the same name in ``lightopt.rig.simul
 (``_serial_link.py``), the one home of pyserial. Aravis and harvesters are loaded when a camera is searched for.
 """
 
-from lightopt.rig.devices._camera import Camera, Frame
-from lightopt.rig.devices._camera_features import Levels
-from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings
-from lightopt.rig.devices._device import Event, Identity, frame_limit_s, now
-from lightopt.rig.devices._drivers import (
-    LIGHT_DRIVERS,
-    check_camera_driver,
-    check_stage,
-    find_cameras,
-    open_camera,
-    open_stage,
-)
-from lightopt.rig.devices._light import (
-    LightController,
-    LightSettings,
-    LightsStillOnError,
-    PictureSettings,
-    all_off,
-    run_in_parallel,
-)
-from lightopt.rig.devices._light_display import check_display
-from lightopt.rig.devices._serial_link import SerialLog
-from lightopt.rig.devices._serial_ports import port_problem, serial_ports
-from lightopt.rig.devices._stage import Axis, Stage, StageState
+from ._camera import Camera, Frame
+from ._camera_features import Levels
+from ._camera_sdk import CameraInfo, CameraSettings
+from ._device import Event, Identity, frame_limit_s, now
+from ._drivers import LIGHT_DRIVERS, check_camera_driver, check_stage, find_cameras, open_camera, open_stage
+from ._light import LightController, LightSettings, LightsStillOnError, PictureSettings, all_off, run_in_parallel
+from ._light_display import check_display
+from ._serial_link import SerialLog
+from ._serial_ports import port_problem, serial_ports
+from ._stage import Axis, Stage, StageState

@@ -7,12 +7,4 @@ not import the driver, nor the driver it: the two meet on the wire only.
 (``_devices.py``) on their wires, and answers requests.
 """
 
-from lightopt.rig.simulated._bench_process import (
-    CAMERA,
-    EXPOSURE_RANGE_US,
-    AxisWire,
-    BenchProcess,
-    BenchTruth,
-    CameraSetup,
-    LightWire,
-)
+from ._bench_process import CAMERA, EXPOSURE_RANGE_US, AxisWire, BenchProcess, BenchTruth, CameraSetup, LightWire
