@@ -10,14 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from lightopt import design
-from lightopt.comparison._results import (
-    FORMAT,
-    LightingComparison,
-    SystemResult,
-    comparison_csv,
-    comparison_document,
-    comparison_report,
-)
+from lightopt.comparison import _results
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig, with_values
 from lightopt.core.errors import CheckFailed, InputError, counted, refuse
 from lightopt.core.provenance import provenance
@@ -113,7 +106,7 @@ def compare_lighting(
     tolerances: bool = True,
     force: bool = False,
     run: RunContext | None = None,
-) -> LightingComparison:
+) -> _results.LightingComparison:
     """Compare lighting systems on a part: the same catalogue of defects, the same false-alarm rate.
 
     Each system's design goes to a folder of the name of its file. A system that cannot be used, such as one in the
@@ -128,9 +121,9 @@ def compare_lighting(
     options = replace(options, objectives=("detectability",), images=False)
     loaded = _loaded([Path(rig) for rig in rigs])
     facts = _provenance(loaded, part, options, plan, design.DEFAULT_TOLERANCE_TARGET if tolerances else None)
-    kind = {"name": DOCUMENT, "format": FORMAT, "what": "a comparison"}
+    kind = {"name": DOCUMENT, "format": _results.FORMAT, "what": "a comparison"}
     results = ResultFolder(folder, facts, **kind, also=(TABLE, REPORT), force=force)
-    found: list[SystemResult] = []
+    found: list[_results.SystemResult] = []
     unusable: dict[str, tuple[str, ...]] = {}
     warnings: dict[str, None] = {}
     for name, rig in loaded.items():
@@ -161,7 +154,7 @@ def compare_lighting(
         warnings[f"the cameras differ: a pixel's side at the origin is {sizes}; shares depend on it"] = None
     run.warn(*warnings)
     found.sort(key=lambda one: (-one.share, one.cost, one.name))
-    comparison = LightingComparison(
+    comparison = _results.LightingComparison(
         part=part,
         options=options,
         provenance=facts,
@@ -170,9 +163,11 @@ def compare_lighting(
         warnings=tuple(warnings),
         paths=tuple(folder / name for name in (REPORT, TABLE, DOCUMENT)),
     )
-    results.write_text(TABLE, comparison_csv(comparison))
-    results.write_text(REPORT, comparison_report(comparison, folder))
-    results.write_text(DOCUMENT, json.dumps(comparison_document(comparison), indent=1, ensure_ascii=False) + "\n")
+    results.write_text(TABLE, _results.comparison_csv(comparison))
+    results.write_text(REPORT, _results.comparison_report(comparison, folder))
+    results.write_text(
+        DOCUMENT, json.dumps(_results.comparison_document(comparison), indent=1, ensure_ascii=False) + "\n"
+    )
     return comparison
 
 
@@ -211,7 +206,7 @@ def _loaded(paths: Sequence[Path]) -> dict[str, RigConfig]:
 
 def _system(
     name: str, output: design.DesignOutput, tolerances: design.JointTolerances | None, threads: int | None
-) -> SystemResult:
+) -> _results.SystemResult:
     result = output.result
     share, grain, defects = _found(output)
     answered = [one for one in result.results if one.answers[0].nothing is None]
@@ -223,7 +218,7 @@ def _system(
         seconds = None
     corners = np.concatenate([outlines(light).reshape(-1, 3) for light in build_lights(result.rig)])
     size = np.ptp(corners, axis=0)
-    return SystemResult(
+    return _results.SystemResult(
         name=name,
         rig=result.rig,
         folder=result.folder,

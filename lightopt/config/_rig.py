@@ -13,18 +13,9 @@ from pydantic import (
     model_validator,
 )
 
-from lightopt.config import _fields as fields
+from lightopt.config import _fields as fields, _light
 from lightopt.config._camera import CameraConfig
 from lightopt.config._hardware import HardwareConfig, misfits
-from lightopt.config._light import (
-    LightConfig,
-    LightSourceConfig,
-    ProgrammeImageConfig,
-    auto_sums,
-    expanded,
-    programme_lights,
-    programme_misfits,
-)
 from lightopt.config._pose import CalibrationConfig, RotaryAxisConfig, TiltAxisConfig
 
 
@@ -67,7 +58,7 @@ class VirtualBenchConfig(fields.Frozen):
     """Rotation of the part from its place about the origin, before the offset: its axis, as long as its angle [deg]."""
 
 
-_Programme = Annotated[tuple[ProgrammeImageConfig, ...], Field(strict=False, min_length=1, max_length=1000)]
+_Programme = Annotated[tuple[_light.ProgrammeImageConfig, ...], Field(strict=False, min_length=1, max_length=1000)]
 
 
 class RigConfig(fields.FileConfig):
@@ -79,9 +70,9 @@ class RigConfig(fields.FileConfig):
     """Name of the rig, for people."""
     camera: CameraConfig
     """The camera."""
-    light_source: LightSourceConfig | None = None
+    light_source: _light.LightSourceConfig | None = None
     """The panel that all panel lights share."""
-    lights: Annotated[tuple[LightConfig, ...], Field(strict=False, min_length=1, max_length=1000)]
+    lights: Annotated[tuple[_light.LightConfig, ...], Field(strict=False, min_length=1, max_length=1000)]
     """The lights, at least one."""
     programme: _Programme | None = None
     """Images, each of some of the lights with weights, that take the place of one image per light in every command."""
@@ -101,19 +92,19 @@ class RigConfig(fields.FileConfig):
     @classmethod
     def _fit_together(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
         lights, shared = fields.entries(value), info.data.get("light_source")
-        complaints = [*fields.same_names(lights, "lights", str.lower), *auto_sums(lights, shared)]
+        complaints = [*fields.same_names(lights, "lights", str.lower), *_light.auto_sums(lights, shared)]
         if "light_source" in info.data and shared is None:
             panels = (i for i, light in enumerate(lights) if (fields.value_of(light, "kind") or "panel") == "panel")
             reason = 'missing key "light_source": the panel that all panel lights share'
             complaints += [((i,), lights[i], fields.complaint(reason)) for i in panels]
         # each channel becomes a light, unless that has been done
         found = fields.with_complaints(value, handler, complaints)
-        return found if any(light.channel for light in found) else expanded(found)
+        return found if any(light.channel for light in found) else _light.expanded(found)
 
-    _channels: tuple[LightConfig, ...] = PrivateAttr(default=())
+    _channels: tuple[_light.LightConfig, ...] = PrivateAttr(default=())
 
     @property
-    def channels(self) -> tuple[LightConfig, ...]:
+    def channels(self) -> tuple[_light.LightConfig, ...]:
         """The lights that are switched on one by one or together: `lights`, unless a programme mixes them."""
         return self._channels or self.lights
 
@@ -134,22 +125,22 @@ class RigConfig(fields.FileConfig):
         if self.programme is not None:
             # from here on, the images are the lights
             self._channels = self.lights
-            object.__setattr__(self, "lights", programme_lights(self.programme, self.lights))
+            object.__setattr__(self, "lights", _light.programme_lights(self.programme, self.lights))
         return self
 
     @field_validator("programme", mode="wrap")
     @classmethod
     def _of_its_lights(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
         lights = info.data.get("lights")
-        return fields.with_complaints(value, handler, () if lights is None else programme_misfits(value, lights))
+        return fields.with_complaints(value, handler, () if lights is None else _light.programme_misfits(value, lights))
 
     @field_serializer("lights")
-    def _entries(self, _: tuple[LightConfig, ...]) -> list[dict[str, Any]]:
+    def _entries(self, _: tuple[_light.LightConfig, ...]) -> list[dict[str, Any]]:
         # as in a file: channels of a light are one entry
         return [{**light.model_dump(), "name": light.entry_name} for light in self.channels if light.channel == 0]
 
     @field_validator("hardware", mode="wrap")
     @classmethod
     def _wired(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
-        lights: tuple[LightConfig, ...] | None = info.data.get("lights")
+        lights: tuple[_light.LightConfig, ...] | None = info.data.get("lights")
         return fields.with_complaints(value, handler, misfits(value, lights, info.data.get("camera")))

@@ -13,6 +13,7 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.run_context import RunContext
+from lightopt.design import _result, _tolerances
 from lightopt.design._blind_spots import BlindSpotSummary, PostureVisibility, planned_visibility
 from lightopt.design._candidates import Candidates, bodies_of, can_move
 from lightopt.design._files import check_editable, planned_part_text, refuse_other_result
@@ -29,25 +30,6 @@ from lightopt.design._problem import (
     images_that_decide,
     posture_grid,
     run_provenance,
-)
-from lightopt.design._result import (
-    HOME,
-    ChosenPostures,
-    DesignResult,
-    PlanResult,
-    SetResult,
-    ToleranceResult,
-    command_text,
-    places_of,
-    plan_commands,
-)
-from lightopt.design._tolerances import (
-    DEFAULT_TOLERANCE_TARGET,
-    JointTolerances,
-    Tolerances,
-    analyse_tolerances,
-    check_body_count,
-    joint_tolerances,
 )
 from lightopt.design.objectives import OBJECTIVES
 from lightopt.design.objectives._detectability import DetectabilityObjective
@@ -74,7 +56,7 @@ def optimize(
     plan: PlanOptions | None = None,
     force: bool = False,
     run: RunContext | None = None,
-) -> DesignResult:
+) -> _result.DesignResult:
     """Find the best positions of a rig's lights for a part (paper, section 5), and plan what `plan` requests.
 
     In the output folder only luminance matrices are cached; :func:`lightopt.design.write_design` writes the results.
@@ -89,7 +71,7 @@ def optimize(
     folder = Path(folder)
     _check_request(rig, part, options, plan, folder)
     options = _decided(rig, part, options, plan, run)
-    command = command_text(rig.source.path, part.source.path, options, plan)
+    command = _result.command_text(rig.source.path, part.source.path, options, plan)
 
     chosen = None
     if plan.chooses:
@@ -112,7 +94,7 @@ def optimize(
     if problem.defects is not None:
         areas = matrices.patches().patches.areas
         blind = BlindSpotSummary.of(seen or visibility, areas, problem.defects, candidates.names)
-    return DesignResult(
+    return _result.DesignResult(
         **vars(replace(problem, candidates=candidates)),
         folder=folder,
         command=command,
@@ -130,9 +112,9 @@ def _check_request(rig: RigConfig, part: PartConfig, options: OptimizeOptions, p
     check_options(options, plan)
     _check_image_count(rig, part, options, plan)
     if plan.tolerances is not None:
-        check_body_count(len(bodies_of(rig)))
+        _tolerances.check_body_count(len(bodies_of(rig)))
     if plan.chooses or plan.exposures:
-        planned_part_text(part, [HOME], folder=folder, comment="")
+        planned_part_text(part, [_result.HOME], folder=folder, comment="")
     if plan.chooses:
         _check_choice_of_postures(rig, options)
 
@@ -237,7 +219,7 @@ def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run:
     return possible
 
 
-def _search(matrices: PostureMatrices) -> tuple[tuple[SetResult, ...], Candidates, Sequence[PostureVisibility]]:
+def _search(matrices: PostureMatrices) -> tuple[tuple[_result.SetResult, ...], Candidates, Sequence[PostureVisibility]]:
     """Best positions for every objective, the candidates that they are indices into, and what their images show."""
     problem, run = matrices.problem, matrices.run
     free = candidates_of_others(matrices)
@@ -256,18 +238,18 @@ def _search(matrices: PostureMatrices) -> tuple[tuple[SetResult, ...], Candidate
 
 def _complete(
     matrices: PostureMatrices,
-    results: Sequence[SetResult],
+    results: Sequence[_result.SetResult],
     candidates: Candidates,
     plan: PlanOptions,
-    chosen: ChosenPostures | None,
-) -> tuple[PlanResult, Sequence[PostureVisibility]]:
+    chosen: _result.ChosenPostures | None,
+) -> tuple[_result.PlanResult, Sequence[PostureVisibility]]:
     """Exposures and tolerances of the best positions; and what the planned images show of defects, if that is more."""
     problem, options, run = matrices.problem, matrices.problem.options, matrices.run
     requested = chosen is not None or plan.exposures or plan.tolerances is not None
     if not requested or any(result.answers[0].nothing is not None for result in results):
-        return PlanResult(chosen=chosen), ()
+        return _result.PlanResult(chosen=chosen), ()
     # the lights where they are best for the first objective in each posture, at exposure 1
-    sets = [(result.postures, places_of(candidates, result.answers[0].found.best)) for result in results]
+    sets = [(result.postures, _result.places_of(candidates, result.answers[0].found.best)) for result in results]
     angles = {posture: own for postures, own in sets for posture in postures}
     exposures = ((1.0,),) * len(angles)
     lights = Setup(problem.rig, tuple(angles), tuple(angles.values()), exposures, points=options.points)
@@ -288,9 +270,9 @@ def _complete(
     if plan.tolerances is not None:
         tolerances = _placed_tolerances(lights, shares_on, plan.tolerances, results[0].answers[0].objective, matrices)
     if chosen is None and brackets is None:
-        return PlanResult(tolerances=tolerances), ()
-    commands = plan_commands(lights, options)
-    planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=commands)
+        return _result.PlanResult(tolerances=tolerances), ()
+    commands = _result.plan_commands(lights, options)
+    planned = _result.PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=commands)
     if problem.defects is None:
         return planned, ()
     if brackets is not None and chosen is None:
@@ -303,8 +285,12 @@ def _complete(
 
 
 def _placed_tolerances(
-    setup: Setup, evaluator: ImageEvaluator, tolerances: Tolerances, objective: Objective, matrices: PostureMatrices
-) -> tuple[ToleranceResult, ...]:
+    setup: Setup,
+    evaluator: ImageEvaluator,
+    tolerances: _tolerances.Tolerances,
+    objective: Objective,
+    matrices: PostureMatrices,
+) -> tuple[_result.ToleranceResult, ...]:
     """How far the objective's score falls, in each posture and in all together."""
     problem, min_images = matrices.problem, matrices.problem.options.min_images
     drawn = replace(evaluator, table=drawn_patches(evaluator.table, DRAWN_PATCHES))
@@ -312,7 +298,7 @@ def _placed_tolerances(
     # one posture alone shows nothing where it has fewer lights than images that must show a defect
     groups = [setup.only(i) for i in range(len(setup.postures)) if len(setup.rig.lights) >= min_images or not several]
     groups += [setup] if several else []
-    found: list[ToleranceResult] = []
+    found: list[_result.ToleranceResult] = []
     for group in groups:
         if objective.name == DEFECT_OBJECTIVE:
             score = PairAssessment(drawn, group)
@@ -321,21 +307,21 @@ def _placed_tolerances(
             single, levels = replace(group, exposures=((1.0,),) * len(group.postures)), replace(drawn, detection=None)
             score = ObjectiveAssessment(levels, single, objective=objective, thresholds=problem.thresholds)
         progress = matrices.run.stage(f"tolerances, {', '.join(map(str, group.postures))}")
-        robustness = analyse_tolerances(score, setup.names, tolerances, progress=progress)
+        robustness = _tolerances.analyse_tolerances(score, setup.names, tolerances, progress=progress)
         patches, grain = len(drawn.patches), drawn.table.grain
-        found.append(ToleranceResult(group.postures, robustness, objective.unit, patches=patches, grain=grain))
+        found.append(_result.ToleranceResult(group.postures, robustness, objective.unit, patches=patches, grain=grain))
     return tuple(found)
 
 
 def design_tolerances(
-    result: DesignResult, *, target: float = DEFAULT_TOLERANCE_TARGET, run: RunContext | None = None
-) -> JointTolerances | None:
+    result: _result.DesignResult, *, target: float = _tolerances.DEFAULT_TOLERANCE_TARGET, run: RunContext | None = None
+) -> _tolerances.JointTolerances | None:
     """The tolerances of a design's first lights with which `target` of the share of defects is kept; None for none."""
     run, best = run or RunContext(), result.results[0]
     if result.defects is None or best.answers[0].nothing is not None:
         return None
     plan, postures = result.plan, best.postures
-    places = (places_of(result.candidates, best.answers[0].found.best),) * len(postures)
+    places = (_result.places_of(result.candidates, best.answers[0].found.best),) * len(postures)
     exposures = tuple(map(plan.exposures_of, postures))
     setup = Setup(result.rig, postures, places, exposures, points=result.options.points)
     if plan.chosen is not None:
@@ -350,4 +336,4 @@ def design_tolerances(
     # as the share is counted
     together = plan.chosen is not None or plan.brackets is not None
     score = PairAssessment(drawn, setup, together=together)
-    return joint_tolerances(score, len(setup.bodies), target, progress=run.stage("tolerances"))
+    return _tolerances.joint_tolerances(score, len(setup.bodies), target, progress=run.stage("tolerances"))

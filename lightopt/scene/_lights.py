@@ -9,30 +9,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lightopt import lights
 from lightopt.config import LightConfig, RigConfig, points_problem, standing_at
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import rotation_from_vector
 from lightopt.images import read_png
-from lightopt.lights import (
-    RADIANCE,
-    PanelLight,
-    Pattern,
-    SurfaceLight,
-    bar_pattern,
-    cone_elements,
-    frame_elements,
-    half_pipe_elements,
-    mixed_light,
-    pattern_picture,
-    picture_patterns,
-    place_light,
-    plane_elements,
-    pose_light,
-    sine_pattern,
-    sphere_elements,
-    surface_light,
-)
 
 # elements of whole lights: each is seen or hidden as its middle is, so that they decide how finely shadows are known
 AROUND, UP_DOME, ACROSS, ALONG = 24, 4, 8, 6
@@ -40,7 +22,7 @@ AROUND, UP_DOME, ACROSS, ALONG = 24, 4, 8, 6
 
 def build_lights(
     rig: RigConfig, names: Sequence[str] | None = None, points: int | Literal["auto"] | None = None
-) -> tuple[PanelLight, ...]:
+) -> tuple[lights.PanelLight, ...]:
     """The rig's lights, world frame; each channel of a light is one, or each image of the rig's programme.
 
     names: Of the lights to keep; all by default
@@ -54,22 +36,24 @@ def build_lights(
     return tuple(_light(rig, one, points) for one in chosen)
 
 
-def _light(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | None) -> PanelLight:
+def _light(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | None) -> lights.PanelLight:
     if not light.mixture:
         return _panel(rig, light, points) if light.kind == "panel" else _surface_light(rig, light)
     parts = [(_light(rig, one, points), weight) for one, weight in light.mixture]
     first, weight = parts[0]
-    if not isinstance(first, SurfaceLight):
+    if not isinstance(first, lights.SurfaceLight):
         # panels are alone
         return replace(first, name=light.name, gain=weight * first.gain)
-    return mixed_light(light.name, [(one, weight) for one, weight in parts if isinstance(one, SurfaceLight)])
+    return lights.mixed_light(
+        light.name, [(one, weight) for one, weight in parts if isinstance(one, lights.SurfaceLight)]
+    )
 
 
 def _where(light: LightConfig) -> dict[str, Any]:
     return {"elevation": math.radians(light.elevation_deg), "azimuth": math.radians(light.azimuth_deg)}
 
 
-def _panel(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | None) -> PanelLight:
+def _panel(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | None) -> lights.PanelLight:
     if points is not None and (problem := points_problem(points)):
         raise InputError(f"points of {light.name}: {problem}")
     shared = rig.light_source
@@ -87,9 +71,9 @@ def _panel(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | N
         "reference_distance": source.reference_distance_mm,
     }
     if light.pose is None:
-        return place_light(distance=light.distance_mm, **_where(light), **panel)
+        return lights.place_light(distance=light.distance_mm, **_where(light), **panel)
     measured = standing_at(light.pose.centre_mm)
-    return pose_light(
+    return lights.pose_light(
         centre=np.array(light.pose.centre_mm, np.float64) * (light.distance_mm / measured["distance_mm"]),
         rotation=rotation_from_vector(np.radians(light.pose.rotation_vector_deg)),
         start=(math.radians(measured["elevation_deg"]), math.radians(measured["azimuth_deg"])),
@@ -98,18 +82,18 @@ def _panel(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | N
     )
 
 
-def _surface_light(rig: RigConfig, light: LightConfig) -> PanelLight:
+def _surface_light(rig: RigConfig, light: LightConfig) -> lights.PanelLight:
     own, whole, size = _elements(light)
     gain = light.gain
     if light.kind == "coaxial":
         gain *= _or(light.transmission, 0.5) * _or(light.reflection, 0.5)
-    panel = place_light(
+    panel = lights.place_light(
         distance=light.distance_mm, **_where(light), name=light.name, size=size, points="auto", gain=gain
     )
     more: dict[str, Any] = {} if light.pattern is None else {"pattern": _pattern(rig.source.path.parent, light)}
     if light.direct_level and light.gain > 0.0:
         more["direct_level"] = light.direct_level / light.gain
-    return surface_light(panel, kind=light.kind, entry=light.entry, elements=own, whole=whole, **more)
+    return lights.surface_light(panel, kind=light.kind, entry=light.entry, elements=own, whole=whole, **more)
 
 
 def _or(value: float | None, default: float) -> float:
@@ -135,18 +119,18 @@ def _elements(light: LightConfig) -> tuple[Float64, Float64 | None, tuple[float,
         case "spot":
             (half_angle,) = _given(light.half_angle_deg)
             radius = light.distance_mm * math.tan(math.radians(half_angle))
-            return cone_elements((0.0, 0.0), (radius, 0.0), (0.0, 2.0 * math.pi), (4, 1)), None, _square(radius)
+            return lights.cone_elements((0.0, 0.0), (radius, 0.0), (0.0, 2.0 * math.pi), (4, 1)), None, _square(radius)
         case "dome":
             return _dome(light)
         case "tunnel":
             radius, length = _given(light.radius_mm, light.length_mm)
-            return half_pipe_elements(radius, length, _or(light.slot_mm, 0.0)), None, (length, 2.0 * radius)
+            return lights.half_pipe_elements(radius, length, _or(light.slot_mm, 0.0)), None, (length, 2.0 * radius)
         case "flat_dome" if light.camera_hole_mm is not None:
-            return frame_elements(size, light.camera_hole_mm), None, size
+            return lights.frame_elements(size, light.camera_hole_mm), None, size
         case "led_array":
             return *_led(light, size), size
         case _:
-            return plane_elements(size, _cells(size)), None, size
+            return lights.plane_elements(size, _cells(size)), None, size
 
 
 def _square(radius: float) -> tuple[float, float]:
@@ -172,28 +156,28 @@ def _around(
     light: LightConfig, profile: tuple[tuple[float, float], tuple[float, float]]
 ) -> tuple[Float64, Float64 | None]:
     turn, around = _turn(light)
-    own = cone_elements(*profile, turn, (around, 1))
+    own = lights.cone_elements(*profile, turn, (around, 1))
     segments = light.segments or 1
-    return own, None if segments == 1 else cone_elements(*profile, (0.0, 2.0 * math.pi), (around * segments, 1))
+    return own, None if segments == 1 else lights.cone_elements(*profile, (0.0, 2.0 * math.pi), (around * segments, 1))
 
 
 def _dome(light: LightConfig) -> tuple[Float64, Float64 | None, tuple[float, float]]:
     (radius,), (turn, around) = _given(light.radius_mm), _turn(light)
     hole = math.acos(min(1.0, 0.5 * _or(light.camera_hole_mm, 0.0) / radius))
     up = math.radians(_or(light.lower_elevation_deg, 0.0)), hole
-    own = sphere_elements(radius, turn, up, (around, UP_DOME))
+    own = lights.sphere_elements(radius, turn, up, (around, UP_DOME))
     size, segments = _square(radius), light.segments or 1
     if segments == 1:
         return own, None, size
-    whole = sphere_elements(radius, (0.0, 2.0 * math.pi), up, (around * segments, UP_DOME))
+    whole = lights.sphere_elements(radius, (0.0, 2.0 * math.pi), up, (around * segments, UP_DOME))
     leak = _or(light.leak, 0.0)
     if leak == 0.0:
         return own, whole, size
     # what leaks comes from all of the dome; the segment's own elements shine the more
     everywhere = whole.copy()
-    everywhere[:, RADIANCE] = leak / segments
+    everywhere[:, lights.RADIANCE] = leak / segments
     first = len(own) * light.channel
-    everywhere[first : first + len(own), RADIANCE] += 1.0 - leak
+    everywhere[first : first + len(own), lights.RADIANCE] += 1.0 - leak
     return everywhere, whole, size
 
 
@@ -205,11 +189,11 @@ def _led(light: LightConfig, size: tuple[float, float]) -> tuple[Float64, Float6
         for side, count in zip(size, (light.columns, light.rows), strict=True)
     )
     side = _or(light.led_mm, 0.0)
-    leds = [plane_elements((side, side), (1, 1), centre=(u, v)) for v in along for u in across]
+    leds = [lights.plane_elements((side, side), (1, 1), centre=(u, v)) for v in along for u in across]
     return leds[light.channel], np.concatenate(leds)
 
 
-def _pattern(folder: Path, light: LightConfig) -> Pattern:
+def _pattern(folder: Path, light: LightConfig) -> lights.Pattern:
     pattern = light.pattern
     assert pattern is not None
     if pattern.files is not None:
@@ -222,8 +206,8 @@ def _pattern(folder: Path, light: LightConfig) -> Pattern:
     axis = "uv".index(pattern.directions[direction])
     period, phase = periods[number], -2.0 * math.pi * step / pattern.steps
     if pattern.kind == "bars":
-        return bar_pattern(axis, period=period, phase=phase, duty=pattern.duty)
-    return sine_pattern(axis, period=period, phase=phase)
+        return lights.bar_pattern(axis, period=period, phase=phase, duty=pattern.duty)
+    return lights.sine_pattern(axis, period=period, phase=phase)
 
 
 def display_picture(light: LightConfig, pixels: tuple[int, int], *, folder: Path = Path()) -> Float64:
@@ -236,11 +220,11 @@ def display_picture(light: LightConfig, pixels: tuple[int, int], *, folder: Path
     if light.pattern is None:
         return np.ones(pixels[::-1])
     assert light.size_mm is not None
-    return pattern_picture(_pattern(folder, light), light.size_mm, pixels)
+    return lights.pattern_picture(_pattern(folder, light), light.size_mm, pixels)
 
 
 @lru_cache(maxsize=4)
-def _pictures(files: tuple[tuple[Path, int], ...], size: tuple[float, float]) -> list[Pattern]:
+def _pictures(files: tuple[tuple[Path, int], ...], size: tuple[float, float]) -> list[lights.Pattern]:
     # of files with the time of their last change: every channel of a display asks for them
     read = [read_png(path) for path, _ in files]
-    return picture_patterns([levels / np.iinfo(levels.dtype).max for levels in read], size)
+    return lights.picture_patterns([levels / np.iinfo(levels.dtype).max for levels in read], size)

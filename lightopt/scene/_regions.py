@@ -4,23 +4,13 @@ import math
 
 import numpy as np
 
+from lightopt import geometry
 from lightopt.config import PartConfig, RegionConfig
 from lightopt.core.errors import InputError, refuse
-from lightopt.geometry import (
-    BoxRegion,
-    ColouredRegion,
-    LoadedMesh,
-    MaskRegion,
-    NamedRegion,
-    Region,
-    RegionAtPoints,
-    TriangleMesh,
-    mesh_with_regions,
-)
 from lightopt.images import read_png
 
 
-def mesh_of_regions(loaded: LoadedMesh, part: PartConfig) -> TriangleMesh:
+def mesh_of_regions(loaded: geometry.LoadedMesh, part: PartConfig) -> geometry.TriangleMesh:
     """The mesh of a part in the file's coordinates [mm], with the materials of the part's regions.
 
     Raises InputError: Regions that the mesh does not have, or whose masks cannot be read
@@ -31,7 +21,7 @@ def mesh_of_regions(loaded: LoadedMesh, part: PartConfig) -> TriangleMesh:
 
     problems: list[str] = []
 
-    def read(number: int, own: RegionConfig) -> Region | None:
+    def read(number: int, own: RegionConfig) -> geometry.Region | None:
         try:
             return _region(part, own)
         except InputError as error:
@@ -41,22 +31,22 @@ def mesh_of_regions(loaded: LoadedMesh, part: PartConfig) -> TriangleMesh:
     found = [read(number, own) for number, own in enumerate(part.regions)]
     refuse(problems)
     regions = [region for region in found if region is not None]
-    return mesh_with_regions(loaded, regions, most=part.mesh.max_triangles, place=place)
+    return geometry.mesh_with_regions(loaded, regions, most=part.mesh.max_triangles, place=place)
 
 
-def _region(part: PartConfig, own: RegionConfig) -> Region:
+def _region(part: PartConfig, own: RegionConfig) -> geometry.Region:
     if own.colour is not None:
-        return ColouredRegion(own.colour)
+        return geometry.ColouredRegion(own.colour)
     if own.group is not None:
-        return NamedRegion(own.group)
+        return geometry.NamedRegion(own.group)
     if own.faces_at_mm is not None:
-        return RegionAtPoints(own.faces_at_mm, cad=part.mesh.of_step)
+        return geometry.RegionAtPoints(own.faces_at_mm, cad=part.mesh.of_step)
     if own.box_mm is not None:
-        return BoxRegion(own.box_mm.low, own.box_mm.high)
+        return geometry.BoxRegion(own.box_mm.low, own.box_mm.high)
     assert own.mask is not None
     picture = read_png(part.source.resolve(own.mask.file), colour=True)
     levels = picture if picture.ndim == 2 else picture.mean(axis=2)
-    return MaskRegion(
+    return geometry.MaskRegion(
         mask=levels > 0.5 * np.iinfo(picture.dtype).max,
         axis="xyz".index(own.mask.onto[1]),
         positive=own.mask.onto[0] == "+",

@@ -24,14 +24,7 @@ from lightopt.design.responses._evidence import UNITS_OF_IMAGE
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import select_rows
 from lightopt.design.responses._pairs import PairWeights, add_units
-from lightopt.design.search._exact_search import (
-    DEFAULT_LIMIT,
-    NO_COMBINATION,
-    TABLE_CELLS,
-    CombinationSpace,
-    allowed_mask,
-    digits,
-)
+from lightopt.design.search import _exact_search
 
 Rows = Sequence[Int64]
 ExposedPosture = tuple[Posture, tuple[float, ...]]  # with the exposures that an image of it may be taken with
@@ -53,11 +46,11 @@ class LightPositions:
 def place_lights(
     lights: Sequence[PositionCounts],
     weights: PairWeights,
-    space: CombinationSpace,
+    space: _exact_search.CombinationSpace,
     *,
     needed: int,
-    limit: int = DEFAULT_LIMIT,
-    table_cells: int = TABLE_CELLS,
+    limit: int = _exact_search.DEFAULT_LIMIT,
+    table_cells: int = _exact_search.TABLE_CELLS,
     threads: int | None = None,
     progress: Share | None = None,
 ) -> LightPositions:
@@ -78,7 +71,7 @@ def place_lights(
         found.append(search.best_of(box, report) if exact else search.one_at_a_time(box))
     best = max(filter(None, found), key=lambda one: (one.covered, one.benefit), default=None)
     if best is None:
-        raise InputError(NO_COMBINATION)
+        raise InputError(_exact_search.NO_COMBINATION)
     return best
 
 
@@ -99,12 +92,12 @@ def _boxes(rows: Rows, most: int) -> Iterator[Rows]:
 class _Search:
     lights: Sequence[PositionCounts]
     weights: PairWeights
-    space: CombinationSpace
+    space: _exact_search.CombinationSpace
     needed: int
     threads: int | None
 
     def best_of(self, rows: Rows, progress: Share | None = None) -> LightPositions | None:
-        allowed = allowed_mask(self.space, tuple(rows))
+        allowed = _exact_search.allowed_mask(self.space, tuple(rows))
         if allowed is not None and not allowed.any():
             return None
         some = [select_rows(positions, own) for positions, own in zip(self.lights, rows, strict=True)]
@@ -113,7 +106,7 @@ class _Search:
             covered, benefit = np.where(allowed, covered, -1), np.where(allowed, benefit, -1)
         most = int(covered.max())
         at = int(np.argmax(np.where(covered == most, benefit, -1)))
-        chosen = tuple(int(own[i]) for own, i in zip(rows, digits(at, rows), strict=True))
+        chosen = tuple(int(own[i]) for own, i in zip(rows, _exact_search.digits(at, rows), strict=True))
         return LightPositions(candidates=chosen, covered=most, benefit=int(benefit[at]), exact=True)
 
     def one_at_a_time(self, rows: Rows) -> LightPositions | None:
@@ -133,7 +126,9 @@ class _Search:
         return best
 
 
-def first_allowed(space: CombinationSpace, rows: Rows, before: tuple[int, ...] = ()) -> tuple[int, ...] | None:
+def first_allowed(
+    space: _exact_search.CombinationSpace, rows: Rows, before: tuple[int, ...] = ()
+) -> tuple[int, ...] | None:
     """The first combination without collisions, in the order of the rows, that begins so; None where there is none."""
     # depth first: with so many combinations, a mask of them all is too large
     light = len(before)
@@ -176,7 +171,7 @@ def best_positions(
     postures: Sequence[ExposedPosture],
     candidates: Candidates,
     *,
-    limit: int = DEFAULT_LIMIT,
+    limit: int = _exact_search.DEFAULT_LIMIT,
     progress: Share | None = None,
 ) -> LightPositions:
     """The positions of the lights that show most in postures."""

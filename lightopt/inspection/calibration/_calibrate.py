@@ -14,22 +14,7 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageSet, posture_folder
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection.calibration._calibration import (
-    CalibratedPosture,
-    Calibration,
-    calibration_fingerprint,
-    least_rate,
-    too_few_good_sets,
-)
-from lightopt.inspection.calibration._systematic import (
-    GREATEST_Z,
-    PackedDeviations,
-    SystematicDeviations,
-    SystematicSums,
-    divide_spread,
-    subtract_mean,
-    subtract_systematic,
-)
+from lightopt.inspection.calibration import _calibration, _systematic
 from lightopt.inspection.detection._registry import DETECTORS
 from lightopt.inspection.detection._texture import GREATEST_LEARNED_Z, compare, whiten_texture
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
@@ -47,25 +32,27 @@ class _GoodPosture:
     first_set: str
     packed: list[Path] = field(default_factory=list)
     peaks: list[float] = field(default_factory=list)
-    sums: SystematicSums = field(default_factory=SystematicSums)
+    sums: _systematic.SystematicSums = field(default_factory=_systematic.SystematicSums)
     # of the deviations from the model, where good parts are the reference and not the model; the others are then
     # deviations from that
-    mean: SystematicDeviations | None = None
+    mean: _systematic.SystematicDeviations | None = None
 
     def refer_to_mean(self, threads: int | None) -> None:
         """Replace the deviations of each set from the model by those from the mean of the others."""
-        from_model, self.sums = self.sums, SystematicSums()
+        from_model, self.sums = self.sums, _systematic.SystematicSums()
         self.mean = from_model.systematic().where_known()
         for path in self.packed:
             one = _read(path)
             nominal = one.nominal_image()
-            found = subtract_mean(one.at_pixels(one.own), from_model.systematic(but=one).where_known(), nominal)
-            packed = PackedDeviations.of(whiten_texture(found, threads=threads), nominal)
+            found = _systematic.subtract_mean(
+                one.at_pixels(one.own), from_model.systematic(but=one).where_known(), nominal
+            )
+            packed = _systematic.PackedDeviations.of(whiten_texture(found, threads=threads), nominal)
             self.sums.add(packed)
             path.write_bytes(pickle.dumps(packed))
 
     @property
-    def systematic(self) -> SystematicDeviations | None:
+    def systematic(self) -> _systematic.SystematicDeviations | None:
         """What the sets have in common; None for a detector that does not use deviations."""
         if not self.packed:
             return None
@@ -76,19 +63,19 @@ class _GoodPosture:
         """Judge the first set that is not judged yet by what the others have in common."""
         one = _read(self.packed[len(self.peaks)])
         common, found = self.sums.systematic(but=one), one.at_pixels(one.own)
-        subtract = subtract_systematic if self.mean is None else divide_spread
+        subtract = _systematic.subtract_systematic if self.mean is None else _systematic.divide_spread
         found = subtract(found, common, one.nominal_image())
         scores = DETECTORS[options.scored_by].score(found, options.min_images, None, bank, threads)
         self.peaks.append(float(scores.score.max(initial=0.0)))
 
 
-def _read(path: Path) -> PackedDeviations:
+def _read(path: Path) -> _systematic.PackedDeviations:
     return pickle.loads(path.read_bytes())  # noqa: S301 - a temporary file of this run
 
 
 def calibrate(
     rig: RigConfig, part: PartConfig, sets: Sequence[ImageSet], options: InspectOptions, run: RunContext | None = None
-) -> Calibration:
+) -> _calibration.Calibration:
     """Learn from image sets of good parts.
 
     Each set is judged by what the others have in common, so that its greatest score is that of a set which was not
@@ -115,7 +102,7 @@ def calibrate(
                 yield view.posture, cache.template_bank(one.scene, view, exposures, catalogue, threads=run.threads)
 
     names = tuple(one.folder.resolve().name for one in sets)
-    fingerprint = calibration_fingerprint(rig, part, options)
+    fingerprint = _calibration.calibration_fingerprint(rig, part, options)
     return calibrate_registered(
         registered(), names, options=options, fingerprint=fingerprint, banks=banks, threads=run.threads
     )
@@ -129,7 +116,7 @@ def calibrate_registered(
     fingerprint: dict[str, object],
     banks: Callable[[], Iterator[tuple[Posture, TemplateBank]]] | None = None,
     threads: int | None = None,
-) -> Calibration:
+) -> _calibration.Calibration:
     """Learn from registered image sets of good parts.
 
     sets: Each with its name for messages; taken one at a time.
@@ -158,7 +145,9 @@ def calibrate_registered(
                     gathered.peaks.append(float(scores.score.max(initial=0.0)))
                     continue
                 nominal = nominal_pixels(view, registered.nominal, registered.placement)
-                packed = PackedDeviations.of(found, nominal, greatest=GREATEST_LEARNED_Z if learned else GREATEST_Z)
+                packed = _systematic.PackedDeviations.of(
+                    found, nominal, greatest=GREATEST_LEARNED_Z if learned else _systematic.GREATEST_Z
+                )
                 gathered.sums.add(packed)
                 path = Path(folder) / f"{number}-{posture_folder(view.posture)}.pickle"
                 path.write_bytes(pickle.dumps(packed))
@@ -180,11 +169,11 @@ def calibrate_registered(
                 for _ in gathered.packed:
                     gathered.judge_next(options, (), threads)
         learned_of = tuple(
-            CalibratedPosture(posture, one.exposures, tuple(one.peaks), one.systematic)
+            _calibration.CalibratedPosture(posture, one.exposures, tuple(one.peaks), one.systematic)
             for posture, one in postures.items()
         )
         rate = options.false_alarms
-        return Calibration(rate=rate, sets=tuple(names), postures=learned_of, fingerprint=fingerprint)
+        return _calibration.Calibration(rate=rate, sets=tuple(names), postures=learned_of, fingerprint=fingerprint)
 
 
 def require_good_sets(sets: int, options: InspectOptions) -> None:
@@ -192,8 +181,8 @@ def require_good_sets(sets: int, options: InspectOptions) -> None:
 
     Raises InputError: too few; the message names how many are needed.
     """
-    if options.false_alarms < least_rate(sets):
-        raise InputError(too_few_good_sets(sets, options.false_alarms, "the calibration"))
+    if options.false_alarms < _calibration.least_rate(sets):
+        raise InputError(_calibration.too_few_good_sets(sets, options.false_alarms, "the calibration"))
 
 
 def _same_images(

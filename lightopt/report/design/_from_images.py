@@ -4,25 +4,14 @@ import numpy as np
 
 from lightopt.core.errors import percent
 from lightopt.design import FromImagesResult, agreement_text, from_images_answer, synthesise
-from lightopt.report._page import (
-    Answer,
-    Gallery,
-    Note,
-    Page,
-    Picture,
-    Section,
-    Table,
-    Warnings,
-    camera_picture,
-    page_html,
-)
+from lightopt.report import _page
 
 _SIDE = 360  # longest side of an image [px]
 _SETS = 6  # shown, defective samples first
 _DEFECTS = 500  # rows
 
 
-def chosen_table(result: FromImagesResult) -> Table:
+def chosen_table(result: FromImagesResult) -> _page.Table:
     """The images to take."""
     alone = result.evidence.gains
     rows = [
@@ -34,7 +23,7 @@ def chosen_table(result: FromImagesResult) -> Table:
         ]
         for i, image in enumerate(result.images)
     ]
-    return Table(
+    return _page.Table(
         header=["image", "lights", "exposure", "found alone"],
         rows=rows,
         numbers_from=2,
@@ -43,14 +32,14 @@ def chosen_table(result: FromImagesResult) -> Table:
     )
 
 
-def scores_table(result: FromImagesResult) -> Table:
+def scores_table(result: FromImagesResult) -> _page.Table:
     """Scores and bounds, of single lights and of several lights per image."""
     choice, mixture = result.choice, result.mixture
     rows = [
         ["one light per image", percent(choice.score, 2), percent(choice.bound, 2), f"{choice.scored:,}"],
         ["several lights per image", percent(mixture.score, 2), percent(mixture.bound, 2), "-"],
     ]
-    return Table(
+    return _page.Table(
         header=["images", "score", "at most", "choices scored"],
         rows=rows,
         caption="Score: 90 % for defects found (in part for those below the threshold), 10 % for margin. At most: no "
@@ -58,7 +47,7 @@ def scores_table(result: FromImagesResult) -> Table:
     )
 
 
-def defects_table(result: FromImagesResult, most: int = _DEFECTS) -> Table:
+def defects_table(result: FromImagesResult, most: int = _DEFECTS) -> _page.Table:
     """The defects, the least visible first."""
     gains = result.gains
     order = np.argsort(gains, kind="stable")[:most]
@@ -68,17 +57,17 @@ def defects_table(result: FromImagesResult, most: int = _DEFECTS) -> Table:
     ]
     more = f" The first {most} of {len(gains)}." if len(gains) > most else ""
     caption = f"Z: by how much a defect stands out; it is found from {result.evidence.z:.3g} on, the least first.{more}"
-    return Table(header=["set", "defect", "Z", "found"], rows=rows, numbers_from=2, caption=caption)
+    return _page.Table(header=["set", "defect", "Z", "found"], rows=rows, numbers_from=2, caption=caption)
 
 
 def from_images_report(result: FromImagesResult) -> str:
     """The report as HTML."""
     figure, text = from_images_answer(result)
-    lead = [Answer(figure=figure, text=f"{text}."), Warnings(texts=result.warnings)]
+    lead = [_page.Answer(figure=figure, text=f"{text}."), _page.Warnings(texts=result.warnings)]
     sections = [
-        Section(heading="Images to take", blocks=[chosen_table(result), scores_table(result)]),
-        Section(heading="Defects", blocks=[defects_table(result)]),
-        Section(heading="Synthesised images", blocks=[_gallery(result)]),
+        _page.Section(heading="Images to take", blocks=[chosen_table(result), scores_table(result)]),
+        _page.Section(heading="Defects", blocks=[defects_table(result)]),
+        _page.Section(heading="Synthesised images", blocks=[_gallery(result)]),
     ]
     if result.agreement is not None:
         name, found = result.agreement
@@ -94,23 +83,28 @@ def from_images_report(result: FromImagesResult) -> str:
             for one in found
         ]
         header = ["image", "posture", "exposure", "pixels", "rms [levels]", "rms of means"]
-        blocks = [Note(text=f"{agreement_text(name, found)}."), Table(header=header, rows=rows, numbers_from=2)]
-        sections.append(Section(heading="Against captured images", blocks=blocks))
+        blocks = [
+            _page.Note(text=f"{agreement_text(name, found)}."),
+            _page.Table(header=header, rows=rows, numbers_from=2),
+        ]
+        sections.append(_page.Section(heading="Against captured images", blocks=blocks))
     subtitle = f"{len(result.samples.sets)} image sets, {len(result.samples.channels)} lights"
-    return page_html(Page(title="Lights chosen from images", subtitle=subtitle, lead=lead, sections=sections))
+    return _page.page_html(
+        _page.Page(title="Lights chosen from images", subtitle=subtitle, lead=lead, sections=sections)
+    )
 
 
-def _gallery(result: FromImagesResult) -> Gallery:
+def _gallery(result: FromImagesResult) -> _page.Gallery:
     samples = result.samples
     order = sorted(range(len(samples.sets)), key=lambda i: (not samples.defects[i], i))[:_SETS]
-    rows: list[tuple[str, list[Picture | None]]] = []
+    rows: list[tuple[str, list[_page.Picture | None]]] = []
     posture = samples.postures[0]
     for number in order:
-        row: list[Picture | None] = []
+        row: list[_page.Picture | None] = []
         for image in result.images:
             levels, _ = synthesise(samples, number, image, posture)
             row.append(
-                camera_picture(
+                _page.camera_picture(
                     levels / samples.manifest.max_level,
                     levels >= samples.manifest.saturated_from,
                     limit=_SIDE,
@@ -120,4 +114,4 @@ def _gallery(result: FromImagesResult) -> Gallery:
             )
         rows.append((samples.names[number], row))
     caption = f"Posture {posture}; red: saturated pixels."
-    return Gallery(header=[image.name for image in result.images], rows=rows, caption=caption)
+    return _page.Gallery(header=[image.name for image in result.images], rows=rows, caption=caption)
