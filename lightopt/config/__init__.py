@@ -10,7 +10,7 @@ from ._defects import DefectConfig, PixelPlaceConfig
 from ._edit import copied_text, referenced_files, with_list, with_values
 from ._fields import MOST_BOUNCES, MOST_POINTS, points_problem
 from ._hardware import AxisConfig, ChannelConfig, ControllerConfig, HardwareConfig, StageDeviceConfig
-from ._light import RANGE_KEYS
+from ._light import RANGE_KEYS, LightConfig
 from ._load import (
     FileKind,
     LightsOnly,
@@ -27,6 +27,6 @@ from ._load import (
 from ._part import MOST_ACROSS, InspectionConfig, PartConfig, PlacementConfig, ReflectanceConfig, RegionConfig
 from ._pose import standing_at
 from ._ranges import RangesConfig
-from ._rig import LightConfig, RigConfig
+from ._rig import RigConfig
 from ._targets import BoardTargetConfig as BoardTargetConfig, PlateTargetConfig, TargetsConfig
 from ._yaml_file import read_opencv_file

@@ -1,7 +1,5 @@
 """The triangle mesh that everything above casts rays at: places nearest to points, and how it is brushed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Protocol
@@ -24,7 +22,7 @@ class Brushing(Protocol):
         """Vectors along the brushing at points [mm], both of shape (k, 3); 0 where there is no direction."""
         ...
 
-    def moved(self, rotation: Float64, translation: Float64, /) -> Brushing:
+    def moved(self, rotation: Float64, translation: Float64, /) -> "Brushing":
         """The field of a part after the rigid motion p' = R·p + t."""
         ...
 
@@ -38,7 +36,7 @@ class StraightBrushing:
     def along(self, points: Float64) -> Float64:
         return np.broadcast_to(self.direction, points.shape)
 
-    def moved(self, rotation: Float64, _translation: Float64) -> StraightBrushing:
+    def moved(self, rotation: Float64, _translation: Float64) -> "StraightBrushing":
         return StraightBrushing(rotation @ self.direction)
 
 
@@ -53,7 +51,7 @@ class RoundBrushing:
         # none on the axis itself
         return np.cross(self.axis, points - self.point)
 
-    def moved(self, rotation: Float64, translation: Float64) -> RoundBrushing:
+    def moved(self, rotation: Float64, translation: Float64) -> "RoundBrushing":
         return RoundBrushing(rotation @ self.point + translation, rotation @ self.axis)
 
 
@@ -76,7 +74,7 @@ class CurvedBrushing:
         piece, share = _nearest_place(self.corners, np.ascontiguousarray(points))
         return (1.0 - share[:, None]) * at_corners[piece] + share[:, None] * at_corners[piece + 1]
 
-    def moved(self, rotation: Float64, translation: Float64) -> CurvedBrushing:
+    def moved(self, rotation: Float64, translation: Float64) -> "CurvedBrushing":
         return CurvedBrushing(self.corners @ rotation.T + translation)
 
 

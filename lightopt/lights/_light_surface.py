@@ -9,8 +9,6 @@ times what the surface reflects; α is the angle at the element, r the distance.
 :class:`~lightopt.lights.PanelLight` has them: `across`, `along` and `outward`, which points away from the part.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -178,7 +176,7 @@ class SurfaceLight(PanelLight):
     # of a pixel that looks straight at its full radiance at exposure 1, per unit of gain [grey level]
     direct_level: float = 0.0
 
-    def moved(self, rotation: Float64, translation: Float64) -> SurfaceLight:
+    def moved(self, rotation: Float64, translation: Float64) -> "SurfaceLight":
         """The light after x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
         panel = PanelLight.moved(self, rotation, translation)
         assert isinstance(panel, SurfaceLight)

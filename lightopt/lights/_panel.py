@@ -4,8 +4,6 @@ In kernels: the places of its points, their fall-off and their emission. A light
 alone; kernels that add up its light know no more of it.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass, replace
@@ -47,7 +45,7 @@ class PanelLight:
             return self.gain * self.points
         return self.gain
 
-    def moved(self, rotation: Float64, translation: Float64) -> PanelLight:
+    def moved(self, rotation: Float64, translation: Float64) -> "PanelLight":
         """The panel after x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
         return replace(
             self,

@@ -17,8 +17,6 @@ albedo of at most 1 in all directions:
     J. Portsmouth, P. Kutz, S. Hill: EON: A practical energy-preserving rough diffuse BRDF, arXiv:2410.18026
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
@@ -167,7 +165,7 @@ class Reflectance:
             return f"width_factor = {self.model.width_factor * self.sigma:g} (σ = {self.sigma:.3g} rad)"
         return f"σ = {self.sigma:g} rad"
 
-    def changed(self, *, R_d_factor: float = 1.0, sigma_factor: float = 1.0) -> Reflectance:
+    def changed(self, *, R_d_factor: float = 1.0, sigma_factor: float = 1.0) -> "Reflectance":
         """Coefficients of a place where R_d is multiplied, and the lobe widened without reflecting more or less light.
 
         What the lobe reflects goes as R_s·σ², its peak times the solid angle of the half vectors that it takes up, so

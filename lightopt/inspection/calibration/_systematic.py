@@ -1,7 +1,5 @@
 """Systematic deviations: common deviations of good parts from the model, learned place by place."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,7 +29,7 @@ class SystematicDeviations:
     # by how much sums of deviations scatter around that more than noise makes them, at least 1, same shape
     spread: Float32
 
-    def where_known(self) -> SystematicDeviations:
+    def where_known(self) -> "SystematicDeviations":
         """The same, with a mean of NaN where too few sets show a place, and only there the spread is 1."""
         return replace(self, mean=np.where(self.spread > 1.0, self.mean, np.float32(np.nan)))
 
@@ -51,7 +49,7 @@ class PackedDeviations:
     correlation: float = 0.0
 
     @staticmethod
-    def of(found: Deviations, nominal: Int32, *, greatest: float = GREATEST_Z) -> PackedDeviations:
+    def of(found: Deviations, nominal: Int32, *, greatest: float = GREATEST_Z) -> "PackedDeviations":
         """Those of a posture up to the `greatest`, `nominal` from :func:`nominal_pixels`."""
         own = np.flatnonzero(found.usable.any(axis=0)).astype(np.int32)
         lights, rows, columns = found.z.shape

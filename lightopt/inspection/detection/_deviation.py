@@ -1,7 +1,5 @@
 """Deviation of each pixel from the good part, in units of its expected deviation by noise and model errors."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -46,7 +44,7 @@ class Deviations:
     # of what is no defect, from image to image at the same place: that of a texture; noise has none
     correlation: float = 0.0
 
-    def in_box(self, rows: slice, columns: slice = slice(None)) -> Deviations:
+    def in_box(self, rows: slice, columns: slice = slice(None)) -> "Deviations":
         """Some rows and columns, as views of the arrays."""
         box = (slice(None), rows, columns)
         return Deviations(self.z[box], self.scale[box], self.usable[box], self.lit[box], self.correlation)

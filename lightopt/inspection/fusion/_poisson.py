@@ -10,8 +10,6 @@ a pixel with the one to its right (`wx`) or below it (`wy`), and is kept at the 
 a mask is nothing but zeros, and the border of the mask is a natural one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -51,7 +49,7 @@ class _Workspace:
     grids: tuple[tuple[Float32, Float32], ...]  # of each size of blocks the right side and the solution of a cycle
 
     @staticmethod
-    def of(levels: Sequence[_Level]) -> _Workspace:
+    def of(levels: Sequence[_Level]) -> "_Workspace":
         """One for so many sizes of blocks."""
         u, p, q = (np.zeros(levels[0][0].shape) for _ in range(3))
         return _Workspace(u, p, q, tuple((np.zeros_like(wx), np.zeros_like(wx)) for wx, _, _ in levels))
