@@ -157,10 +157,8 @@ def check_part_in_view(checked: CheckedScene) -> Iterator[Finding]:
         sides = (framing.left, framing.top, camera.width - framing.right, camera.height - framing.bottom)
         margins = dict(zip(SIDES, sides, strict=True))
         per_pixel = framing.footprint[0]
-        values: dict[str, Any] = {
-            "margin_px": margins,
-            "margin_mm": {side: per_pixel * m for side, m in margins.items()},
-        }
+        in_mm = {side: per_pixel * m for side, m in margins.items()}
+        values: dict[str, Any] = {"margin_px": margins, "margin_mm": in_mm}
         texts = {side: f"{abs(m):.0f} px ({abs(m) * per_pixel:.3g} mm) at the {side}" for side, m in margins.items()}
         leaves = [texts[side] for side, m in margins.items() if m < 0.0]
         if leaves:

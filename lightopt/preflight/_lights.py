@@ -91,9 +91,7 @@ def check_collisions(checked: CheckedRig) -> Iterator[Finding]:
         if meeting is not None:
             reported.add(entries)
             angles = [(p.name, math.degrees(p.elevation), math.degrees(p.azimuth)) for p in meeting]
-            places = " and ".join(
-                f"{name} at elevation {up:.3g}°, azimuth {around:.3g}°" for name, up, around in angles
-            )
+            places = " and ".join(f"{name} at elevation {el:.3g}°, azimuth {az:.3g}°" for name, el, az in angles)
             text = f"within their ranges {a.name} and {b.name} ({sizes}) can cross each other: {places}"
             yield Finding("note", "lights collide", text, checked.at("lights", j), {"lights": [a.name, b.name]})
 

@@ -140,9 +140,8 @@ def _too_bright(rig: RigConfig, wiring: Wiring) -> Iterator[str]:
         channels = {name: wiring.light(name) for name in levels}
         for controller in dict.fromkeys(channel.controller for channel in channels.values()):
             device = wiring.hardware.controllers[controller]
-            own = {
-                c.channel: levels[name] / device.top_level for name, c in channels.items() if c.controller == controller
-            }
+            here = ((name, c.channel) for name, c in channels.items() if c.controller == controller)
+            own = {channel: levels[name] / device.top_level for name, channel in here}
             if device.picture is None or sum(own.values()) <= 1.0:
                 continue
             pictures = wiring.pictures(controller)
