@@ -9,7 +9,12 @@ import pytest
 
 from lightopt import build_scene
 from lightopt.core.least_squares import Solution
-from lightopt.estimate.registration import Placement, PoseFrame, _registration as registration
+from lightopt.estimate.registration import (
+    Placement,
+    PoseFrame,
+    _refinement as refinement,
+    _registration as registration,
+)
 from lightopt.estimate.registration._registration import refine_placement
 
 NOWHERE = Placement(x=0.0, y=0.0, turn=0.0)
@@ -44,8 +49,8 @@ def staged(scene, monkeypatch):
                 cost_before=1.0, cost_after=1.0,
             )  # fmt: skip
 
-        monkeypatch.setattr(registration, "choose_pixels", lambda *_, outline, **__: (outline, []))
-        monkeypatch.setattr(registration, "RefinementProblem", lambda *a, **_: SimpleNamespace(outline=a[2]))
+        monkeypatch.setattr(refinement, "choose_pixels", lambda *_, outline, **__: (outline, []))
+        monkeypatch.setattr(refinement, "RefinementProblem", lambda *a, **_: SimpleNamespace(outline=a[2]))
         monkeypatch.setattr(registration, "solve", solve)
         return refine_placement(scene, (), NOWHERE, caster=None), taken
 
