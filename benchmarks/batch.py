@@ -31,7 +31,6 @@ from benchmarks._case import CONFIGS, RIG
 from lightopt.batch import Workers, _schedule, run_batch
 from lightopt.batch._expand import expand
 from lightopt.cli._batch import command_form, run_captured
-from lightopt.config import load_batch
 
 HEAD = """\
 format: lightopt-batch/1
@@ -76,7 +75,7 @@ def measure_nothing(folder: Path, count: int, rounds: int) -> None:
                 shutil.rmtree(folder / "out")
     print(f"tasks that do nothing: {count}")
     show(found, None)
-    sizes = [len(pickle.dumps(task)) for task in expand(load_batch(jobs), command_form, folder / "out", threads=1)]
+    sizes = [len(pickle.dumps(task)) for task in expand(jobs, command_form, folder / "out", threads=1)]
     print(f"bytes of a task on the wire: {statistics.median(sizes):.0f}\n")
 
 
@@ -133,11 +132,11 @@ def run(jobs: Path, out: Path, number: int, run_command: RunCommand) -> None:
     if number == 1:  # one worker on its own is nothing that a user gets without asking for a scheduler
         with _schedule._local_cluster(1) as cluster:
             result = run_batch(
-                load_batch(jobs), out, command_form, run_command, workers=Workers(scheduler=cluster.scheduler_address)
+                jobs, out, command_form, run_command, workers=Workers(scheduler=cluster.scheduler_address)
             )
             show_memory(cluster)
     else:
-        result = run_batch(load_batch(jobs), out, command_form, run_command, workers=Workers(number=max(1, number)))
+        result = run_batch(jobs, out, command_form, run_command, workers=Workers(number=max(1, number)))
     assert result.count("done") == len(result.tasks), [one.messages for one in result.outcomes.values()]
 
 
@@ -152,7 +151,7 @@ def show_memory(cluster: object) -> None:
 
 def commands_alone(jobs: Path, out: Path) -> None:
     """Run the same commands one after the other, into the same folders."""
-    for task in expand(load_batch(jobs), command_form, out, threads=1):
+    for task in expand(jobs, command_form, out, threads=1):
         words = [*map(str, task.command), *task.tail]
         if task.writes_folder:
             task.folder.parent.mkdir(parents=True, exist_ok=True)

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from lightopt.batch._task import FromTask, Task, content_sha256
-from lightopt.config import BatchConfig, JobConfig, PartConfig, RigConfig, input_files, load_part, load_rig
-from lightopt.core.errors import InputError, did_you_mean, refuse
+from lightopt.config import BatchConfig, JobConfig, PartConfig, RigConfig, input_files, load_batch, load_part, load_rig
+from lightopt.core.errors import InputError, did_you_mean
 from lightopt.core.provenance import computed_by
 from lightopt.images import MANIFEST_NAME, read_image_set
 
@@ -38,6 +38,7 @@ class CommandForm:
 
 
 FormOf = Callable[[str], CommandForm | None]
+Keys = tuple[str | int, ...]  # that lead to a value of the file
 
 
 @dataclass(frozen=True)
@@ -54,28 +55,31 @@ class _Input:
         return {"file": self.path.name, "sha256": list(self.hashes.values())}
 
 
-def expand(batch: BatchConfig, form_of: FormOf, out: Path, *, threads: int) -> tuple[Task, ...]:
-    """The tasks, each after those that it needs; results go to ``out/JOB/RIG/PART``.
+def expand(path: Path, form_of: FormOf, out: Path, *, threads: int) -> tuple[Task, ...]:
+    """The tasks of a batch file, each after those that it needs; results go to ``out/JOB/RIG/PART``.
 
     form_of: The form of a command; None where there is none for a rig and a part
     threads: Of each command
-    Raises InputError: All that is wrong with the files that the batch names and with the options of its jobs
+    Raises InputError: All that is wrong with the file, the files that it names and the options of its jobs
     """
-    forms, problems = _forms(batch, form_of)
-    rigs, no_rigs = _named_inputs(batch, "rigs", load_rig)
-    parts, no_parts = _named_inputs(batch, "parts", load_part)
-    problems += [*no_rigs, *no_parts]
-    problems += [
-        f"{batch.source.at('jobs', index)}: capture would drive the devices of rig {rig.name}, and a batch drives none"
-        for index, job in enumerate(batch.jobs)
-        for rig in rigs
-        if job.command == "capture" and rig.drives_devices
-    ]
-    refuse(problems)
+    named = dict[str, tuple[_Input, ...]]()
+
+    def misfits(raw: Mapping[str, Any]) -> Iterator[tuple[Keys, str]]:
+        for key, load in (("rigs", load_rig), ("parts", load_part)):
+            named[key], problems = _named_inputs(raw.get(key), path.parent, load)
+            yield from (((key, *keys), message) for keys, message in problems)
+        jobs = raw.get("jobs")
+        for index, job in enumerate(jobs if isinstance(jobs, list) else ()):
+            problems = _job_misfits(job, form_of, path.parent, named["rigs"])
+            yield from ((("jobs", index, *keys), message) for keys, message in problems)
+
+    batch = load_batch(path, misfits)
+    rigs, parts = named["rigs"], named["parts"]
     made_by, tasks = computed_by(), dict[tuple[str, str, str], Task]()
     for job in batch.in_order:
-        form, index = forms[job.name], batch.jobs.index(job)
-        words, files = option_words(batch, index, form)
+        form = form_of(job.command)
+        assert form is not None, "the file was refused otherwise"
+        words, files = _option_words(batch, job, form)
         option_files = {str(path): content_sha256(path) for path in files}
         groups = [rigs] if "rigs" in form.arguments else [(rig,) for rig in rigs]
         for own_rigs, part in product(groups, parts):
@@ -107,46 +111,49 @@ def expand(batch: BatchConfig, form_of: FormOf, out: Path, *, threads: int) -> t
     return tuple({task.place: task for task in tasks.values()}.values())
 
 
-def _forms(batch: BatchConfig, form_of: FormOf) -> tuple[dict[str, CommandForm], list[str]]:
-    forms, problems = dict[str, CommandForm](), list[str]()
-    for index, job in enumerate(batch.jobs):
-        form = form_of(job.command)
-        at = batch.source.at("jobs", index)
-        if form is None:
-            at = batch.source.at("jobs", index, "command")
-            problems.append(f'{at}: expected a command on a rig and a part, found "{job.command}"')
-            continue
-        forms[job.name] = form
-        reads, given = "images" in form.arguments, job.images is not None or job.images_from is not None
-        if reads and not given:
-            problems.append(f"{at}: {job.command} reads images; give images_from: JOB, or images: FOLDER")
-        elif given and not reads:
-            problems.append(f"{at}: {job.command} reads no images; leave images and images_from out")
-        problems += option_problems(batch, index, form)
-    return forms, problems
+def _job_misfits(job: object, form_of: FormOf, folder: Path, rigs: Sequence[_Input]) -> Iterator[tuple[Keys, str]]:
+    # what is wrong with command, images and options of a job as it was read, whose values may be anything
+    if not isinstance(job, Mapping) or not isinstance(command := job.get("command"), str):
+        return
+    form = form_of(command)
+    if form is None:
+        yield ("command",), f'expected a command on a rig and a part, found "{command}"'
+        return
+    reads, given = "images" in form.arguments, job.get("images") is not None or job.get("images_from") is not None
+    if reads and not given:
+        yield (), f"{command} reads images; give images_from: JOB, or images: FOLDER"
+    elif given and not reads:
+        yield (), f"{command} reads no images; leave images and images_from out"
+    if command == "capture":
+        driven = [rig.name for rig in rigs if rig.drives_devices]
+        yield from (((), f"capture would drive the devices of rig {rig}, and a batch drives none") for rig in driven)
+    options = job.get("options")
+    for name, value in options.items() if isinstance(options, Mapping) else ():
+        yield from ((("options", name), message) for message in _option_misfits(form, name, value, folder))
 
 
 def _named_inputs(
-    batch: BatchConfig, key: str, load: Callable[[Path], RigConfig | PartConfig]
-) -> tuple[tuple[_Input, ...], list[str]]:
+    texts: Any, folder: Path, load: Callable[[Path], RigConfig | PartConfig]
+) -> tuple[tuple[_Input, ...], list[tuple[Keys, str]]]:
     """The rig or part files that the batch names, each once, and what is wrong with the names."""
-    paths, problems = dict[Path, None](), list[str]()
-    for index, text in enumerate(getattr(batch, key)):
-        given = batch.source.resolve(text)
+    paths, problems = dict[Path, None](), list[tuple[Keys, str]]()
+    for index, text in enumerate(texts if isinstance(texts, list) else ()):
+        if not isinstance(text, str) or not text:
+            continue  # the form of the file is checked elsewhere
+        given = folder / text
         pattern = str(given / "*.yaml" if given.is_dir() else given)
         matches = [given] if given.is_file() else map(Path, glob.glob(pattern, recursive=True))  # noqa: PTH207 - absolute
         found = sorted(path for path in matches if path.is_file())
         if not found:
             what = f"no such file: {given}" if glob.escape(pattern) == pattern else f"no file matches {pattern}"
-            problems.append(f"{batch.source.at(key, index)}: {what}; expected YAML files or a folder of them")
+            problems.append(((index,), f"{what}; expected YAML files or a folder of them"))
         paths |= dict.fromkeys(Path(os.path.abspath(path)) for path in found)  # noqa: PTH100 - links stay as they are
     names = {path: path.stem for path in paths}
     same = Counter(name.lower() for name in names.values())
     names |= {path: f"{path.parent.name}-{name}" for path, name in names.items() if same[name.lower()] > 1}
     for name, number in Counter(name.lower() for name in names.values()).items():
         if number > 1:
-            at = batch.source.at(key)
-            problems.append(f"{at}: {number} files would have their results in folders {name}; rename them")
+            problems.append(((), f"{number} files would have their results in folders {name}; rename them"))
     return tuple(_read(name, path, load) for path, name in names.items()), problems
 
 
@@ -209,10 +216,10 @@ def _fingerprint(images: Path | None) -> dict[str, Any]:
         return {}
 
 
-def option_words(batch: BatchConfig, index: int, form: CommandForm) -> tuple[list[str], list[Path]]:
-    """The options of a job, once checked, as words of its command line, and the files that they name."""
+def _option_words(batch: BatchConfig, job: JobConfig, form: CommandForm) -> tuple[list[str], list[Path]]:
+    """The options of a job as words of its command line, and the files that they name, relative to the batch file."""
     words, files = list[str](), list[Path]()
-    for name, value in batch.jobs[index].options.items():
+    for name, value in job.options.items():
         option = form.options[name]
         if isinstance(value, bool):
             words.append(f"--{name}" if value else f"--no-{name}")
@@ -228,22 +235,24 @@ def option_words(batch: BatchConfig, index: int, form: CommandForm) -> tuple[lis
     return words, files
 
 
-def option_problems(batch: BatchConfig, index: int, form: CommandForm) -> Iterator[str]:
-    for name, value in batch.jobs[index].options.items():
-        at, option = batch.source.at("jobs", index, "options", name), form.options.get(name)
-        if option is None:
-            plain = name.replace("_", "-")
-            opposite = plain.removeprefix("no-")
-            hint = did_you_mean(plain, form.options) or f"; its options are {', '.join(form.options)}"
-            if opposite in form.options and form.options[opposite].has_opposite:
-                hint = f"; write {opposite}: false"
-            yield f"{at}: no such option of {form.name} in a batch{hint}"
-        elif option.flag and not isinstance(value, bool):
-            yield f"{at}: expected true or false, found {value}"
-        elif isinstance(value, bool) and not option.flag:
-            yield f"{at}: expected a value, found {str(value).lower()}"
-        elif value is False and not option.has_opposite:
-            yield f"{at}: expected true; leave the option out where it is not wanted"
-        elif option.file:
-            paths = [batch.source.resolve(str(one)) for one in (value if isinstance(value, tuple) else (value,))]
-            yield from (f"{at}: no such file: {path}" for path in paths if not path.exists())
+def _option_misfits(form: CommandForm, name: str, value: object, folder: Path) -> Iterator[str]:
+    """What is wrong with an option of a job."""
+    option = form.options.get(name)
+    if option is None:
+        plain = name.replace("_", "-")
+        opposite = plain.removeprefix("no-")
+        hint = did_you_mean(plain, form.options) or f"; its options are {', '.join(form.options)}"
+        if opposite in form.options and form.options[opposite].has_opposite:
+            hint = f"; write {opposite}: false"
+        yield f"no such option of {form.name} in a batch{hint}"
+    elif not isinstance(value, (bool, int, float, str, list)):
+        return  # the form of the file is checked elsewhere
+    elif option.flag and not isinstance(value, bool):
+        yield f"expected true or false, found {value}"
+    elif isinstance(value, bool) and not option.flag:
+        yield f"expected a value, found {str(value).lower()}"
+    elif value is False and not option.has_opposite:
+        yield "expected true; leave the option out where it is not wanted"
+    elif option.file:
+        paths = [folder / str(one) for one in (value if isinstance(value, list) else (value,))]
+        yield from (f"no such file: {path}" for path in paths if not path.exists())

@@ -10,7 +10,6 @@ from time import perf_counter
 from lightopt.batch._expand import FormOf, expand
 from lightopt.batch._schedule import Workers, outcomes_of
 from lightopt.batch._task import TERMINAL_NAME, Outcome, RunCommand, State, Task, published
-from lightopt.config import BatchConfig
 from lightopt.core.errors import counted
 from lightopt.core.run_context import RunContext
 from lightopt.images import csv_text, make_folder, write_text_atomic
@@ -29,7 +28,7 @@ class BatchResult:
 
 
 def run_batch(
-    batch: BatchConfig,
+    jobs: Path,
     out: Path,
     form_of: FormOf,
     run_command: RunCommand,
@@ -38,15 +37,16 @@ def run_batch(
     threads: int = 1,
     run: RunContext | None = None,
 ) -> BatchResult:
-    """Run all tasks of a batch whose results are not in the output folder yet.
+    """Run all tasks of a batch file whose results are not in the output folder yet.
 
     form_of, run_command: How a command is called, and what runs it
     threads: Of each command; no result depends on it
     Ctrl-C ends it with the result so far; the same call continues.
-    Raises InputError: What is wrong with the files, the options, the output folder, the scheduler or its workers.
+    Raises InputError: What is wrong with the file, the files that it names, the options, the output folder, the
+        scheduler or its workers.
     """
     run, begun = run or RunContext(), perf_counter()
-    tasks = expand(batch, form_of, out, threads=threads)
+    tasks = expand(jobs, form_of, out, threads=threads)
     outcomes = {task.place: outcome for task in tasks if (outcome := published(task)) is not None}
     make_folder(out)
     rest = [task for task in tasks if task.place not in outcomes]
@@ -62,7 +62,7 @@ def run_batch(
         except KeyboardInterrupt:
             interrupted = True
     seconds = perf_counter() - begun
-    paths = write_summary(batch, tasks, outcomes, out)
+    paths = write_summary(jobs.name, tasks, outcomes, out)
     return BatchResult(tasks=tasks, outcomes=outcomes, seconds=seconds, interrupted=interrupted, paths=paths)
 
 
@@ -72,15 +72,13 @@ _COLUMNS = ("job", "rig", "part", "state", "seconds", "answer", "messages", "wor
 _NOT_RUN = "not run"
 
 
-def write_summary(
-    batch: BatchConfig, tasks: Sequence[Task], outcomes: Mapping[str, Outcome], out: Path
-) -> tuple[Path, ...]:
+def write_summary(name: str, tasks: Sequence[Task], outcomes: Mapping[str, Outcome], out: Path) -> tuple[Path, ...]:
     """Write the table of all tasks, and the page, unless they say the same already; returns their paths."""
     rows = [_row(task, outcomes.get(task.place)) for task in tasks]
     paths = out / SUMMARY_NAME, out / PAGE_NAME
     if not (paths[1].is_file() and _says_the_same(paths[0], rows)):
         write_text_atomic(paths[0], csv_text([_COLUMNS, *rows]))
-        write_text_atomic(paths[1], _page(batch, tasks, outcomes, rows))
+        write_text_atomic(paths[1], _page(name, tasks, outcomes, rows))
     return paths
 
 
@@ -96,9 +94,7 @@ def _says_the_same(path: Path, rows: Sequence[Sequence[str]]) -> bool:
         return False
 
 
-def _page(
-    batch: BatchConfig, tasks: Sequence[Task], outcomes: Mapping[str, Outcome], rows: Sequence[Sequence[str]]
-) -> str:
+def _page(name: str, tasks: Sequence[Task], outcomes: Mapping[str, Outcome], rows: Sequence[Sequence[str]]) -> str:
     # matplotlib and all that is drawn with it takes longer to load than a batch that is done
     from lightopt.report import Answer, Page, Section, Table, Warnings, page_html
 
@@ -120,7 +116,6 @@ def _page(
         Answer(figure=number, text=rest),
         Warnings(texts=[f"{counted(warned, 'task')} with warnings; the table of tasks has them"] if warned else []),
     ]
-    name = batch.source.path.name
     return page_html(Page(title=f"Batch: {name}", subtitle=name, lead=lead, sections=sections))
 
 

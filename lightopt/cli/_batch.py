@@ -56,7 +56,6 @@ def batch(
     Example: lightopt batch jobs.yaml -o out
     """
     from lightopt.batch import Workers, answer_text, jobs_table, run_batch
-    from lightopt.config import load_batch
     from lightopt.core.threads import available_processors
 
     given = [name for name, value in (("--slurm", slurm), ("--kubernetes", kubernetes)) if value]
@@ -72,7 +71,7 @@ def batch(
         system="slurm" if slurm else "kubernetes" if kubernetes else None,
     )
     with run_context() as run:
-        result = run_batch(load_batch(jobs), out, command_form, run_captured, workers=where, threads=threads, run=run)
+        result = run_batch(jobs, out, command_form, run_captured, workers=where, threads=threads, run=run)
     echo(f"{answer_text(result.outcomes, len(result.tasks))}; {result.seconds:.1f} s")
     header, rows = jobs_table(result.tasks, result.outcomes)
     show_table(header, rows[:MOST_JOBS])

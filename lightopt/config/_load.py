@@ -22,7 +22,7 @@ from lightopt.config._ranges import RangesConfig
 from lightopt.config._rig import RigConfig
 from lightopt.config._strict_yaml import YamlError, parse
 from lightopt.config._targets import TargetsConfig
-from lightopt.config._yaml_file import decode, load_file, read_bytes
+from lightopt.config._yaml_file import Misfits, decode, load_file, read_bytes
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 
@@ -58,9 +58,12 @@ def load_ranges(path: Path | str) -> RangesConfig:
     return load_file(Path(path), RangesConfig, "lightopt-ranges/1")
 
 
-def load_batch(path: Path | str) -> BatchConfig:
-    """Read the jobs of a batch (``lightopt-batch/1``) as :func:`load_rig` does."""
-    return load_file(Path(path), BatchConfig, "lightopt-batch/1")
+def load_batch(path: Path | str, misfits: Misfits | None = None) -> BatchConfig:
+    """Read the jobs of a batch (``lightopt-batch/1``) as :func:`load_rig` does.
+
+    misfits: What is wrong with commands, options and files, which this package does not know, by keys of the file
+    """
+    return load_file(Path(path), BatchConfig, "lightopt-batch/1", misfits)
 
 
 def input_files(config: RigConfig | PartConfig) -> dict[str, Path]:

@@ -50,9 +50,7 @@ def model_problems(model: type[BaseModel], errors: Sequence[ErrorDetails], docum
         if kind in ("missing", "absent") and reported:
             continue  # the key that was dropped or misspelt is reported
         place = tuple(error["loc"]) if kind == "extra_forbidden" else keys
-        while place and place not in document.lines:
-            place = place[:-1]
-        problems.append(Problem(document.lines.get(place, 1), keys, _message(model, error, meant)))
+        problems.append(Problem(document.line(place), keys, _message(model, error, meant)))
     return problems
 
 

@@ -67,6 +67,10 @@ class Document:
     invalid: set[Keys] = field(default_factory=set[Keys])  # paths whose value is INVALID
     incomplete: set[Keys] = field(default_factory=set[Keys])  # mappings that lost a key
 
+    def line(self, keys: Keys) -> int:
+        """Line of a path of keys, or of the nearest one around it."""
+        return next((self.lines[keys[:end]] for end in range(len(keys), -1, -1) if keys[:end] in self.lines), 1)
+
 
 @dataclass(frozen=True)
 class _Node:

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,7 +11,7 @@ from pydantic import ValidationError
 
 from lightopt.config._fields import FileConfig
 from lightopt.config._messages import describe, model_problems
-from lightopt.config._strict_yaml import Document, Problem, Source, YamlError, dotted, parse
+from lightopt.config._strict_yaml import Document, Keys, Problem, Source, YamlError, dotted, parse
 from lightopt.core.errors import InputError, did_you_mean
 
 MAX_BYTES = 1_000_000
@@ -25,11 +26,13 @@ _KINDS = {
 }
 
 Config = TypeVar("Config", bound=FileConfig)
+Misfits = Callable[[Mapping[str, Any]], Iterable[tuple[Keys, str]]]
 
 
-def load_file(path: Path, model: type[Config], expected: str) -> Config:
+def load_file(path: Path, model: type[Config], expected: str, misfits: Misfits | None = None) -> Config:
     """Read a YAML file of a kind and version.
 
+    misfits: What else is wrong, by its keys; it is given plain data, of which any value may be wrong
     Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
     """
     data = read_bytes(path, expected)
@@ -42,13 +45,15 @@ def load_file(path: Path, model: type[Config], expected: str) -> Config:
         raise InputError(f'{path}: the file is empty; expected {_kind(expected)} that begins "format: {expected}"')
     if problems := _wrong_kind(document, expected):
         raise _error(path, problems)
+    more = misfits(document.data) if misfits is not None and isinstance(document.data, dict) else ()
+    problems = [*document.problems, *(Problem(document.line(keys), keys, message) for keys, message in more)]
     try:
         config = model.model_validate(document.data, context={"folder": path.parent})
     except ValidationError as error:
-        problems = model_problems(model, error.errors(include_url=False), document)
-        raise _error(path, [*document.problems, *problems]) from None
-    if document.problems:
-        raise _error(path, document.problems)
+        problems += model_problems(model, error.errors(include_url=False), document)
+        raise _error(path, problems) from None
+    if problems:
+        raise _error(path, problems)
     config._source = Source(path, hashlib.sha256(data).hexdigest(), document.lines, text)
     return config
 

@@ -22,7 +22,6 @@ import pytest
 
 from lightopt.batch import Workers, _schedule, run_batch
 from lightopt.cli._batch import command_form, run_captured
-from lightopt.config import load_batch
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 
@@ -57,7 +56,7 @@ def jobs(shared_bench) -> Path:
 
 
 def run(jobs: Path, name: str, **options):
-    return run_batch(load_batch(jobs), jobs.parent / name, command_form, run_captured, **options)
+    return run_batch(jobs, jobs.parent / name, command_form, run_captured, **options)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -16,7 +16,6 @@ import pytest
 from lightopt.batch import Workers, _schedule, _task, answer_text, jobs_table, run_batch
 from lightopt.batch._expand import expand
 from lightopt.cli._batch import command_form
-from lightopt.config import load_batch
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 
@@ -27,7 +26,7 @@ parts: [parts]
 jobs:
   - name: images
     command: render
-    options: {exposures: [1, 1/16], sheet: true}
+    options: {exposure: [1, 1/16], sheet: true}
   - {name: fit, command: fit-specular, images_from: images}
   - {name: best, command: optimize, part_from: fit, options: {step: 5}}
 """
@@ -73,7 +72,7 @@ def commands():
 def batch(files, commands):
     def run(out=files.out, **options):
         commands.ran.clear()
-        return run_batch(load_batch(files.folder / "jobs.yaml"), out, command_form, commands, **options)
+        return run_batch(files.folder / "jobs.yaml", out, command_form, commands, **options)
 
     return run
 
@@ -84,7 +83,7 @@ def tree(folder):
 
 def problems(files):
     with pytest.raises(InputError) as caught:
-        expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+        expand(files.folder / "jobs.yaml", command_form, files.out, threads=1)
     return caught.value.messages
 
 
@@ -105,10 +104,10 @@ def test_each_job_is_run_for_each_part_after_those_that_it_needs(batch, files, c
 
 
 def test_command_lines(files):
-    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=3)
+    tasks = expand(files.folder / "jobs.yaml", command_form, files.out, threads=3)
     part, out = str(files.folder / "parts" / "a.yaml"), files.out
     first = [task for task in tasks if task.part == "a"]
-    assert first[0].command == ("render", str(files.rig), part, "--exposures=1,1/16", "--sheet")
+    assert first[0].command == ("render", str(files.rig), part, "--exposure=1,1/16", "--sheet")
     assert first[1].command == ("fit-specular", str(files.rig), part, _task.FromTask(str(out / "images" / "rig" / "a")))
     fitted = _task.FromTask(str(out / "fit" / "rig" / "a"), "part.*.yaml")
     assert first[2].command == ("optimize", str(files.rig), fitted, "--step=5")
@@ -267,7 +266,7 @@ def test_files_that_changed_or_are_not_there_for_a_worker(batch, files):
 
 def test_images_of_ones_own(files, batch, commands):
     files.edit("jobs.yaml", "images_from: images", 'images: "captured/{rig}/{part}"')
-    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+    tasks = expand(files.folder / "jobs.yaml", command_form, files.out, threads=1)
     fits = [task for task in tasks if task.job == "fit"]
     assert [task.command[3] for task in fits] == [str(files.folder / "captured" / "rig" / part) for part in "ab"]
 
@@ -280,7 +279,7 @@ def test_lighting_systems_are_compared_for_each_part_once(files, commands, batch
         "{name: best, command: optimize, part_from: fit, options: {step: 5}}",
         "{name: c, command: compare-lighting}",
     )
-    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+    tasks = expand(files.folder / "jobs.yaml", command_form, files.out, threads=1)
     (first, second) = [task for task in tasks if task.job == "c"]
     rigs = [str(files.rig), str(files.folder / "second.yaml")]
     assert first.command == ("compare-lighting", str(files.folder / "parts" / "a.yaml"), *rigs)
@@ -292,7 +291,7 @@ def test_files_of_the_same_name_are_told_apart_by_their_folders(files):
         (files.folder / name).mkdir()
         shutil.copy(files.folder / "parts" / "a.yaml", files.folder / name / "part.yaml")
     files.edit("jobs.yaml", "parts: [parts]", 'parts: ["*/part.yaml"]')
-    tasks = expand(load_batch(files.folder / "jobs.yaml"), command_form, files.out, threads=1)
+    tasks = expand(files.folder / "jobs.yaml", command_form, files.out, threads=1)
     assert {task.part for task in tasks} == {"one-part", "two-part"}
 
 
@@ -337,9 +336,34 @@ def test_what_is_wrong_with_jobs(files, old, new, line, message):
 )  # fmt: skip
 def test_what_is_wrong_with_the_file(files, old, new, line, message):
     files.edit("jobs.yaml", old, new)
-    with pytest.raises(InputError) as caught:
-        load_batch(files.folder / "jobs.yaml")
-    assert any(f":{line}: " in said and message in said for said in caught.value.messages), caught.value.messages
+    messages = problems(files)
+    assert any(f":{line}: " in said and message in said for said in messages), messages
+
+
+def test_all_that_is_wrong_with_the_file_is_said_at_once(files):
+    for old, new in [
+        ("rigs: [rig.yaml]", "rigs: [rg.yaml, 3]"),
+        ("command: render", "command: rendr"),
+        ("images_from: images", "images_from: image, images: 7"),
+        ("{step: 5}", "{stp: 5, images: {}, calibration: none.json}, needed: []"),
+    ]:
+        files.edit("jobs.yaml", old, new)
+    expected = [
+        (2, "rigs[0]: no such file"),
+        (2, "rigs[1]: expected text"),
+        (6, 'command: expected a command on a rig and a part, found "rendr"'),
+        (8, 'images_from: no job "image"'),
+        (8, "images: given together with images_from"),
+        (8, "images: expected text"),
+        (9, 'options.stp: no such option of optimize in a batch; did you mean "step"?'),
+        (9, "options.images: expected a number, text, true, false, or a list"),
+        (9, "options.calibration: no such file"),
+        (9, 'unknown key "needed"; did you mean "needs"?'),
+    ]
+    messages = problems(files)
+    assert len(messages) == len(expected), messages
+    for line, message in expected:
+        assert any(f"jobs.yaml:{line}: " in said and message in said for said in messages), message
 
 
 HARDWARE = """\
@@ -354,11 +378,10 @@ hardware:
 def test_a_batch_drives_no_devices(files, port, real):
     with files.rig.open("a", encoding="utf-8") as file:
         file.write(HARDWARE.replace("PORT", port))
-    old = "command: render\n    options: {exposures: [1, 1/16], sheet: true}"
+    old = "command: render\n    options: {exposure: [1, 1/16], sheet: true}"
     files.edit("jobs.yaml", old, "command: capture")
-    batch = load_batch(files.folder / "jobs.yaml")
     if not real:
-        assert expand(batch, command_form, files.out, threads=1)[0].command[0] == "capture"
+        assert expand(files.folder / "jobs.yaml", command_form, files.out, threads=1)[0].command[0] == "capture"
     else:
         assert "a batch drives none" in problems(files)[0]
 
