@@ -105,7 +105,7 @@ def compare(
     files = result.files if isinstance(result, comparison.SetComparison) else (result,)
     _show(files, parts=2 if sets else 1)
     if isinstance(result, comparison.SetComparison):
-        notes = [*result.notes, *(f"only in the new set: {name}" for name in result.extra)]
+        notes = result.notes
         shown = notes if VERBOSE.get() else notes[:MOST_NOTES]
         for note in shown:
             echo(f"note: {note}")

@@ -3,6 +3,7 @@
 import math
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from lightopt import images
 from lightopt.core.arrays import Bool, UInt8
-from lightopt.core.errors import InputError, collected
+from lightopt.core.errors import InputError, collected, counted
 from lightopt.core.provenance import file_sha256, files_sha256, provenance
 from lightopt.core.transforms import Posture
 from lightopt.images.comparison._channels import ChannelDifference, ComparisonThresholds, Verdict, compare_arrays
@@ -280,7 +281,7 @@ class SetComparison(Comparison):
     files: tuple[FileComparison, ...] = ()  # the files of the golden set against their counterparts
     missing: tuple[str, ...] = ()  # what only the golden set has, which fails
     extra: tuple[str, ...] = ()  # what only the new one has, which is reported
-    notes: tuple[str, ...] = ()  # differences that fail nothing
+    notes: tuple[str, ...] = ()  # differences that fail nothing, and what is extra
 
     def as_dict(self) -> dict[str, Any]:
         return {**super().as_dict(), "files": [file.as_dict() for file in self.files]}
@@ -303,7 +304,7 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds 
     extra = tuple(label for label in now if label not in old)
     if not old:
         reasons.append(f"golden set lists no files: {a}")
-    reasons += [f"new set lacks {label}" for label in missing]
+    reasons += [f"new set lacks {text}" for text in _in_one_set(missing, golden.manifest, new.manifest)]
     reasons += _manifest_problems(golden.manifest, new.manifest)
     files: list[FileComparison] = []
     saturation = (golden.manifest.saturated_from, new.manifest.saturated_from)
@@ -320,7 +321,8 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds 
             comparison = FileComparison(str(path_a), str(path_b), reasons=error.messages)
         files.append(comparison)
         reasons += [f"{label}: {reason}" for reason in comparison.reasons]
-    notes = tuple(_notes(golden.manifest, new.manifest))
+    added = (f"only in the new set: {text}" for text in _in_one_set(extra, new.manifest, golden.manifest))
+    notes = (*_notes(golden.manifest, new.manifest), *added)
     return SetComparison(str(a), str(b), tuple(reasons), tuple(files), missing=missing, extra=extra, notes=notes)
 
 
@@ -346,6 +348,17 @@ def _listed(manifest: images.Manifest) -> dict[str, tuple[str, str | None]]:
     return listed
 
 
+def _in_one_set(labels: Sequence[str], own: images.Manifest, other: images.Manifest) -> Iterator[str]:
+    # items that only one set has, in words: postures of which the other set has nothing are said once
+    postures, others = (dict.fromkeys(_words(one.posture) for one in (*m.images, *m.geometry)) for m in (own, other))
+    whole = [words for words in postures if words not in others]
+    of_postures = [label for label in labels if any(f"at {words}" in label for words in whole)]
+    if whole:
+        number = f"{len(whole)} of {counted(len(postures), 'posture')}"
+        yield f"{number} ({counted(len(of_postures), 'file')}): {', '.join(whole).replace('posture ', '')}"
+    yield from (label for label in labels if label not in of_postures)
+
+
 def _words(posture: Posture) -> str:
     return f"posture ({posture.elevation_deg:.15g}°, {posture.rotation_deg:.15g}°)"
 
@@ -356,11 +369,13 @@ def _manifest_problems(golden: images.Manifest, new: images.Manifest) -> Iterato
         if old != now:
             yield f"different {name}: golden {old:g}, new {now:g}"
     angles = {image.key: (image.light_elevation_deg, image.light_azimuth_deg) for image in golden.images}
+    moved: Counter[str] = Counter()
     for image in new.images:
         old = angles.get(image.key)
         now = (image.light_elevation_deg, image.light_azimuth_deg)
         if old and max(abs(old[0] - now[0]), abs(old[1] - now[1])) > _ANGLE_TOLERANCE_DEG:
-            yield f"{image.light} at {_words(image.posture)} stood elsewhere: golden {old}°, new {now}°"
+            moved[f"{image.light} stood elsewhere: golden {old}°, new {now}°"] += 1
+    yield from (f"{text}, in {counted(number, 'image')}" for text, number in moved.items())
 
 
 def _notes(golden: images.Manifest, new: images.Manifest) -> Iterator[str]:
