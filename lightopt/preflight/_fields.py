@@ -70,22 +70,28 @@ def check_mirrored_part(checked: CheckedScene) -> Iterator[Finding]:
     """Share of the surface in view that mirrors the part, in place of the lights and the dark box; none if it is 0."""
     if all(one.R_s == 0.0 for one in checked.scene.shown):
         return
+    shares: list[float] = []
     for sample in checked.samples:
         front = np.flatnonzero(sample.surface.front)
-        if not len(front):
-            continue
         some = sample.surface.take(front[:: max(1, len(front) // POINTS)])
         mirrored = 2.0 * np.einsum("ik,ik->i", some.normals, some.views)[:, None] * some.normals - some.views
         meets = checked.caster.next_hit(some.points, some.facets, mirrored) >= 0
-        share = float(np.mean(checked.glossy(some) & meets & (np.einsum("ik,ik->i", mirrored, some.facets) > 0.0)))
-        if share == 0.0:
-            continue
-        text = f"{percent(share)} of the surface in view mirrors the part itself"
-        if share > NOTED_SHARE:
-            text += ". Images without its light are too dark there: use render --bounces 1, virtual_bench.bounces and "
-            text += "inspection.bounces. Fits and plans leave this light out"
-        level = "warning" if share > WARNED_SHARE else "note" if share > NOTED_SHARE else "ok"
-        yield checked.of_posture(sample, level, "mirrored part", text, share=share)
+        seen = checked.glossy(some) & meets & (np.einsum("ik,ik->i", mirrored, some.facets) > 0.0)
+        shares.append(float(np.mean(seen)) if len(front) else 0.0)
+    worst = max(range(len(shares)), key=shares.__getitem__)
+    share, sample = shares[worst], checked.samples[worst]
+    if share == 0.0:
+        return
+    others = f", and {percent(min(shares))} at least in every posture" if len(shares) > 1 else ""
+    text = f"{percent(share)} of the surface in view mirrors the part itself{others}"
+    if share > NOTED_SHARE:
+        text += ". Images without its light are too dark there: use render --bounces 1, virtual_bench.bounces and "
+        text += "inspection.bounces. Fits and plans leave this light out"
+    level = "warning" if share > WARNED_SHARE else "note" if share > NOTED_SHARE else "ok"
+    of_postures = [
+        {"posture": s.posture.as_dict(), "share": own} for s, own in zip(checked.samples, shares, strict=True)
+    ]
+    yield checked.of_posture(sample, level, "mirrored part", text, share=share, postures=of_postures)
 
 
 def light_entries(lights: Sequence[LightConfig]) -> Iterator[tuple[str, list[int]]]:

@@ -515,12 +515,24 @@ def test_a_convex_part_mirrors_nothing_of_itself(check):
     assert not find(check(BLOCK), "mirrored part")
 
 
+CORNERS = np.array([(x, y, abs(x)) for x in (-10.0, 0.0, 10.0) for y in (-10.0, 10.0)])
+GROOVE = CORNERS[np.array([(0, 2, 1), (1, 2, 3), (2, 4, 3), (3, 4, 5)])]
+
+
 def test_a_groove_mirrors_its_other_side(check):
     """Walls at 45° in a groove: each mirrors a view from above to the other, all of it."""
-    corners = np.array([(x, y, abs(x)) for x in (-10.0, 0.0, 10.0) for y in (-10.0, 10.0)])
-    faces = np.array([(0, 2, 1), (1, 2, 3), (2, 4, 3), (3, 4, 5)])
-    finding = only(check(corners[faces]), "mirrored part")
+    finding = only(check(GROOVE), "mirrored part")
     assert finding.level == "warning"
     assert finding.values["share"] > 0.9
     assert "render --bounces 1" in finding.text
-    assert not find(check(corners[faces], reflectance={"R_s": 0}), "mirrored part")
+    assert not find(check(GROOVE, reflectance={"R_s": 0}), "mirrored part")
+
+
+def test_the_posture_that_mirrors_most_of_the_part_is_named(check):
+    """Tilted, the walls mirror less of each other."""
+    postures = [{"elevation_deg": tilt, "rotation_deg": 90} for tilt in (30, 0)]
+    finding = only(check(GROOVE, postures=postures), "mirrored part")
+    first, second = (one["share"] for one in finding.values["postures"])
+    assert finding.values["share"] == second > first
+    assert finding.text.startswith("posture (0°, 90°): ")
+    assert " at least in every posture" in finding.text
