@@ -9,6 +9,7 @@ from typing import Any
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
 from lightopt.images._atomic import make_folder, remove_file, write_text_atomic
+from lightopt.images._manifest import MANIFEST_NAME
 
 
 def read_listing(path: Path, kind: str) -> dict[str, Any] | None:
@@ -49,7 +50,7 @@ class ResultFolder:
     what: The result in words, for messages: ``a fit``.
     also: Names of further files that belong to such a result even where the JSON file does not list them.
     force: Whether files of a result of other inputs are replaced.
-    Raises InputError: The folder holds a result of other inputs, and `force` is False.
+    Raises InputError: The folder holds a result of other inputs, and `force` is False; or it is that of an image set.
     """
 
     def __init__(
@@ -63,6 +64,8 @@ class ResultFolder:
         also: Sequence[str] = (),
         force: bool,
     ) -> None:
+        if (folder / MANIFEST_NAME).exists():
+            raise InputError(f"{folder} is the folder of an image set; choose another one for {what}")
         self.folder = folder
         self.made_from: Mapping[str, Any] = json.loads(json.dumps(made_from))
         self._name, self._format, self._also = name, format, tuple(also)

@@ -62,3 +62,9 @@ def test_names_that_lead_out_of_the_folder_are_not_touched(tmp_path):
     (inside / "trial.json").write_text(json.dumps(listed), encoding="utf-8")
     written(inside, {"seed": 1}, "new.txt")
     assert outside.exists()
+
+
+def test_no_result_goes_to_the_folder_of_an_image_set(tmp_path):
+    (tmp_path / "manifest.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(InputError, match="is the folder of an image set; choose another one for a trial"):
+        folder(tmp_path, {"seed": 1}, force=True)
