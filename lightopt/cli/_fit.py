@@ -221,7 +221,7 @@ def _show(result: FitResult) -> None:
     show_table(["", "value", "std. error", "95 % interval"], rows)
     if result.highlights is not None:
         r_s, sigma = result.highlights
-        echo(f"R_s {r_s:.4g} and σ {sigma:.4g} rad were fitted only to locate the highlights; they are not written")
+        echo(f"R_s {r_s:.6g} and σ {sigma:.4g} rad were fitted only to locate the highlights; they are not written")
     if result.paper is not None:
         echo(f"from {result.paper.image}; this method gives no uncertainty")
     if result.correlation is not None:

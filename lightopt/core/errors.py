@@ -28,8 +28,8 @@ def percent(share: float, digits: int = 1, *, short_of: float = 1.0) -> str:
 
     Examples
     --------
-    >>> percent(0.9217), percent(1.0, 0), percent(0.9997)
-    ('92.2 %', '100 %', '99.97 %')
+    >>> percent(0.9217), percent(1.0, 0), percent(0.9997), percent(-1e-9)
+    ('92.2 %', '100 %', '99.97 %', '0.0 %')
     >>> percent(0.94996, short_of=0.95), percent(0.9997, short_of=0.95)
     ('94.996 %', '99.97 %')
     """
@@ -38,7 +38,7 @@ def percent(share: float, digits: int = 1, *, short_of: float = 1.0) -> str:
     if limit - share > _NOISE:
         while most < digits + 6 and float(f"{100.0 * share:.{most}f}") >= 100.0 * limit - _NOISE:
             most += 1
-    return f"{100.0 * share:.{most}f} %"
+    return f"{round(100.0 * share, most) + 0.0:.{most}f} %"  # no share is −0
 
 
 def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:

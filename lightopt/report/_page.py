@@ -188,7 +188,8 @@ def _block(block: Block) -> str:
 
 def _table(table: Table) -> str:
     def row(cells: Sequence[str], tag: str, href: str = "") -> str:
-        texts = [escape(cell) for cell in cells]
+        # a line does not end before a unit of one character, or after a sign
+        texts = [escape(cell).replace(" %", "\u00a0%").replace("&lt; ", "&lt;\u00a0") for cell in cells]
         if href:
             texts[0] = f'<a href="{quote(href)}">{texts[0]}</a>'
         begins = [f"<{tag}{' class=number' if i >= table.numbers_from else ''}>" for i in range(len(texts))]

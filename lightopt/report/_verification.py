@@ -76,9 +76,9 @@ def _gallery(result: Verification, number: int, what: str) -> Gallery:
     for posture, exposure in rows:
         found = [result.differences.get((posture, light, exposure)) for light in lights]
         pictures = [_picture(one, number, light) for one, light in zip(found, lights, strict=True)]
-        table.append((f"{posture}{f' ×{exposure:g}' if several else ''}", pictures))
+        table.append((f"posture {posture}{f' ×{exposure:g}' if several else ''}", pictures))
     return Gallery(
-        header=["posture", *lights],
+        header=lights,
         rows=table,
         caption=f"Captured minus predicted {what}: blue darker, red brighter, full colour at {FULL_COLOUR:g} standard "
         "deviations of noise and model; white where equal, saturated or off the part.",

@@ -117,7 +117,7 @@ def test_figures_are_those_of_the_result(done, blocks):
         assert scores.rows[2 * row][9] == f"{best['ties']:,} / {best['near_best']['combinations']:,}"
     text = (bench.out / "report.html").read_text(encoding="utf-8")
     for row in angles.rows:
-        assert all(f"<td class=number>{cell}</td>" in text for cell in row[1:])
+        assert all(f"<td class=number>{cell}</td>".replace(" %", "\u00a0%") in text for cell in row[1:])
 
 
 def test_every_patch_is_painted_as_its_levels_say(done, blocks):
@@ -275,7 +275,9 @@ def test_the_setting_sheet_is_a_page_of_its_own_with_one_drawing(done):
             )
             assert row[:2] == [light.name, f"{light.elevation_deg:g}°"]
             assert row[3] == f"{light.distance_mm:g} mm"
-            np.testing.assert_allclose([float(text) for text in row[4].split(", ")], centre, atol=0.06)
+            np.testing.assert_allclose(
+                [float(text) for text in row[4].replace("−", "-").split(", ")], centre, atol=0.06
+            )
 
 
 @pytest.fixture(scope="module")
@@ -473,7 +475,7 @@ PLANNED = {
             "widest": [{"what": "left", "angle": "elevation", "degrees": 10.0, "or_more": True}],
         },
     ],
-    "commands": ["lightopt capture rig.optimized.yaml part.planned.yaml --exposures 1,0.25 -o captured"],
+    "commands": ["lightopt capture rig.optimized.yaml part.planned.yaml --exposure 1,0.25 -o captured"],
 }
 
 

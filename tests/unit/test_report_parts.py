@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,11 +11,12 @@ from hypothesis import given, strategies as st
 from PIL import Image
 
 from lightopt.core.errors import InputError
-from lightopt.core.transforms import direction
+from lightopt.core.transforms import Posture, direction
 from lightopt.design import LegendRow
-from lightopt.report._drawing import DPI, chart, figure_image, fixed_style, shortened
+from lightopt.report._drawing import DPI, chart, figure_image, fixed_style, label_whole_numbers, shortened
 from lightopt.report._images import SATURATED_COLOUR, check_png_path, thumbnail, write_picture
 from lightopt.report._rig_elements import ParallelView, arc
+from lightopt.report._verification import _gallery
 from lightopt.report.design._surface import _with_legend
 
 
@@ -167,3 +169,25 @@ def test_a_legend_stands_below_the_picture_which_stays(height: int, width: int) 
     margin = np.concatenate([below[:, -4:].reshape(-1, 3), below[-4:].reshape(-1, 3)])
     assert (margin == 255).all()
     assert (below < 128).all(axis=2).any()
+
+
+def test_differences_of_a_verification_stand_below_the_names_of_their_lights():
+    differences = {
+        (Posture(0.0, turn), light, 1.0): np.zeros((2, 4, 5), np.float32)
+        for turn in (0.0, 180.0)
+        for light in ("left", "right")
+    }
+    del differences[Posture(0.0, 180.0), "left", 1.0]
+    gallery = _gallery(SimpleNamespace(differences=differences), 0, "as the rig file has it")
+    assert gallery.header == ["left", "right"]
+    assert [name for name, _ in gallery.rows] == ["posture (0°, 0°)", "posture (0°, 180°)"]
+    assert [picture and picture.alt for picture in gallery.rows[1][1]] == [None, "captured minus predicted, right"]
+
+
+def test_the_runs_of_a_history_are_whole_numbers():
+    with fixed_style():
+        _, (panel,) = chart(title="one run", x_label="run", labels=["offset"])
+        panel.plot([1], [0.02], ".")
+        label_whole_numbers(panel.xaxis)
+        low, high = panel.get_xlim()
+        assert [tick for tick in panel.get_xticks() if low <= tick <= high] == [1.0]

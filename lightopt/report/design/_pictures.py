@@ -63,7 +63,7 @@ def _setting_table(design: DesignResult, results: Sequence[SetResult], *, name_p
     panels, found = design.candidates.panels_at(best.candidates), places_of(design.candidates, best)
     for panel, place, light in zip(panels, found, design.rig.lights, strict=True):
         now = place_of(light)
-        centre = [f"{coordinate:.1f}" for coordinate in panel.centre]
+        centre = [f"{coordinate:.1f}".replace("-", "−") for coordinate in panel.centre]
         before = "stays" if now == place else place_text(now)
         angles = degrees(place[0]), degrees(place[1])
         rows.append([panel.name, *angles, f"{panel.distance:g} mm", ", ".join(centre), before])

@@ -112,7 +112,7 @@ def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None)
         planned = any(shot["planned"] for shot in exposures["shots"])
         alone = f"With exposure 1 alone {design.share_text(exposures['share_without'], grain)}"
         text += f". {alone if planned else 'No further exposure adds enough to be planned'}"
-    return Answer(figure=design.share_text(share, grain), text=text)
+    return Answer(figure=design.share_text(share, grain), text=f"{text}.")
 
 
 def _angles(output: design.DesignOutput, answer: design.ObjectiveResult) -> list[str]:
