@@ -42,7 +42,7 @@ def render(
     per posture (points, normals, depth, patch numbers, and defect numbers if PART lists defects), patches.npz, and
     manifest.json. The same command continues an interrupted run.
 
-    Example: lightopt render rig.yaml part.yaml -o out --exposures 1,1/16
+    Example: lightopt render rig.yaml part.yaml -o out --exposure 1,1/16
     """
     from lightopt.rendering import DEFAULT_PATCH_BUDGET, RenderOptions, render_image_set
 
@@ -131,7 +131,12 @@ def import_(
     images: Annotated[Path, typer.Argument(metavar="IMAGES", help="Folder of the photographs: PNG, JPEG, TIFF.")],
     lights: Annotated[Path, typer.Argument(metavar="LIGHTS", help="Table of photographs and their lights (CSV).")],
     out: common.Out,
-    camera: Path = model_option(..., metavar="FILE", help="K, distortion, [R|t]: OpenCV's YAML or JSON, or K as text."),
+    camera: Path = model_option(
+        ...,
+        metavar="FILE",
+        help="Calibration of the camera: camera matrix K [px], distortion coefficients and pose [R|t] from world to "
+        "camera, as OpenCV writes them (YAML or JSON); or K alone, as a text of 3 × 3 numbers.",
+    ),
     pose: Path | None = model_option(None, metavar="FILE", help="File of [R|t], if the calibration file has none."),
     pose_units: Literal["mm", "cm", "m"] = model_option("mm", metavar="UNIT", help="Unit of t: mm, cm or m."),
     turn_world: Literal["x180", "x90", "x-90"] | None = model_option(

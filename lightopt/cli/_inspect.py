@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from lightopt.images import ImageSet, ResultFolder
 
 
-MOST_DEFECTS = 6  # rows of the table of defects without `--verbose`; defects.csv has all of them
+# on the terminal without `--verbose`: rows of the table of defects (defects.csv has all), and names of missed defects
+MOST_DEFECTS, MOST_MISSED = 4, 6
 calibration_option = partial(typer.Option, rich_help_panel="Calibration with good parts")
 
 
@@ -229,7 +230,7 @@ def _write_set(
     assert verdict is not None
     summary = inspection.summarise([inspected.evaluation]) if summarised and inspected.evaluation is not None else None
     if summarised:  # before the pictures, which take longer than the inspection did
-        _show_inspection(result, verdict)
+        _show_inspection(result, verdict, folder.made_from)
     else:
         echo(f"{inspected.name}: {verdict.word}: {verdict.explanation}")
     with show_progress() as progress:
@@ -241,7 +242,7 @@ def _write_set(
             defect_overlay(path, posture, result.defects)
     names = {"part": output.part.name, "rig": output.rig.name}
     page = partial(inspection_report, result, verdict, **names, provenance=folder.made_from, truth=summary)
-    _write_rest(output, folder, summary, page, lambda: folder.write(result, verdict))
+    _write_rest(output, folder, summary, page, lambda: folder.write(result, verdict), shown=summarised)
     report = f"{inspected.name}/{inspection.REPORT_NAME}" if output.report else ""
     return inspection.BatchRow(name=inspected.name, report=report, defects=len(result.defects), verdict=verdict)
 
@@ -268,8 +269,10 @@ def _write_rest(
     summary: Mapping[str, Any] | None,
     page: Callable[[], str],
     finish: Callable[[], list[Path]],
+    *,
+    shown: bool = True,
 ) -> None:
-    """Write the evaluation and the page, finish the folder, and print the evaluation and all paths."""
+    """Write the evaluation and the page, finish the folder, and print the evaluation and the main paths."""
     from lightopt.inspection import REPORT_NAME, TRUTH_NAME, truth_text
 
     more: list[Path] = []
@@ -278,7 +281,9 @@ def _write_rest(
         _show_evaluation(summary)
     if output.report:
         more.append(folder.write_text(REPORT_NAME, page()))
-    terminal.echo_paths(*finish(), *more)
+    paths = [*more[::-1], *finish()]
+    if shown or VERBOSE.get():
+        terminal.echo_main_paths(folder.folder, paths, main={REPORT_NAME, "defects.json", "batch.json"})
 
 
 def _show_calibration(calibration: inspection.Calibration, rate: float) -> None:
@@ -298,27 +303,44 @@ def _show_calibration(calibration: inspection.Calibration, rate: float) -> None:
 
 def _show_evaluation(summary: Mapping[str, Any]) -> None:
     # recall, false alarms and the size that is detected, from lightopt.inspection.summarise
-    from lightopt.report.inspection import detection_table
+    from lightopt.report.inspection import detection_table, missed_defects
 
     alarms, hidden, area = summary["false_alarms_per_posture"], summary["hidden"], summary["roc_auc"]
-    why = " (out of view, at an edge, or narrower than a pixel)" if hidden else ""
+    why = f" (out of view, at an edge, or narrower than a pixel: {_few(hidden)})" if hidden else ""
     echo(
-        f"{summary['found']} of {summary['defects']} defects found, {len(hidden)} without an evaluable pixel{why}; "
-        f"{alarms:g} false alarm{'' if alarms == 1.0 else 's'} per posture; area under the pixels' ROC "
+        f"{summary['found']} of {summary['defects']} known defects found, {len(hidden)} without an evaluable pixel"
+        f"{why}; {alarms:g} false alarm{'' if alarms == 1.0 else 's'} per posture; area under the pixels' ROC "
         f"{'-' if area is None else area}"
     )
+    if missed := missed_defects(summary):
+        echo(f"missed: {_few(missed)}")
     if VERBOSE.get():
         show_page_table(detection_table(summary))
 
 
-def _show_inspection(result: inspection.InspectionResult, verdict: inspection.Verdict) -> None:
+def _few(names: Sequence[str]) -> str:
+    most = len(names) if VERBOSE.get() else MOST_MISSED
+    more = f" and {len(names) - most} more; truth.json has all" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def _show_inspection(
+    result: inspection.InspectionResult, verdict: inspection.Verdict, made_from: Mapping[str, Any]
+) -> None:
     # the verdict, defects, where the part lies, what was inspected
     from lightopt.inspection import REFERENCE_DEFECT, REFERENCES
-    from lightopt.report.inspection import dark_text, defect_table, placement_text, surface_notes, surface_table
+    from lightopt.report.inspection import (
+        dark_text,
+        defect_table,
+        placement_text,
+        surface_notes,
+        surface_table,
+        threshold_text,
+    )
 
     echo(f"{verdict.word}: {verdict.explanation}")
-    if result.reference != "model":
-        echo(f"compared with: {REFERENCES[result.reference].basis}")
+    basis = "" if result.reference == "model" else f"; compared with: {REFERENCES[result.reference].basis}"
+    echo(f"threshold of the score: {threshold_text(result, made_from)}{basis}")
     if result.defects:
         show_page_table(defect_table(result, verdict), most=MOST_DEFECTS)
         if not VERBOSE.get() and len(result.defects) > MOST_DEFECTS:

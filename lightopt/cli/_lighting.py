@@ -31,14 +31,19 @@ def compare_lighting(
         None, metavar="N", help="Choose the N best postures of each system from its stage's range."
     ),
     exposures: str | None = system_option(
-        None, metavar="X,…", help="Candidate relative exposure times in addition to 1, such as 1/16,1/4,4,16."
+        None,
+        "--exposure",
+        metavar="X,…",
+        help="Candidate relative exposure times in addition to 1, such as 1/16,1/4,4,16.",
     ),
     step: float = system_option(10.0, metavar="DEG", help="Step of the angles within the lights' ranges."),
     min_images: int = system_option(2, metavar="K", min=1, help="Number of images that must show a defect."),
     false_alarms: float = system_option(0.05, metavar="N", help="False alarms per posture, the same for all systems."),
     patches: int = system_option(2000, metavar="N", min=1, help="Target number of visible surface patches."),
     tolerances: bool = system_option(
-        True, "--tolerances/--no-tolerances", help="Compute how far lights and part may be off."
+        True,
+        "--tolerances/--no-tolerances",
+        help="Analyse tolerances: the angles by which lights and part may be off at 95 % of the score. Takes time.",
     ),
     points: common.Points = None,
     report: bool = output_option(True, "--report/--no-report", help="Write a report for each system as well."),
@@ -111,7 +116,9 @@ def optimize_from_images(
         help="Picture that is not 0 where the part is to be inspected.",
         show_default="where the part is seen",
     ),
-    images: int = choice_option(4, "--images", "-k", metavar="N", min=1, help="Number of images to take of a part."),
+    images: int | None = choice_option(
+        None, "--images", "-k", metavar="N", min=1, help="Number of images to take of a part.", show_default="4"
+    ),
     mix: bool = choice_option(False, "--mix", help="Show several lights in an image, each with a weight."),
     false_alarms: float = choice_option(
         0.05, metavar="N", help="Expected false alarms per posture, from 1e-9 to 1: when a defect counts as found."
@@ -157,13 +164,15 @@ def optimize_from_images(
 
     if files := [path.name for path in sets if path.suffix.lower() in (".yaml", ".yml")]:
         raise InputError(f"{', '.join(files)}: lights are chosen from image sets; --rig names a rig file")
-    options = FromImagesOptions(images=images, mix=mix, false_alarms=false_alarms, limit=max_combinations)
+    number = {} if images is None else {"images": images}
+    options = FromImagesOptions(**number, mix=mix, false_alarms=false_alarms, limit=max_combinations)
     with run_context(threads) as run:
         result = choose(sets, options=options, region=region, rig=rig, captured=compare, run=run)
         output = write_from_images(result, out, force=force, run=run)
         page = from_images_report(result) if report else None
         paths = finish_from_images(output, result, page)
-    echo(" ".join(from_images_answer(result)))
+    default = f"; {options.images} is the default of -k" if images is None else ""
+    echo(f"{' '.join(from_images_answer(result))}{default}")
     for table in (chosen_table(result), scores_table(result)):
         show_page_table(table)
     show_page_table(defects_table(result), most=MOST_DEFECTS)

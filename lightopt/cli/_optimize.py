@@ -11,7 +11,7 @@ import typer
 
 from lightopt.cli import _common as common
 from lightopt.cli._common import output_option
-from lightopt.cli._terminal import VERBOSE, echo, echo_paths, run_context, show_page_table, show_table
+from lightopt.cli._terminal import VERBOSE, echo, echo_main_paths, run_context, show_page_table, show_table
 from lightopt.core.errors import CheckFailed, counted, refuse
 
 if TYPE_CHECKING:
@@ -83,7 +83,10 @@ def optimize(
         show_default="10",
     ),
     exposures: str | None = exposure_option(
-        None, metavar="X,…", help="Candidate relative exposure times in addition to 1, such as 1/16,1/4,4,16."
+        None,
+        "--exposure",
+        metavar="X,…",
+        help="Candidate relative exposure times in addition to 1, such as 1/16,1/4,4,16.",
     ),
     exposure_gain: float | None = exposure_option(
         None,
@@ -148,7 +151,7 @@ def optimize(
         ("--calibration", calibration, of_defects, "--objective detectability"),
         ("--posture-step", posture_step, choice, "--choose-postures or --target"),
         ("--allow-outside", allow_outside, choice, "--choose-postures or --target"),
-        ("--exposure-gain", exposure_gain, exposures is not None, "--exposures"),
+        ("--exposure-gain", exposure_gain, exposures is not None, "--exposure"),
         ("--tolerance-target", tolerance_target, tolerance, "--light-tolerance or --pose-tolerance"),
     )
     unused = [(option, other) for option, value, used, other in dependent if value is not None and not used]
@@ -234,8 +237,6 @@ def _calibrated(
 
 Section = Mapping[str, Any]  # of result.json, as the report has it
 
-SUMMED_UP_FILES = 3  # so many files beside the main ones, or more, are counted and not listed
-
 
 def show_design(output: design.DesignOutput) -> None:
     """The best sets with every objective's score, and the main files; of a verbose command all tables and files."""
@@ -245,6 +246,9 @@ def show_design(output: design.DesignOutput) -> None:
     result, best = output.result, best_table(output)
     if best.rows:
         show_page_table(best)
+    objectives = [answer.objective for answer in result.results[0].answers]
+    for surface, names in design.shares_of(objectives).items() if best.rows else ():
+        echo(f"shares of {' and '.join(names)}: of {surface}")
     if VERBOSE.get():
         echo(best.caption)
     for one in result.results:
@@ -271,19 +275,10 @@ def show_design(output: design.DesignOutput) -> None:
         text = partial(design.share_text, grain=chosen.grain)
         shares = sorted(chosen.by_reason().items())
         reasons = "; ".join(f"{design.blind_text(code, result.blind.lights)} {text(share)}" for code, share in shares)
-        echo(f"seen {text(chosen.seen)} of {design.BLIND_SHARES_OF}; {reasons}")
-    _show_paths(output)
-
-
-def _show_paths(output: design.DesignOutput) -> None:
-    main = {"report.html", "result.json", "part.planned.yaml"}
-    shown = [path for path in output.paths if path.name in main or path.name.startswith("rig.")]
-    rest = len(output.paths) - len(shown)
-    if VERBOSE.get() or rest < SUMMED_UP_FILES:
-        shown, rest = [*output.paths], 0
-    echo_paths(*shown)
-    if rest:
-        echo(f"and {rest} more files in {output.result.folder}; --verbose lists them")
+        echo(f"of {design.BLIND_SHARES_OF}: found {text(chosen.seen)}; {reasons}")
+    rigs = {path.name for path in output.paths if path.name.startswith("rig.")}
+    main = {"report.html", "result.json", "part.planned.yaml", *rigs}
+    echo_main_paths(output.result.folder, output.paths, main=main)
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:
@@ -351,6 +346,7 @@ def _show_postures(document: Section) -> None:
     number = counted(len(chosen["postures"]), "posture")
     meaning = finding_text(chosen["min_images"], chosen["false_alarms"])
     echo(f"{number} of {chosen['candidates']}: {text(chosen['share'])} {meaning}")
+    echo(f"shares of postures and exposures: of {chosen['shares_of']}")
     show_page_table(table)
     _show_spare(chosen, text)
     proof = plan_proof(chosen)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Container, Generator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -26,6 +26,7 @@ FLAGS = {
     "allow_outside_px": "--allow-outside",
     "away": "--highlight-margin",
     "check": "--no-check-lights",
+    "exposures": "--exposure",
     "light_deg": "--light-tolerance",
     "limit": "--max-combinations",
     "lights": "--light",
@@ -74,6 +75,20 @@ def echo_paths(*paths: Path) -> None:
     """Print where files were written."""
     for path in paths:
         echo(f"{path}")
+
+
+SUMMED_UP_FILES = 3  # so many files beside the main ones, or more, are counted and not listed
+
+
+def echo_main_paths(folder: Path, paths: Sequence[Path], *, main: Container[str]) -> None:
+    """Print where the files named `main` were written, and how many others; of a verbose command all of them."""
+    shown = [path for path in paths if path.name in main]
+    rest = len(paths) - len(shown)
+    if VERBOSE.get() or rest < SUMMED_UP_FILES:
+        shown, rest = [*paths], 0
+    echo_paths(*shown)
+    if rest:
+        echo(f"and {rest} more files in {folder}; --verbose lists them")
 
 
 def version_wanted(wanted: bool) -> None:

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from lightopt import load_part, load_rig
+from lightopt.cli._inspect import _show_evaluation
 from lightopt.cli._main import run
 from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_image_set, read_metadata, read_png, write_png
@@ -334,7 +335,7 @@ def test_a_missing_posture_is_not_inspected(cli, bench, parts, tmp_path):
         assert sum(shares) == pytest.approx(1.0, abs=1e-4)
     page = (bench.out / "few" / "report.html").read_text(encoding="utf-8")
     assert f"{100.0 * half['missing']:.1f} % of the visible surface has no images" in page
-    row = page.split("<td>all postures</td>")[1].split("</tr>")[0]
+    row = page.split("<td>all postures</td>")[1].split("</tr>")[0].replace("\u00a0", " ")
     assert f"{100.0 * half['inspected']:.1f} %" in row
     assert f"{100.0 * half['missing']:.1f} %" in row
     assert "<th class=number>no images</th>" in page
@@ -356,7 +357,10 @@ def test_what_is_allowed_and_what_is_found_is_said(cli, bench, parts):
     bench.part.write_text(text + "inspection: {most_defects: 3, least_size_mm: 4.5}\n", encoding="utf-8")
     ran = inspect(cli, bench, parts["bad"], "--fusion", "none", "--fail-on-defect", "--evaluate")
     assert ran.status == 0
-    assert "OK: 2 defects that count, 3 allowed\n" in ran.out
+    assert "OK: 2 defects that count, 3 allowed\nthreshold of the score: " in ran.out
+    assert " (0.05 false alarms per posture)\n" in ran.out
+    assert "missed" not in ran.out
+    assert len(ran.out.splitlines()) <= 15
     share = 100.0 * found(bench)["surface"]["finds_contrast"]["0.2"]
     reported = f"a disc of 5 px that changes the light by 20 % is found on {share:.1f} %"
     assert reported in ran.out
@@ -377,7 +381,7 @@ def flip(folder, axis):
 def test_labels_say_what_was_found_and_what_was_not(cli, bench, parts):
     ran = inspect(cli, bench, parts["bad"], "--fusion", "none", "--evaluate")
     assert ran.status == 0
-    assert "2 of 2 defects found" in ran.out
+    assert "2 of 2 known defects found" in ran.out
     assert "truth.json" in found(bench)["files"]
     reported = json.loads((bench.out / "truth.json").read_text(encoding="utf-8"))
     assert (reported["defects"], reported["found"], reported["hidden"]) == (2, 2, [])
@@ -388,6 +392,20 @@ def test_labels_say_what_was_found_and_what_was_not(cli, bench, parts):
         {"kind": "stain", "size_mm": 3.5, "defects": 1, "found": 1},
     ]
     assert reported["detection"]["all"]["a90"] is None  # two are too few to say
+
+
+def test_defects_that_were_missed_are_named(capsys):
+    each = [
+        {"set": "a", "name": f"{kind}-{i}", "kind": kind, "size_mm": 0.5 * (i + 1), "found": kind == "stain"}
+        for i in range(7)
+        for kind in ("dent", "stain")
+    ]
+    counts = {"found": 7, "defects": 14, "false_alarms_per_posture": 0.0, "hidden": ["pit-1"], "roc_auc": None}
+    _show_evaluation({"each": each, "sets": [{}], **counts})
+    found, missed = capsys.readouterr().out.splitlines()
+    assert "1 without an evaluable pixel (out of view, at an edge, or narrower than a pixel: pit-1)" in found
+    assert missed.startswith("missed: dent-0 (dent, 0.5 mm), dent-1 (dent, 1 mm), ")
+    assert missed.endswith("dent-5 (dent, 3 mm) and 1 more; truth.json has all")
 
 
 @pytest.mark.slow
@@ -404,7 +422,7 @@ def test_a_set_rendered_without_defects_counts_with_its_false_alarms_alone(cli, 
     bench.part.write_text(bench.part.read_text(encoding="utf-8") + DEFECTS, encoding="utf-8")
     ran = inspect(cli, bench, [parts["good"], parts["bad"]], "--fusion", "none", "--evaluate")
     assert ran.status == 0, ran.err
-    assert "2 of 2 defects found" in ran.out
+    assert "2 of 2 known defects found" in ran.out
     reported = json.loads((bench.out / "truth.json").read_text(encoding="utf-8"))
     assert reported["labels"] == ["images", "no defects"]
     assert [(one["set"], one["labels"], one["defects"]) for one in reported["sets"]] == [
@@ -524,7 +542,7 @@ def test_sixteen_bits_and_exposures_and_sets_without_exr_will_do(cli, bench, tmp
     bench.edit("rig.yaml", "electrons_per_level: 60", "electrons_per_level: 0.4")
     text = bench.part.read_text(encoding="utf-8")
     bench.part.write_text(text + DEFECTS, encoding="utf-8")
-    out = rendered(bench, tmp_path / "deep", "--exposures", "1,1/16", *FIRST)
+    out = rendered(bench, tmp_path / "deep", "--exposure", "1,1/16", *FIRST)
     for path in out.rglob("light*.exr"):
         path.unlink()
     manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))

@@ -142,6 +142,7 @@ def test_the_files_that_are_written(tmp_path, cli):
     ran = cli(*arguments)
     assert ran.status == 0, ran.err
     assert ran.out.startswith("4 of 4 defects found in 2 images; no other choice scores more (proven)")
+    assert "default of -k" not in ran.out
     document = json.loads((out / "result.json").read_text(encoding="utf-8"))
     assert document["format"] == "lightopt-from-images/1"
     assert [image["name"] for image in document["images"]] == ["led-1", "led-4"]
@@ -164,6 +165,12 @@ def test_the_files_that_are_written(tmp_path, cli):
     # the synthesised images are samples themselves
     again = optimize_from_images([out / "images" / f"s{i}" for i in range(7)], options=FromImagesOptions(images=1))
     assert len(again.evidence.defects) == 4
+
+
+def test_the_number_of_images_that_nobody_gave_is_said(tmp_path, cli):
+    sets = write_samples(tmp_path, *drawn_samples())
+    ran = cli("optimize", "--from-images", *map(str, sets), "-o", str(tmp_path / "out"), "--no-report")
+    assert ran.out.splitlines()[0].endswith("; 4 is the default of -k"), ran.err
 
 
 RIG = """\

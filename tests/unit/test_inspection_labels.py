@@ -92,7 +92,7 @@ def test_a_captured_set_is_held_against_the_defects_of_its_part(cli, bench, requ
     options = ("--no-register", "--fusion", "none", "--evaluate")
     ran = cli("inspect", bench.rig, bench.part, bench.folder / "captured", "-o", bench.folder / "found", *options)
     assert ran.status == 0, ran.err
-    assert "2 of 2 defects found" in ran.out
+    assert "2 of 2 known defects found" in ran.out
     reported = json.loads((bench.folder / "found" / "truth.json").read_text(encoding="utf-8"))
     assert reported["labels"] == ["part file"]
     assert (reported["found"], reported["hidden"], reported["false_alarms_per_posture"]) == (2, [], 0)

@@ -39,6 +39,7 @@ def test_the_truth_is_reported_with_curves_where_hits_and_misses_give_them():
     assert isinstance(facts, Facts)
     assert dict(facts.rows) == {
         "found": f"{found.sum()} of 60 defects in view",
+        "missed": "; ".join(f"d{i} ({('dent', 'stain')[i % 2]}, {sizes[i]:.2g} mm)" for i in np.flatnonzero(~found)),
         "without an evaluable pixel": "behind: out of view, at an edge, or narrower than a pixel",
         "false alarms": "1.5 per posture",
         "area under the pixels' ROC": "0.9100",
@@ -165,7 +166,7 @@ def test_rows_of_a_batch_lead_to_reports_whatever_their_names():
     page = batch_report(rows, part="p", rig="r", version="1", truth=None)
     assert '<a href="a%20%231%20%3C%26%3E/report.html">a #1 &lt;&amp;&gt;</a>' in page
     assert "<td>b</td><td>OK</td><td>1 defect that counts, 2 allowed</td>" in page
-    assert "<td class=number>70.0 %</td><td class=number>25.0 %</td>" in page
+    assert "<td class=number>70.0\u00a0%</td><td class=number>25.0\u00a0%</td>" in page
     heads, last_row = page.index("<thead>"), page.index("<td>b</td>")
     assert page.count("</th>", heads, last_row) == page.count("</td>", last_row, page.index("</tbody>", last_row)) == 8
 

@@ -7,7 +7,9 @@ from ._report import (
     defect_table,
     detection_table,
     inspection_report,
+    missed_defects,
     placement_text,
     surface_notes,
     surface_table,
+    threshold_text,
 )

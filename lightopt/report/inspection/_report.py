@@ -70,12 +70,9 @@ def _facts(result: inspection.InspectionResult, verdict: inspection.Verdict, pro
     options: Mapping[str, Any] = provenance["options"]
     min_images: int = options["min_images"]
     fewer = any(len(p.view.lights) < min_images for p in result.postures)
-    rate, limits = options["false_alarms"], verdict.limits
+    limits = verdict.limits
     reference = inspection.REFERENCES[result.reference]
     detector = inspection.InspectOptions(detector=options["detector"], reference=result.reference).scored_by
-    alarms = f"{rate:g} " + (
-        "of good parts with a false alarm in a posture" if "calibration" in inputs else "per posture"
-    )
     counting = (
         f"at most {counted(limits.most_defects, 'defect')} of {limits.least_size_mm:g} mm or more and a contrast of "
         f"{percent(limits.least_contrast)} or more; at least {percent(limits.least_inspected)} of the visible surface "
@@ -90,7 +87,7 @@ def _facts(result: inspection.InspectionResult, verdict: inspection.Verdict, pro
         ("compared with", f"{reference.basis}{f': {reference.limits}' if reference.limits else ''}"),
         ("detector", f"{detector}, {shows}{', or in all images where there are fewer' if fewer else ''}"),
         ("image without highlights", options["fusion"] or "none"),
-        ("false-alarm rate", alarms),
+        ("false-alarm rate", _alarms_text(provenance)),
         ("limits", counting),
         ("calibration", calibration),
     ]
@@ -143,31 +140,54 @@ def _cells(row: inspection.BatchRow) -> list[str]:
     return [row.name, row.word, verdict.explanation, str(row.defects), str(len(verdict.counting)), *shares]
 
 
+def threshold_text(result: inspection.InspectionResult, provenance: Mapping[str, Any]) -> str:
+    """The threshold of the score, over all postures, and the false-alarm rate that it is for."""
+    low, *_, high = sorted([posture.threshold for posture in result.postures] * 2)
+    values = f"{low:.1f}" if f"{low:.1f}" == f"{high:.1f}" else f"{low:.1f} to {high:.1f}"
+    return f"{values} ({_alarms_text(provenance)})"
+
+
+def _alarms_text(provenance: Mapping[str, Any]) -> str:
+    rate = f"{provenance['options']['false_alarms']:g}"
+    if "calibration" in provenance["inputs"]:
+        return f"{rate} of good parts with a false alarm in a posture"
+    return f"{rate} false alarms per posture"
+
+
+def _contrast_text(contrast: float) -> str:
+    # "-" where no light shows the defect by itself
+    return percent(contrast, 0 if contrast >= 0.1 else 1) if contrast else "-"
+
+
 def defect_table(result: inspection.InspectionResult, verdict: inspection.Verdict) -> Table:
     """A row for each defect, the highest score first."""
+    thresholds = {posture.view.posture: posture.threshold for posture in result.postures}
     rows = [
         [
             str(defect.number),
-            defect.best.kind,
+            defect.best.kind if defect.best.named is None else f"{defect.best.kind}: {defect.best.named.kind}",
             " ".join(defect.lights) or "-",
             "yes" if defect.number in verdict.counting else "no",
             ", ".join(f"{x:.2f}" for x in defect.best.position),
             f"{defect.size[0]:.2f} × {defect.size[1]:.2f}",
             f"{defect.area:.3g}",
-            percent(defect.greatest_contrast, 0),
+            _contrast_text(defect.greatest_contrast),
             f"{defect.best.score:.1f}",
+            f"{thresholds[defect.best.posture]:.1f}",
             str(len(defect.detections)),
         ]
         for defect in result.defects
     ]
     header = ["", "kind", "lights", "counts", "position [mm]", "size [mm]", "area [mm²]", "contrast", "score"]
     return Table(
-        header=[*header, "postures"],
+        header=[*header, "threshold", "postures"],
         rows=rows,
         numbers_from=4,
         caption="Positions are in the coordinates of the mesh file. The score is −log₁₀ of the probability that noise "
-        "alone looks as much like a defect. The lights are those that show the defect by themselves, by four standard "
-        "deviations or more. If they are fewer than required, several images together exceed the noise.",
+        "alone looks as much like a defect; a defect exceeds the threshold. The contrast is the largest under one of "
+        "the lights; a dash where none shows the defect by itself. The lights are those that show the defect by "
+        "themselves, by four standard deviations or more. If they are fewer than required, several images together "
+        "exceed the noise.",
     )
 
 
@@ -244,6 +264,7 @@ def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
     hidden = ", ".join(summary["hidden"])
     facts = [
         ("found", f"{summary['found']} of {summary['defects']} defects in view"),
+        ("missed", "; ".join(missed_defects(summary)) or "none"),
         (
             "without an evaluable pixel",
             f"{hidden}: out of view, at an edge, or narrower than a pixel" if hidden else "none",
@@ -255,6 +276,16 @@ def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
     caption = "Size is the square root of length times width."
     recall = Table(header=["kind", "size [mm]", "defects", "found"], rows=rows, caption=caption)
     return [Facts(rows=facts), recall, detection_table(summary), _chart(summary)]
+
+
+def missed_defects(summary: Mapping[str, Any]) -> list[str]:
+    """Known defects that were not found, each with its kind and size, and its set where there are several."""
+    several = len(summary["sets"]) > 1
+    return [
+        f"{one['set'] + ': ' if several else ''}{one['name']} ({one['kind']}, {one['size_mm']:.2g} mm)"
+        for one in summary["each"]
+        if not one["found"]
+    ]
 
 
 def detection_table(summary: Mapping[str, Any]) -> Table:
