@@ -38,9 +38,9 @@ class Levels(DetectionModel):
     steps: tuple[float, ...]
     needed: list[Float64]
 
-    def limits(self, pixels: float, footprint: float) -> Float64:
+    def limits(self, pixels: float, footprint: float, blur: float = 0.0) -> Float64:
         """The same steps for each entry."""
-        self.needed[:] = [np.sqrt(super().limits(pixels, footprint)[:, -1])]
+        self.needed[:] = [np.sqrt(super().limits(pixels, footprint, blur)[:, -1])]
         return np.tile(np.square(self.steps), (len(self.catalogue.entries), 1))
 
 
