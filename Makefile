@@ -35,12 +35,12 @@ VALUES = grep -E '^ +(R_d|R_s|sigma_rad):' $(1) | sed -E 's/\#.*//' | tr -s ' \n
 
 demo: $(BIN)/.installed  ## the whole loop on the sample: render, fit, plan the lights for defects, capture, inspect; into out/demo…
 	$(BIN)/lightopt render $(RIG) $(PART) -o $(OUT)/demo --sheet
-	$(BIN)/lightopt render $(RIG) $(PART) -o $(OUT)/demo-noisy --noise 1 --exposures 1,1/16 --posture 0,0
+	$(BIN)/lightopt render $(RIG) $(PART) -o $(OUT)/demo-noisy --noise 1 --exposure 1,1/16 --posture 0,0
 	$(BIN)/lightopt fit-specular $(RIG) $(PART) $(OUT)/demo-noisy -o $(OUT)/demo-fit --joint
 	@echo "true:      $$($(call VALUES,$(PART)))"
 	@echo "recovered: $$($(call VALUES,$(OUT)/demo-fit/part.fitted.yaml))"
 	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/demo-best --objective detectability
-	$(BIN)/lightopt capture $(RIG) $(PART) -o $(OUT)/demo-captured --posture 0,82 --exposures 1,1/16 --resume
+	$(BIN)/lightopt capture $(RIG) $(PART) -o $(OUT)/demo-captured --posture 0,82 --exposure 1,1/16 --resume
 	$(BIN)/lightopt fit-diffuse $(RIG) $(PART) $(OUT)/demo-captured -o $(OUT)/demo-captured-fit
 	$(BIN)/lightopt defects $(OUT)/demo-best/rig.optimized.yaml $(PART) -o $(OUT)/demo-defects.yaml --seed 4 --count 8
 	$(BIN)/lightopt capture $(OUT)/demo-best/rig.optimized.yaml $(OUT)/demo-defects.yaml -o $(OUT)/demo-with-defects --posture 0,0 --resume
@@ -50,7 +50,7 @@ demo: $(BIN)/.installed  ## the whole loop on the sample: render, fit, plan the 
 
 plan: $(BIN)/.installed  ## the sample planned: which postures, lights and exposures, how exact the angles, then its images; into out/plan…
 	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/plan --choose-postures 2 --posture-step 45 \
-	    --exposures 1/16,1/4,1,4,16 --light-tolerance 2 --pose-tolerance 1 --patches 50000 --no-images
+	    --exposure 1/16,1/4,1,4,16 --light-tolerance 2 --pose-tolerance 1 --patches 50000 --no-images
 	@# the commands that the plan ends with, the capture as a list of what would be done
 	export PATH="$(abspath $(BIN)):$$PATH" && cd $(OUT)/plan && \
 	    commands="$$(python -c 'import json; print(*json.load(open("result.json", encoding="utf-8"))["commands"], sep="\n")')" && \

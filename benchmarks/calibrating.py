@@ -214,12 +214,12 @@ def inspect(folder: Path, seed: int, count: int, *, good: int) -> None:
     }
     for name, rig in rigs.items():
         images = folder / f"images-{name}"
-        run("capture", rig, part, "-o", images, "--exposures", "1,1/16", "--force", "--no-check-lights")
+        run("capture", rig, part, "-o", images, "--exposure", "1,1/16", "--force", "--no-check-lights")
         judge(name, rig, part, images)
         if name == "calibrated" and good:
             sets = [folder / f"good-{k}" for k in range(good)]
             for k, one in enumerate(sets):
-                options = ("--exposures", "1,1/16", "--force", "--no-check-lights", "--seed", 1000 + k)
+                options = ("--exposure", "1,1/16", "--force", "--no-check-lights", "--seed", 1000 + k)
                 run("capture", rig, PART, "-o", one, *options)
             # the least rate that so many parts allow
             rate = np.ceil(1e3 * (1.0 - 0.05 ** (1.0 / good))) / 1e3

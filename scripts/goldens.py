@@ -17,7 +17,7 @@ GOLDEN = ROOT / "tests" / "regression" / "golden"
 SCENES = GOLDEN / "scenes"
 
 RENDERS: dict[str, list[str]] = {
-    "knob": ["rig.yaml", "knob.yaml", "--layers", "--exposures", "1,1/16"],
+    "knob": ["rig.yaml", "knob.yaml", "--layers", "--exposure", "1,1/16"],
     "knob-auto": ["rig.yaml", "knob.yaml", "--points", "auto", "--posture", "0,82"],
     "spout": ["rig-12bit.yaml", "spout.yaml"],
     "spout-auto": ["rig-12bit.yaml", "spout.yaml", "--points", "auto", "--supersample", "2"],

@@ -174,7 +174,7 @@ def plan_pictures(blind: Path, page: Path, folder: Path) -> None:
     out = folder / "planned"
     lightopt(
         "optimize", RIGS / "four-panel.yaml", PARTS / "cover-knob.yaml", "-o", out, "-q", "--choose-postures", "2",
-        "--posture-step", "90", "--exposures", "1,1/4,1/16", "--patches", "20000", "--no-images",
+        "--posture-step", "90", "--exposure", "1,1/4,1/16", "--patches", "20000", "--no-images",
     )  # fmt: skip
     pictured = sorted(out.glob("posture_*/blind.png"))[0]
     image = Image.open(pictured).convert("RGB")

@@ -23,7 +23,7 @@ defect_catalogue:
 FEW = ("--patches", "100", "--step", "10", "--no-images")
 PLAN = (
     *FEW,
-    *("--choose-postures", "2", "--posture-step", "90", "--exposures", "1,1/16"),
+    *("--choose-postures", "2", "--posture-step", "90", "--exposure", "1,1/16"),
     *("--light-tolerance", "4", "--pose-tolerance", "1"),
     *("--objective", "detectability", "--objective", "coverage"),
 )

@@ -46,7 +46,7 @@ def capture(
     a rendered image set. If RIG has no hardware section, the virtual bench is used: simulated devices, and a camera
     that renders the part. All lights are switched off at the start, at the end, after an error and after Ctrl-C.
 
-    Example: lightopt capture rig.yaml part.yaml -o captured --exposures 1,1/16
+    Example: lightopt capture rig.yaml part.yaml -o captured --exposure 1,1/16
     """
     if out is None and not dry_run:
         raise InputError("--out: expected a folder for the image set; it is optional with --dry-run only")

@@ -47,7 +47,8 @@ Lights = Annotated[list[str] | None, _LIGHT]
 _POSTURE_HELP = "Use this posture: tilt and rotation [deg]; repeatable."
 _POSTURE = selection_option("--posture", metavar="θ,φ", help=_POSTURE_HELP, show_default="the postures of PART")
 Postures = Annotated[list[str] | None, _POSTURE]
-Exposures = Annotated[str, selection_option(metavar="X,…", help="Relative exposure times, such as 1,1/16.")]
+_EXPOSURES_HELP = "Relative exposure times, such as 1,1/16."
+Exposures = Annotated[str, selection_option("--exposure", metavar="X,…", help=_EXPOSURES_HELP)]
 AS_RIG, AS_PART = "as the rig file says", "as the part file says"
 POINTS_HELP = "Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel)."
 Points = Annotated[str | None, model_option(metavar="M", help=POINTS_HELP, show_default=AS_RIG)]
@@ -114,15 +115,15 @@ def _parse_posture(text: str) -> Posture:
 
 
 def parse_exposures(text: str) -> tuple[float, ...]:
-    return tuple(parse_exposure(one, option="--exposures") for one in text.split(","))
+    return tuple(map(parse_exposure, text.split(",")))
 
 
-def parse_exposure(text: str, *, option: str = "--exposure") -> float:
-    """Read a number or a fraction such as 1/16, given with an option."""
+def parse_exposure(text: str) -> float:
+    """Read a number or a fraction such as 1/16."""
     value = _number(text)
     if not LEAST_EXPOSURE <= value <= MOST_EXPOSURE:
         limits = f"{LEAST_EXPOSURE:g} to {MOST_EXPOSURE:g}"
-        raise InputError(f'{option}: expected a number from {limits} or a fraction such as 1/16, found "{text}"')
+        raise InputError(f'--exposure: expected a number from {limits} or a fraction such as 1/16, found "{text}"')
     return value
 
 

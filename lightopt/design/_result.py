@@ -267,7 +267,7 @@ def plan_commands(setup: Setup, options: OptimizeOptions) -> tuple[Command, ...]
     for number, ((file, exposures), postures) in enumerate(groups.items(), start=1):
         end = "" if len(groups) == 1 else f"-{number}"
         chosen = [] if len(groups) == 1 else _posture_words(postures)
-        files = [file, PLANNED_PART_NAME, *chosen, f"--exposures {','.join(f'{one:.9g}' for one in exposures)}"]
+        files = [file, PLANNED_PART_NAME, *chosen, f"--exposure {','.join(f'{one:.9g}' for one in exposures)}"]
         way = way_through(setup.rig, postures)
         captures.append(Command(text=" ".join(["lightopt capture", *files, f"-o captured{end}"]), way=way))
         words = ["lightopt render", *files, *_render_words(options), f"-o rendered{end}"]
@@ -310,7 +310,7 @@ def _plan_words(plan: PlanOptions) -> list[str]:
     names = {"--choose-postures": "choose_postures", "--target": "target", "--posture-step": "posture_step_deg"}
     words = _differing(plan, {**names, "--allow-outside": "allow_outside_px"})
     if plan.exposures:
-        words += ["--exposures", ",".join(_text(exposure) for exposure in plan.exposures)]
+        words += ["--exposure", ",".join(_text(exposure) for exposure in plan.exposures)]
         words += _differing(plan, {"--exposure-gain": "exposure_gain"})
     if plan.tolerances is not None:
         names = {"--light-tolerance": "light_deg", "--pose-tolerance": "pose_deg"}

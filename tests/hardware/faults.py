@@ -159,7 +159,7 @@ def _one(case: Case, rig: Path, part: Path, out: Path, truth: Path) -> Outcome:
 
 def _kills(folder: Path, count: int) -> Row:
     rig, part = make_rig(folder / "killed")
-    command = [sys.executable, "-m", "lightopt", "capture", rig, part, "-q", "--exposures", "1,1/16", "--dark", "-o"]
+    command = [sys.executable, "-m", "lightopt", "capture", rig, part, "-q", "--exposure", "1,1/16", "--dark", "-o"]
     subprocess.run([*command, folder / "whole"], check=True)
     moments, row = random.Random(1), Row()
     for number in range(count):

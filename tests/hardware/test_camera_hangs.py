@@ -96,7 +96,7 @@ def test_a_capture_ends_in_the_dark_when_the_camera_hangs_and_resumes(camera: st
         out = tmp_path / "set"
         # the camera sees none of the lights, which are in another process: images are not judged
         command = [sys.executable, "-m", "lightopt", "capture", str(rig), str(part), "-o", str(out)]
-        command += ["--exposures", "1,1/16", "--home", "--no-check-lights"]
+        command += ["--exposure", "1,1/16", "--home", "--no-check-lights"]
         run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         until = time.monotonic() + ENDS_S
         while listed(out) < 3:

@@ -128,7 +128,7 @@ def test_every_kind_of_fault_ends_as_it_must(bed, tmp_path, kind):
 def test_what_the_commands_capture_and_fit_holds_the_truth(bed, tmp_path, capsys):
     rig, part, _ = bed
     out = tmp_path / "set"
-    assert run(["capture", str(rig), str(part), "-o", str(out), "--exposures", "1,1/16", "--dark"]) == 0
+    assert run(["capture", str(rig), str(part), "-o", str(out), "--exposure", "1,1/16", "--dark"]) == 0
     text = part.read_text(encoding="utf-8")
     truth = load_part(part).reflectance
     guess = part.with_name("guess.yaml")

@@ -14,7 +14,7 @@ from fault_runs import differences, kill_sometime
 from lightopt.config import load_part
 from lightopt.images import read_image_set
 
-EXPOSURES = ("--exposures", "1,1/16", "--dark")
+EXPOSURES = ("--exposure", "1,1/16", "--dark")
 
 
 def lightopt(*arguments: object) -> subprocess.CompletedProcess[str]:

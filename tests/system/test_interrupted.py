@@ -19,7 +19,7 @@ from lightopt.core.interrupts import interrupt
 from lightopt.images import read_image_set
 
 # about a second of rendering, 8 images of 3 × 3 rays a pixel
-OPTIONS = (*("--exposures", "1,1/16", "--layers", "--noise", "1"), *("--patches", "1000", "--supersample", "3"))
+OPTIONS = (*("--exposure", "1,1/16", "--layers", "--noise", "1"), *("--patches", "1000", "--supersample", "3"))
 IMAGES = 8
 INTERRUPTED = "interrupted; files that were finished are complete"
 
@@ -154,7 +154,7 @@ def test_any_moment(cli, shared_bench, tmp_path, undisturbed, snapshot, kill):
 
 # --- the same in process, at every single write: before the file is flushed, and before it is put in its place
 
-QUICK = ("--exposures", "1,1/16", "--patches", "500")
+QUICK = ("--exposure", "1,1/16", "--patches", "500")
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ def small(tmp_path):
 def test_a_long_exposure_is_planned_and_its_commands_make_its_images(small, monkeypatch):
     monkeypatch.chdir(small)
     plan = "optimize rig.yaml part.yaml -o plan --objective detectability --posture 0,0 --posture 0,82 --step 30"
-    words = [*plan.split(), "--exposures", "1,16", "--min-images", "1", "--patches", "1000", "--no-images", "--quiet"]
+    words = [*plan.split(), "--exposure", "1,16", "--min-images", "1", "--patches", "1000", "--no-images", "--quiet"]
     assert run(words) == 0
     result = json.loads(Path("plan/result.json").read_text(encoding="utf-8"))
     shots = result["exposures"]["shots"]

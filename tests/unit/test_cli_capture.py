@@ -57,10 +57,10 @@ BAD = [
     ("", "", ["--posture", "0,400"], "rotation 400° is outside the stage's range 0° to 360°"),
     ("", "", ["--posture", "50,0"], "elevation 50° is outside the stage's range -45° to 45°"),
     ("", "", ["--light", "lamp"], 'no light "lamp"'),
-    ("", "", ["--exposures", "1,zero"], '--exposures: expected a number .* found "zero"'),
-    ("", "", ["--exposures", "1/100000"], r"exposure 1e-05 is 0.08 µs .* outside the camera's 10 to 1e\+07 µs"),
-    ("", "", ["--exposures", "1,1"], "--exposures: the same one was given twice"),
-    ("", "", ["--exposures", "700"], "light1: would be on for .* longer than max_on_s 5"),
+    ("", "", ["--exposure", "1,zero"], '--exposure: expected a number .* found "zero"'),
+    ("", "", ["--exposure", "1/100000"], r"exposure 1e-05 is 0.08 µs .* outside the camera's 10 to 1e\+07 µs"),
+    ("", "", ["--exposure", "1,1"], "--exposure: the same one was given twice"),
+    ("", "", ["--exposure", "700"], "light1: would be on for .* longer than max_on_s 5"),
     ("", "", ["--average", "0"], "--average: expected"),
     ("", "", ["--average", "1001"], "--average: expected 1 to 1000 frames, found 1001"),
     ("camera: {driver: virtual}", "camera: {driver: folder, folder: nowhere}", [], "nowhere"),
@@ -81,7 +81,7 @@ def test_bad_input_is_exit_2_before_anything_is_opened(cli, wired, sealed, old, 
 
 
 def test_a_dry_run_prints_every_step_and_opens_nothing(cli, wired, sealed):
-    ran = cli("capture", wired.rig, wired.part, "--dry-run", "--exposures", "1,1/4", "--dark")
+    ran = cli("capture", wired.rig, wired.part, "--dry-run", "--exposure", "1,1/4", "--dark")
     assert (ran.status, ran.err) == (0, "")
     lines = ran.out.splitlines()
     assert lines[0].split() == ["at", "[s]", "takes", "[s]", "step"]
@@ -142,13 +142,13 @@ def test_a_dry_run_says_that_the_folder_holds_another_capture(cli, wired, sealed
 
 
 def test_what_is_taken_of_a_light_is_counted_in_words_that_agree(cli, wired, sealed):
-    ran = cli("capture", wired.rig, wired.part, "--dry-run", "--exposures", "700")
+    ran = cli("capture", wired.rig, wired.part, "--dry-run", "--exposure", "700")
     assert "(settling and 1 exposure of 1 frame)" in ran.err
 
 
 @pytest.mark.slow
 def test_the_contact_sheets_of_a_capture(cli, wired):
-    ran = cli("capture", wired.rig, wired.part, "-o", wired.out, "--exposures", "1,1/16", "--sheet", "--posture", "0,0")
+    ran = cli("capture", wired.rig, wired.part, "-o", wired.out, "--exposure", "1,1/16", "--sheet", "--posture", "0,0")
     assert (ran.status, ran.err) == (0, "")
     sheets = [line.partition(": ") for line in ran.out.splitlines()[-2:]]
     assert [words for words, _, _ in sheets] == ["contact sheet, exposure 1", "contact sheet, exposure 0.0625"]

@@ -312,7 +312,7 @@ def test_exposures_are_planned_on_the_same_surface_whatever_the_objective(bench,
     shares = []
     for objective in ("detectability", "coverage"):
         out = bench.folder / objective
-        options = ("--objective", objective, "--exposures", "1,1/4", "--posture", "0,0", "--min-images", "2", *BARE)
+        options = ("--objective", objective, "--exposure", "1,1/4", "--posture", "0,0", "--min-images", "2", *BARE)
         ran = cli("optimize", bench.rig, bench.part, "-o", out, *options, *FEW)
         assert ran.status == 0, ran.err
         planned = result_of(out)["exposures"]

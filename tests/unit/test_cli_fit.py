@@ -34,7 +34,7 @@ def measured(shared_bench, tmp_path_factory):
 
     out = tmp_path_factory.mktemp("measured") / "set"
     command = ["render", shared_bench.rig, shared_bench.part, "-o", out, "-q", "--patches", "500", "--noise", "5"]
-    assert run([str(word) for word in (*command, "--exposures", "1,1/16")]) == 0
+    assert run([str(word) for word in (*command, "--exposure", "1,1/16")]) == 0
     return out
 
 
@@ -174,7 +174,7 @@ def test_a_fit_of_other_inputs_is_not_replaced(cli, bench, images):
 def test_a_part_that_lies_a_little_off_is_found(cli, bench, tmp_path, points):
     bench.edit("part.yaml", "translate_mm: [0, 0, 0]", "translate_mm: [0.8, -0.6, 0], rotate_deg: [0, 0, 1]")
     bench.edit("rig.yaml", "points: 4", f"points: {points}")
-    exposures = ("--exposures", "1,1/16", "--patches", "500", "--noise", "2", "-q")
+    exposures = ("--exposure", "1,1/16", "--patches", "500", "--noise", "2", "-q")
     once = ("--posture", "0,0")
     assert cli("render", bench.rig, bench.part, "-o", tmp_path / "off", *exposures, *once).status == 0
     bench.edit("part.yaml", "translate_mm: [0.8, -0.6, 0], rotate_deg: [0, 0, 1]", "translate_mm: [0, 0, 0]")
@@ -228,7 +228,7 @@ def test_a_held_r_d_that_is_wrong_is_noticed(cli, bench, images):
 @pytest.mark.slow
 def test_point_lights_fitted_to_an_evenly_lit_panel_are_noticed(cli, bench, tmp_path):
     bench.edit("rig.yaml", "points: 4", "points: auto")
-    exposures = ("--exposures", "1,1/16", "--patches", "500", "--noise", "2", "-q")
+    exposures = ("--exposure", "1,1/16", "--patches", "500", "--noise", "2", "-q")
     assert cli("render", bench.rig, bench.part, "-o", tmp_path / "even", *exposures).status == 0
     bench.edit("rig.yaml", "points: auto", "points: 4")
     command = ("fit-specular", bench.rig, bench.part, tmp_path / "even", "--joint", "--no-validate")
@@ -472,7 +472,7 @@ def test_exr_only_images_are_read(cli, bench, images):
 def test_the_form_of_the_lobe_is_chosen_and_written(cli, bench):
     bench.edit("part.yaml", "R_s: 12500, sigma_rad: 0.0475", "model: ggx, R_s: 9000, alpha: 0.08")
     images = bench.folder / "images"
-    rendered = cli("render", bench.rig, bench.part, "-o", images, "-q", "--noise", 2, "--exposures", "1,1/16")
+    rendered = cli("render", bench.rig, bench.part, "-o", images, "-q", "--noise", 2, "--exposure", "1,1/16")
     assert rendered.status == 0, rendered.err
     bench.edit("part.yaml", "model: ggx, R_s: 9000, alpha: 0.08", "R_s: 500, sigma_rad: 0.1")
     options = ("--joint", "--model", "auto", "--pixels", 8000)
@@ -492,7 +492,7 @@ def test_the_form_of_the_lobe_is_chosen_and_written(cli, bench):
 def test_the_form_of_the_diffuse_component_is_fitted_and_written(cli, bench):
     bench.edit("part.yaml", "R_d: 45.0", "R_d: 90, diffuse_exponent: 1.4")
     images = bench.folder / "images"
-    rendered = cli("render", bench.rig, bench.part, "-o", images, "-q", "--noise", 2, "--exposures", "1,1/16")
+    rendered = cli("render", bench.rig, bench.part, "-o", images, "-q", "--noise", 2, "--exposure", "1,1/16")
     assert rendered.status == 0, rendered.err
     bench.edit("part.yaml", "R_d: 90, diffuse_exponent: 1.4", "R_d: 30, oren_nayar_roughness: 0.3")
     options = ("--joint", "--pixels", 5000, "--no-validate", "--diffuse")

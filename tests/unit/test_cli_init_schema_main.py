@@ -116,7 +116,7 @@ def test_version(cli):
         (("render",), "Missing argument 'RIG'"),
         (("render", "rig.yaml"), "Missing argument 'PART'"),
         (("render", "rig.yaml", "part.yaml"), "Missing option '--out'"),
-        (("render", "rig.yaml", "part.yaml", "-o", "out", "--exposur", "1"), "--exposures"),
+        (("render", "rig.yaml", "part.yaml", "-o", "out", "--exposur", "1"), "--exposure"),
         (
             ("render", "rig.yaml", "part.yaml", "-o", "out", "--threads", "two"),
             '--threads: expected a whole number, found "two"',

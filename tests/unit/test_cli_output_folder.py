@@ -167,7 +167,7 @@ def test_a_damaged_manifest_is_not_overwritten_without_force(cli, bench, content
 
 
 def test_force_removes_the_set_that_was_there_and_nothing_else(cli, bench, snapshot):
-    options = ("--sheet", "--exposures", "1,1/4", *FEW)
+    options = ("--sheet", "--exposure", "1,1/4", *FEW)
     assert cli("render", bench.rig, bench.part, "-o", bench.out, *options).status == 0
     old = snapshot(bench.out)
     (bench.out / "notes.txt").write_text("mine", encoding="utf-8")

@@ -217,7 +217,7 @@ def test_the_same_command_again_gives_the_same_bytes_and_another_is_refused(plan
 
 @pytest.mark.slow
 def test_what_is_planned_goes_with_the_plan(two, cli):
-    assert cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--exposures", "1/16").status == 0
+    assert cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--exposure", "1/16").status == 0
     assert (two.out / "part.planned.yaml").is_file()
     options = result_of(two.out)["provenance"]["options"]
     assert (options["min_images"], options["false_alarms"]) == (2, 0.05)  # exposures are planned for defects
@@ -329,7 +329,7 @@ def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_report
 @pytest.mark.slow
 def test_images_of_chosen_postures_have_the_planned_exposures(two, cli):
     requested = ("--patches", "150", "--step", "15", "--choose-postures", "2", "--posture-step", "90")
-    offer = ("--exposures", "1,1/16,8", "--exposure-gain", "0.2")
+    offer = ("--exposure", "1,1/16,8", "--exposure-gain", "0.2")
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *requested, *offer, "--no-report")
     assert ran.status == 0, ran.err
     result = result_of(two.out)
@@ -351,7 +351,7 @@ def test_images_of_chosen_postures_have_the_planned_exposures(two, cli):
 @pytest.mark.slow
 def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
     requested = ("--patches", "150", "--step", "10", "--common-lights")
-    offer = ("--exposures", "1,1/16,8", "--exposure-gain", "4")
+    offer = ("--exposure", "1,1/16,8", "--exposure-gain", "4")
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *requested, *offer, "-v")
     assert ran.status == 0, ran.err
     result = result_of(two.out)
@@ -480,12 +480,12 @@ def test_tolerances_of_another_objective(two, cli):
         (("--posture-step", "30"), "--posture-step: has no effect without --choose-postures or --target"),
         (("--allow-outside", "3"), "--allow-outside: has no effect without --choose-postures or --target"),
         (("--choose-postures", "1", "--allow-outside=-1"), "--allow-outside: expected pixels, 0 or more, found -1"),
-        (("--exposure-gain", "2"), "--exposure-gain: has no effect without --exposures"),
+        (("--exposure-gain", "2"), "--exposure-gain: has no effect without --exposure"),
         (("--tolerance-target", "0.9"), "has no effect without --light-tolerance"),
-        (("--exposures", "1,0"), "--exposures: expected a number from 1e-09 to 1e+09 or a fraction"),
-        (("--exposures", "1,-1/4"), 'found "-1/4"'),
-        (("--exposures", "1/4,1/4"), "--exposures: the same exposure was given twice"),
-        (("--exposures", "1/4", "--exposure-gain", "-1"), "--exposure-gain: expected points from 0 to 100, found -1"),
+        (("--exposure", "1,0"), "--exposure: expected a number from 1e-09 to 1e+09 or a fraction"),
+        (("--exposure", "1,-1/4"), 'found "-1/4"'),
+        (("--exposure", "1/4,1/4"), "--exposure: the same exposure was given twice"),
+        (("--exposure", "1/4", "--exposure-gain", "-1"), "--exposure-gain: expected points from 0 to 100, found -1"),
         (("--light-tolerance", "-2"), "--light-tolerance: expected degrees from 0 to 16, found -2"),
         (("--pose-tolerance", "nan"), "--pose-tolerance: expected degrees from 0 to 16, found nan"),
         (("--light-tolerance", "2", "--tolerance-target", "1"), "--tolerance-target: expected a share of the score"),
@@ -497,7 +497,7 @@ def test_tolerances_of_another_objective(two, cli):
             "--lights-per-posture: postures are chosen for one set of",
         ),
         (("--choose-postures", "2", "--min-images", "0"), "--min-images: expected"),
-        (("--exposures", "1/4", "--min-images", "0"), "--min-images: expected"),
+        (("--exposure", "1/4", "--min-images", "0"), "--min-images: expected"),
         (
             ("--choose-postures", "2", "--min-images", "5"),
             "--min-images: expected at most 4, the number of images of the plan: 2 lights × 2 postures at most",
@@ -510,9 +510,9 @@ def test_tolerances_of_another_objective(two, cli):
             ("--choose-postures", "1", "--objective", "detectability", "--objective", "paper"),
             "objective paper drops each patch's highest and lowest level, and with 2 lights nothing is left",
         ),
-        (("--exposures", "1,1/4", "--min-images", "9"), "2 lights × 2 postures at most"),
+        (("--exposure", "1,1/4", "--min-images", "9"), "2 lights × 2 postures at most"),
         (("--choose-postures", "1", "--false-alarms", "-1"), "--false-alarms: expected a number from 1e-9 to 1"),
-        (("--exposures", "1/4", "--false-alarms", "nan"), "--false-alarms: expected a number from 1e-9 to 1"),
+        (("--exposure", "1/4", "--false-alarms", "nan"), "--false-alarms: expected a number from 1e-9 to 1"),
         (("--choose-postures", "1", "--ranking-rows", "0"), "--ranking-rows: expected at least 1, found 0"),
         (("--choose-postures", "1", "--patches", "0"), "--patches: expected"),
         (("--choose-postures", "1", "--threads", "0"), "--threads: expected"),

@@ -17,7 +17,7 @@ from lightopt.scene import build_camera, project
 
 SPOUT = Path(__file__).resolve().parents[2] / "configs" / "parts" / "spout.stl"
 FEW = ("--patches", "500")  # as few patches as there are triangles: fast
-FULL = ("--layers", "--exposures", "1,1/16", *FEW)
+FULL = ("--layers", "--exposure", "1,1/16", *FEW)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,7 @@ def test_exposure_scales_the_png_and_leaves_the_exr(cli, bench):
     out = {}
     for exposure in ("1", "1/16", "0.0625"):
         out[exposure] = bench.folder / exposure.replace("/", "_")
-        ran = cli("render", bench.rig, bench.part, "-o", out[exposure], *FEW, "-q", "--exposures", exposure)
+        ran = cli("render", bench.rig, bench.part, "-o", out[exposure], *FEW, "-q", "--exposure", exposure)
         assert ran.status == 0
     exr = [(folder / "posture_0_0" / "light1.exr").read_bytes() for folder in out.values()]
     assert exr[0] == exr[1] == exr[2]
@@ -190,7 +190,7 @@ def test_sheet_is_written_and_named(cli, bench):
 
 
 def test_every_exposure_gets_a_sheet(cli, bench):
-    exposures = ("--exposures", "1/16,1")
+    exposures = ("--exposure", "1/16,1")
     ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "--sheet", *exposures)
     assert ran.status == 0
     names = ["contact-sheet_x0.0625.png", "contact-sheet.png"]
@@ -270,7 +270,7 @@ def test_twelve_bits_come_in_a_sixteen_bit_container(cli, bench):
         "{bit_depth: 8, read_noise_levels: 0.8, electrons_per_level: 60}",
         "{bit_depth: 12, saturation_level: 4080, black_level: 64}",
     )
-    ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q", "--exposures", "1,1/64")
+    ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q", "--exposure", "1,1/64")
     assert ran.status == 0
     image_set = read_image_set(bench.out)
     sensor = Sensor(bit_depth=12, saturation_level=4080, black_level=64)
@@ -368,9 +368,9 @@ def test_noise_is_that_of_its_seed(cli, bench):
 @pytest.mark.parametrize(
     "options",
     [
-        ("--exposures", "1/16,1"),
+        ("--exposure", "1/16,1"),
         ("--light", "light3"),
-        ("--exposures", "1", "--light", "light1"),
+        ("--exposure", "1", "--light", "light1"),
         ("--posture", "-10,170"),
         ("--posture", "-10,170", "--posture", "0,0"),
         ("--posture", "30,5", "--posture", "0,0"),

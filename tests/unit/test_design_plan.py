@@ -432,7 +432,7 @@ def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_
     assert "is not reached: with the present light positions, all" in text
     assert "add them, such as option 'exposures' 1,4,16. Lower the target" in text
     longer = replace(few, exposures=(4.0, 1.0))
-    assert "--exposures" not in str(target_not_reached(1.0, choice, longer, least=1))
+    assert "--exposure" not in str(target_not_reached(1.0, choice, longer, least=1))
     # a bound that falls short of the target is not rounded up to it
     steps = (replace(choice.cover.steps[0], covered=900_000),)
     cover = replace(

@@ -284,7 +284,7 @@ def noisy(shared_bench, tmp_path_factory):
         encoding="utf-8",
     )
     words = ("render", rig, shared_bench.part, "-o", folder / "set", "-q", "--patches", "500", "--noise", "3")
-    assert run([str(word) for word in (*words, "--exposures", "1,1/16")]) == 0
+    assert run([str(word) for word in (*words, "--exposure", "1,1/16")]) == 0
     return folder / "set"
 
 

@@ -110,7 +110,7 @@ def test_second_periods_that_leave_places_ambiguous_are_refused(bench):
 def test_render_derived(cli, bench):
     bench.edit("rig.yaml", "stage:", f"{LIGHTS}stage:")
     command = ("render", bench.rig, bench.part, "-o", bench.out, "--posture", "0,0", "--patches", "500", "--derived")
-    ran = cli(*command, "--exposures", "1,1/4")
+    ran = cli(*command, "--exposure", "1,1/4")
     assert ran.status == 0, ran.err
     assert "dome, posture (0°, 0°): 12 derived images\n" in ran.out
     folder = bench.out / "derived" / "posture_0_0"
@@ -142,9 +142,9 @@ def test_render_derived(cli, bench):
     assert set(read_exr(folder / "lcd.exr")) >= {"v.phase", "v.modulation", "v.mean", "v.curvature.x", "v.curvature.y"}
     assert read_metadata(folder / "lcd.v.phase.png")["white"] == pytest.approx(math.pi)
     # the same again is no change; a series of others is refused
-    assert cli(*command, "--exposures", "1,1/4").status == 0
+    assert cli(*command, "--exposure", "1,1/4").status == 0
     (bench.out / "derived" / "derived.json").write_text('{"format": "lightopt-derived/1", "provenance": {}}')
-    ran = cli(*command, "--exposures", "1,1/4")
+    ran = cli(*command, "--exposure", "1,1/4")
     assert ran.status == 2
     assert "derived images of other inputs" in ran.err
 
@@ -191,7 +191,7 @@ def test_the_dark_field_is_that_of_images_in_which_a_good_part_is_dark(bench):
 def test_parts_of_series_are_said(cli, bench):
     bench.edit("rig.yaml", "stage:", f"{LIGHTS}stage:")
     command = ("render", bench.rig, bench.part, "-o", bench.out, "--posture", "0,0", "--patches", "500", "--derived")
-    ran = cli(*command, "--light", "dome-1", "--light", "light1", "--exposures", "1,1/4")
+    ran = cli(*command, "--light", "dome-1", "--light", "light1", "--exposure", "1,1/4")
     assert "no derived images of dome, lcd, leds: not all channels are in the set" in ran.out
 
 

@@ -102,7 +102,7 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
         seeds = ("", f" --seed {own + 1}") if rig.hardware is None else ("", "")  # another noise
         commands += [
             f"lightopt capture {name} {_quoted(folder / PLATE)}.yaml -o {_quoted(folder / kind)} --posture 0,0 "
-            f"--light {lights[0]} --exposures {levels} --dark{seed}"
+            f"--light {lights[0]} --exposure {levels} --dark{seed}"
             for kind, seed in zip(SENSOR, seeds, strict=True)
         ]
     commands.append(f"lightopt calibrate {name} {_quoted(folder)}")
