@@ -137,7 +137,8 @@ def _named_inputs(
 ) -> tuple[tuple[_Input, ...], list[tuple[Keys, str]]]:
     """The rig or part files that the batch names, each once, and what is wrong with the names."""
     paths, problems = dict[Path, None](), list[tuple[Keys, str]]()
-    for index, text in enumerate(texts if isinstance(texts, list) else ()):
+    entries: list[Any] = texts if isinstance(texts, list) else []
+    for index, text in enumerate(entries):
         if not isinstance(text, str) or not text:
             continue  # the form of the file is checked elsewhere
         given = folder / text

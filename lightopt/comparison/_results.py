@@ -235,7 +235,7 @@ def _chart(comparison: LightingComparison) -> report.Picture:
     for one in comparison.systems:
         x = one.cost if known else float(one.images)
         panel.plot([x], [100.0 * one.share], "o", color="#c2410c" if one in comparison.best else "#8a8f98")
-        panel.annotate(one.name, (x, 100.0 * one.share), xytext=(6, 4), textcoords="offset points", fontsize=9)
+        panel.annotate(one.name, (x, 100.0 * one.share), xytext=(6, 4), textcoords="offset points", fontsize=15)
     panel.set_ylim(bottom=0.0)
     panel.margins(x=0.15)
     png = report.png_bytes(report.figure_image(figure))
