@@ -105,12 +105,13 @@ def _sections(found: RigCalibration) -> Iterator[Section]:
             [light.name, f"{gain.value:.4f}", f"{_half(gain):.4f}"]
             for light, gain in zip(found.lights, plate.gains, strict=True)
         ]
-        (v2, v4), exponent = plate.vignetting, plate.emission_exponent
+        exponent = plate.emission_exponent
+        v2, v4 = (f"{'−' if term.value < 0.0 else '+'} {abs(term.value):.4f}" for term in plate.vignetting)
         decided = "" if plate.fall_off_decided else ", as filed: not decided"
         facts = [
             ("fall-off", plate.fall_off + decided),
             ("emission exponent", f"{exponent.value:.2f} ± {_half(exponent):.2f}"),
-            ("vignetting", f"1 + {v2.value:.4f}·ρ² + {v4.value:.4f}·ρ⁴"),
+            ("vignetting", f"1 {v2}·ρ² {v4}·ρ⁴"),
             ("residuals, in the errors claimed", f"{plate.rms:.2f}"),
         ]
         yield Section(heading="Light", blocks=[Table(header=["light", "gain", "±"], rows=rows), Facts(rows=facts)])

@@ -43,7 +43,7 @@ def scores_table(result: FromImagesResult) -> _page.Table:
         header=["images", "score", "at most", "choices scored"],
         rows=rows,
         caption="Score: 90 % for defects found (in part for those below the threshold), 10 % for margin. At most: no "
-        f"choice exceeds it; there are {choice.total:,} choices of single lights.",
+        f"choice exceeds it. Choices of single lights in all: {choice.total:,}.",
     )
 
 
