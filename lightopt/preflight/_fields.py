@@ -82,7 +82,7 @@ def check_mirrored_part(checked: CheckedScene) -> Iterator[Finding]:
     share, sample = shares[worst], checked.samples[worst]
     if share == 0.0:
         return
-    others = f", and {percent(min(shares))} at least in every posture" if len(shares) > 1 else ""
+    others = f", the most of {len(shares)} postures (the least: {percent(min(shares))})" if len(shares) > 1 else ""
     text = f"{percent(share)} of the surface in view mirrors the part itself{others}"
     if share > NOTED_SHARE:
         text += ". Images without its light are too dark there: use render --bounces 1, virtual_bench.bounces and "

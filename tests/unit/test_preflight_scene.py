@@ -535,4 +535,4 @@ def test_the_posture_that_mirrors_most_of_the_part_is_named(check):
     first, second = (one["share"] for one in finding.values["postures"])
     assert finding.values["share"] == second > first
     assert finding.text.startswith("posture (0°, 90°): ")
-    assert " at least in every posture" in finding.text
+    assert "itself, the most of 2 postures (the least: " in finding.text
