@@ -125,7 +125,7 @@ def test_there_is_one_share_of_the_plan_and_it_is_said_of_what(planned):
     assert first["share_of"] == chosen["shares_of"] == exposures["shares_of"]
     # entries of the catalogue weigh the same
     assert first["share_of_inspectable_area"] == pytest.approx(sum(first["defects"].values()) / 2, abs=2e-6)
-    page = (planned.out / "report.html").read_text(encoding="utf-8")
+    page = (planned.out / "report.html").read_text(encoding="utf-8").replace("\u00a0", " ")
     assert f"({share_text(chosen['share'], result['results'][0]['grain'])})" in page
     assert min(chosen["patches"]["grain"], exposures["grain"], result["blind_spots"]["grain"]) > 0.01
     words = re.sub(r"<(script|style).*?</\1>|<[^>]+>", " ", page, flags=re.DOTALL)

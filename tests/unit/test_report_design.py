@@ -512,7 +512,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     (answer,) = (block for block in lead if isinstance(block, Answer))
     assert answer.figure == "94 %"
     assert "(2 images must show each), in (20°, 90°), (0°, 0°)." in answer.text
-    assert answer.text.endswith("With exposure 1 alone 90 %")
+    assert answer.text.endswith("With exposure 1 alone 90 %.")
     (proof,) = (block.text for block in lead if isinstance(block, Note) and "roven" in block.text)
     assert "with these lights no 2 postures of the 12 show more than 93 %, at any of the candidate exposures." in proof
     assert "in these postures no other positions of the lights show more" in proof
