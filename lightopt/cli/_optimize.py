@@ -247,7 +247,8 @@ def show_design(output: design.DesignOutput) -> None:
     if best.rows:
         show_page_table(best)
     objectives = [answer.objective for answer in result.results[0].answers]
-    for surface, names in design.shares_of(objectives).items() if best.rows else ():
+    said = not best.rows or "chosen_postures" in output.document  # which show_plan prints
+    for surface, names in () if said else design.shares_of(objectives).items():
         echo(f"shares of {' and '.join(names)}: of {surface}")
     if VERBOSE.get():
         echo(best.caption)
@@ -345,8 +346,7 @@ def _show_postures(document: Section) -> None:
     table = posture_table(chosen, with_exposures=len(chosen["bounds_with_any_of_exposures"]) > 1)
     number = counted(len(chosen["postures"]), "posture")
     meaning = finding_text(chosen["min_images"], chosen["false_alarms"])
-    echo(f"{number} of {chosen['candidates']}: {text(chosen['share'])} {meaning}")
-    echo(f"shares of postures and exposures: of {chosen['shares_of']}")
+    echo(f"{number} of {chosen['candidates']}: {text(chosen['share'])} {meaning}; shares are of {chosen['shares_of']}")
     show_page_table(table)
     _show_spare(chosen, text)
     proof = plan_proof(chosen)
