@@ -39,7 +39,7 @@ parts: [parts]
 jobs:
 """
 CHECK = "  - {name: check, command: check}\n"
-RENDER = '  - {name: images, command: render, needs: [check], options: {posture: "0,0", exposures: [1, 1/16]}}\n'
+RENDER = '  - {name: images, command: render, needs: [check], options: {posture: "0,0", exposure: [1, 1/16]}}\n'
 OF_THE_RUN = {"task.json", "terminal.txt", "summary.csv", "report.html"}
 RunCommand = Callable[[list[str]], tuple[int, str, str]]
 

@@ -33,7 +33,7 @@ rigs: [rig.yaml]
 parts: [parts]
 jobs:
   - {name: check, command: check}
-  - {name: images, command: render, needs: [check], options: {posture: "0,0", exposures: [1, 1/16], noise: 1}}
+  - {name: images, command: render, needs: [check], options: {posture: "0,0", exposure: [1, 1/16], noise: 1}}
   - {name: fit, command: fit-diffuse, images_from: images, options: {pixels: 2000}}
   - {name: again, command: render, part_from: fit, options: {posture: "0,0"}}
 """

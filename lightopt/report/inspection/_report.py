@@ -154,6 +154,11 @@ def _alarms_text(provenance: Mapping[str, Any]) -> str:
     return f"{rate} false alarms per posture"
 
 
+def _kind_text(kind: str, named: str | None) -> str:
+    # with the kind by the catalogue, which says more of a shape
+    return kind if named in (None, kind) else f"{kind}: {named}"
+
+
 def _contrast_text(contrast: float) -> str:
     # "-" where no light shows the defect by itself
     return percent(contrast, 0 if contrast >= 0.1 else 1) if contrast else "-"
@@ -165,7 +170,7 @@ def defect_table(result: inspection.InspectionResult, verdict: inspection.Verdic
     rows = [
         [
             str(defect.number),
-            defect.best.kind if defect.best.named is None else f"{defect.best.kind}: {defect.best.named.kind}",
+            _kind_text(defect.best.kind, None if defect.best.named is None else defect.best.named.kind),
             " ".join(defect.lights) or "-",
             "yes" if defect.number in verdict.counting else "no",
             ", ".join(f"{x:.2f}" for x in defect.best.position),
