@@ -244,7 +244,7 @@ def test_the_reports_of_inspected_parts(bench, cli):
         assert all(p.evaluate("image => image.complete && image.naturalWidth > 1") for p in pictures)
         surface = page.locator("section", has=page.get_by_role("heading", name="Inspected surface"))
         share = one["postures"][0]["surface"]["inspected"]
-        assert f"{100 * share:.1f} %" in surface.inner_text()
+        assert f"{100 * share:.1f} %" in surface.inner_text().replace("\u00a0", " ")
         assert "2 of 2 defects in view" in page.inner_text("main")
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
         of_itself_only(seen, bench.folder / "one" / "report.html")
