@@ -16,7 +16,7 @@ from lightopt.config import BoardTargetConfig
 from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.estimate.rig_calibration import BoardImage, board_grid, board_mesh, find_corners, fit_board
 from lightopt.geometry import stl_bytes
-from lightopt.report import board_sheet
+from lightopt.report.rig import board_sheet
 
 RIG = Path(__file__).parents[1] / "configs" / "rigs" / "four-panel.yaml"
 BOARD = BoardTargetConfig(squares=(12, 9), square_mm=5.0, marker_mm=3.75)

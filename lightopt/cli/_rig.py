@@ -60,7 +60,7 @@ def verify(
     """
     from lightopt.estimate import verification
     from lightopt.images import read_image_set
-    from lightopt.report import history_chart, verification_report
+    from lightopt.report.rig import history_chart, verification_report
 
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     planned = {} if plan is None else verification.plan_limits(plan, loaded_rig)
@@ -111,7 +111,7 @@ def _limits(given: list[str]) -> dict[str, float]:
 
 
 def _show(result: Verification) -> None:
-    from lightopt.report import findings_table, lights_table
+    from lightopt.report.rig import findings_table, lights_table
 
     echo(result.answer if result.within_tolerances else "the rig has left its tolerances")
     if result.findings:
@@ -154,7 +154,7 @@ def calibrate(
         return
     from lightopt.estimate.rig_calibration import REPORT_NAME, calibrate_rig, figures, write_calibration
     from lightopt.images import write_text_atomic
-    from lightopt.report import calibration_lines, calibration_report
+    from lightopt.report.rig import calibration_lines, calibration_report
 
     with run_context(threads) as run:
         found = calibrate_rig(loaded, folder, run=run)
@@ -175,7 +175,7 @@ def calibrate(
 
 def _plan(loaded: RigConfig, folder: Path, *, force: bool) -> None:
     from lightopt.estimate.rig_calibration import plan_calibration
-    from lightopt.report import board_sheet
+    from lightopt.report.rig import board_sheet
 
     planned = plan_calibration(loaded, folder, force=force)
     if planned.board is not None:

@@ -1,10 +1,9 @@
 """Pictures and pages for people: contact sheets, drawings, charts, HTML reports. Home of matplotlib and Pillow.
 
 Those of ``lightopt optimize`` are in :mod:`lightopt.report.design`, those of ``lightopt inspect`` in
-:mod:`lightopt.report.inspection`.
+:mod:`lightopt.report.inspection`, those of ``lightopt calibrate`` and ``verify`` in :mod:`lightopt.report.rig`.
 """
 
-from ._calibration import board_sheet as board_sheet, calibration_lines, calibration_report
 from ._contact_sheet import add_contact_sheets, contact_sheet
 from ._drawing import chart, figure_image, fixed_style
 from ._fit_pictures import fit_chart, residual_picture
@@ -24,4 +23,3 @@ from ._page import (
 )
 from ._rig_drawing import rig_drawing
 from ._surface import ColouredSurface as ColouredSurface, SurfaceClass as SurfaceClass, SurfaceLayer as SurfaceLayer
-from ._verification import findings_table, history_chart, lights_table, verification_report

@@ -16,8 +16,8 @@ from lightopt.design import LegendRow
 from lightopt.report._drawing import DPI, chart, figure_image, fixed_style, label_whole_numbers, shortened
 from lightopt.report._images import SATURATED_COLOUR, check_png_path, thumbnail, write_picture
 from lightopt.report._rig_elements import ParallelView, arc
-from lightopt.report._verification import _gallery
 from lightopt.report.design._surface import _with_legend
+from lightopt.report.rig._verification import _gallery
 
 
 @given(st.integers(1, 300), st.integers(1, 300), st.integers(8, 120))

@@ -15,7 +15,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration import BoardImage, board_grid, board_mesh, find_corners, white_areas
 from lightopt.geometry import face_areas, face_normals, load_mesh, stl_bytes
-from lightopt.report import board_sheet
+from lightopt.report.rig import board_sheet
 
 TARGET = BoardTargetConfig(squares=(8, 6), square_mm=5.0, marker_mm=3.75)
 SCALE, ORIGIN = 11.3, np.array([260.37, 190.81])  # of a picture [px/mm], [px]
