@@ -59,10 +59,10 @@ def shown_colours(seen: Opened, png: bytes) -> set[str]:
 
 
 def table_under(seen: Opened, heading: str, number: int = 0) -> list[list[str]]:
-    """Header and rows of a table in the section of a heading."""
+    """Header and rows of a table in the section of a heading, with plain spaces."""
     section = seen.page.locator("section").filter(has=seen.page.get_by_role("heading", name=heading, exact=True))
     rows = section.locator("table").nth(number).locator("tr").all()
-    return [row.locator("th, td").all_inner_texts() for row in rows]
+    return [[text.replace("\u00a0", " ") for text in row.locator("th, td").all_inner_texts()] for row in rows]
 
 
 def check_once_and_silent(seen: Opened, report: Path) -> None:
