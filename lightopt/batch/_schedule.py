@@ -42,7 +42,10 @@ class Workers:
 def outcomes_of(
     tasks: Sequence[Task], known: Mapping[str, Outcome], workers: Workers, run_command: RunCommand, run: RunContext
 ) -> Generator[Outcome]:
-    """Outcomes of tasks as they are completed, after `known` ones; closed early, it stops what runs on this machine."""
+    """Outcomes of tasks, as they are completed; `known` are those of other tasks, by their place.
+
+    Closed before its end, it stops what runs on this machine, and begins nothing elsewhere.
+    """
     if workers.scheduler is None and workers.system is None and workers.number == 1:
         outcomes = dict(known)
         for task in tasks:

@@ -84,7 +84,10 @@ class _Record:
 
 
 def published(task: Task) -> Outcome | None:
-    """Outcome of a task whose results are there, whole and of the same inputs, or None; InputError: others are."""
+    """What became of a task whose results are there, complete and of the same inputs; None where it has to be run.
+
+    Raises InputError: Something else is in its place
+    """
     try:
         found: dict[str, Any] = json.loads((task.folder / RECORD_NAME).read_text(encoding="utf-8"))
         record = _Record(**found)

@@ -102,7 +102,7 @@ PLANNING_GRID = HypothesisGrid(directions=8, fine_slope=math.radians(4.5), segme
 """Of expected evidence: levels may be coarser where they are added up and not compared."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PixelMixture:
     """What pixels see of a defect, n pieces; those of a pixel follow each other."""
 

@@ -154,6 +154,7 @@ class SetResult:
 
 
 def places_of(candidates: Candidates, ranked: Ranked) -> tuple[Place, ...]:
+    """Where each light stands in a combination."""
     return tuple(places[k] for places, k in zip(candidates.places, ranked.candidates, strict=True))
 
 
@@ -219,6 +220,7 @@ class PlanResult:
     commands: tuple[Command, ...] = ()  # that carry out planned postures or exposures; empty without these
 
     def exposures_of(self, posture: Posture) -> tuple[float, ...]:
+        """Planned exposures of a posture, the longest first."""
         return (1.0,) if self.brackets is None else self.brackets.of(posture)
 
 

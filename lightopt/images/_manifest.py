@@ -134,6 +134,7 @@ class ImageEntry(_Entry):
 
     @property
     def files(self) -> tuple[tuple[str, str | None], ...]:
+        """Its files with their SHA-256 where it is listed."""
         named = (("png", self.png), ("exr", self.exr))
         return tuple((name, self.sha256.get(kind)) for kind, name in named if name is not None)
 
@@ -160,6 +161,8 @@ class GeometryEntry(_Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
+    """The content of ``manifest.json``."""
+
     kind: str  # simulated or captured
     lightopt: str | None = None  # version that wrote the set; None in sets of other programs
     bit_depth: int

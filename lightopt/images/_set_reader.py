@@ -27,6 +27,8 @@ class LoadedImage:
 
 @dataclass(frozen=True)
 class ImageSet:
+    """An image set on disk: its folder and what its manifest says."""
+
     folder: Path
     manifest: Manifest
 

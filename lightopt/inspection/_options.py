@@ -35,6 +35,7 @@ class InspectOptions:
         return "residual" if replaced else self.detector
 
     def problems(self) -> list[str]:
+        """Messages about wrong options."""
         found: list[str] = []
         detector = DETECTORS.get(self.detector)
         if detector is None:

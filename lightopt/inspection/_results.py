@@ -19,6 +19,8 @@ from lightopt.scene import Scene
 
 @dataclass(frozen=True, kw_only=True)
 class InspectedPosture:
+    """One posture of an inspected part."""
+
     view: PostureView
     # makes the image without highlights and keeps it; None where none is wanted
     make_synthetic: Callable[[], SyntheticImage] | None
@@ -78,6 +80,8 @@ class InspectionResult:
 
 @dataclass(frozen=True)
 class Verdict:
+    """Whether a part is good."""
+
     good: bool
     counting: tuple[int, ...]  # numbers of the defects that count
     # share of the visible surface that was inspected in one posture or several; where it is dark, for glints
@@ -90,6 +94,7 @@ class Verdict:
 
     @property
     def word(self) -> str:
+        """``OK`` or ``NG``."""
         return "OK" if self.good else "NG"
 
     @property
@@ -124,6 +129,7 @@ class BatchRow:
 
     @property
     def word(self) -> str:
+        """``OK``, ``NG`` or ``not inspected``."""
         return "not inspected" if self.verdict is None else self.verdict.word
 
     def as_dict(self) -> dict[str, Any]:

@@ -166,6 +166,8 @@ def _quoted(text: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
+    """What the photographs show and how they were taken."""
+
     camera: Path  # calibration file with K
     pose: Path | None = None  # file with [R|t]; `camera` unless given
     pose_units: Literal["mm", "cm", "m"] = "mm"  # of t
@@ -192,7 +194,12 @@ class ImportedSet:
 def import_photographs(
     folder: Path, table: Path, out: Path, *, options: ImportOptions, force: bool = False, run: RunContext | None = None
 ) -> ImportedSet:
-    """Write rig, part and image set of photographs and their CSV of lights; InputError: not as expected."""
+    """Write rig.yaml, part.yaml and an image set of photographs, so that they are read like captured images.
+
+    folder: Of the photographs
+    table: CSV of the lights
+    Raises InputError: Table, calibration, images, part or output folder are not as expected
+    """
     run = run or RunContext()
     rows = read_light_table(table)
     shape = _common_format(folder, rows, options)

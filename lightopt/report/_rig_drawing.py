@@ -9,9 +9,22 @@ import numpy as np
 
 from lightopt.core.transforms import Posture
 from lightopt.lights import outlines
-from lightopt.report import _rig_elements
 from lightopt.report._drawing import DPI, INK, POINT, figure_image, fixed_style
 from lightopt.report._images import check_png_path, write_picture
+from lightopt.report._rig_elements import (
+    CAMERA,
+    STAGE,
+    ParallelView,
+    Pen,
+    X,
+    Y,
+    Z,
+    arc,
+    camera_shape,
+    part_box,
+    rig_size,
+    round_up,
+)
 from lightopt.scene import Scene
 
 if TYPE_CHECKING:
@@ -21,8 +34,8 @@ if TYPE_CHECKING:
 
 WIDTH, HEIGHT, TITLE = 1560, 1080, 15  # of the picture, and size of the titles [px]
 MOST_ARCS, FEW_ARCS = 6, 3  # of more lights than that only a few get arcs, which would hide each other
-RIG_VIEW = _rig_elements.ParallelView(elevation=np.radians(20.0), azimuth=np.radians(290.0))
-STAGE_VIEW = _rig_elements.ParallelView(elevation=np.radians(22.0), azimuth=np.radians(292.0))
+RIG_VIEW = ParallelView(elevation=np.radians(20.0), azimuth=np.radians(290.0))
+STAGE_VIEW = ParallelView(elevation=np.radians(22.0), azimuth=np.radians(292.0))
 
 
 def rig_drawing(scene: Scene, path: str | Path, *, overwrite: bool = True) -> Path:
@@ -58,18 +71,14 @@ def rig_image(scene: Scene) -> Image.Image:
 
 def draw_rig(axes: Axes, scene: Scene, posture: Posture) -> None:
     """Draw all of a rig, the part at a posture."""
-    size = _rig_elements.rig_size(scene)
+    size = rig_size(scene)
     under = [np.abs(outlines(light)[..., :2]).max() for light in scene.lights]
-    half, step = _rig_elements.round_up(
-        max([*under, 1.2 * np.abs(_rig_elements.part_box(scene, posture)[:, :2]).max(), 0.4 * size])
-    )
-    shape = _rig_elements.camera_shape(scene.camera, 0.13 * size)
-    pen = _rig_elements.Pen(axes, RIG_VIEW)
+    half, step = round_up(max([*under, 1.2 * np.abs(part_box(scene, posture)[:, :2]).max(), 0.4 * size]))
+    shape = camera_shape(scene.camera, 0.13 * size)
+    pen = Pen(axes, RIG_VIEW)
     pen.grid(half, step)
     axes.set_title(f"grid {step:g} mm", fontsize=TITLE * POINT, color=INK)
-    pen.polygon(
-        shape.footprint, fill=f"{_rig_elements.CAMERA}20", outline=_rig_elements.CAMERA, width=1.2
-    )  # what the camera sees of the table
+    pen.polygon(shape.footprint, fill=f"{CAMERA}20", outline=CAMERA, width=1.2)  # what the camera sees of the table
     pen.axes_of_world((1.08 * half, 1.08 * half, 0.45 * size))
     # channels of one light stand in one place
     first = scene.lights[: MOST_ARCS if len(scene.lights) <= MOST_ARCS else FEW_ARCS]
@@ -91,26 +100,26 @@ def draw_rig(axes: Axes, scene: Scene, posture: Posture) -> None:
 
 def draw_stage(axes: Axes, scene: Scene, posture: Posture) -> None:
     """Draw the part at a posture with the stage's axes."""
-    corners, pen = _rig_elements.part_box(scene, posture), _rig_elements.Pen(axes, STAGE_VIEW)
+    corners, pen = part_box(scene, posture), Pen(axes, STAGE_VIEW)
     reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
-    half, step = _rig_elements.round_up(0.525 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0))))
+    half, step = round_up(0.525 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0))))
     pen.grid(half, step, centre=corners.mean(axis=0))
     axes.set_title(
         f"the part in posture {posture}, grid {step:g} mm".replace("-", "−"), fontsize=TITLE * POINT, color=INK
     )
     (point, tilt), (rotation, translation) = scene.stage.tilt_axis, scene.stage.transform(posture)
     pivot, z = rotation @ scene.pivot + translation, rotation[:, 2]
-    y = np.asarray(np.cross(z, _rig_elements.X), np.float64)
+    y = np.asarray(np.cross(z, X), np.float64)
     for place, axis, start, towards, back, letter, name in (
-        (point, tilt, -_rig_elements.Y, -_rig_elements.Z, 0.8, "θ", "tilt axis"),
+        (point, tilt, -Y, -Z, 0.8, "θ", "tilt axis"),
         (pivot, z, -np.asarray(np.cross(y, z), np.float64), -y, 0.35, "φ", "rotary axis"),
     ):
-        pen.line(np.stack([place - back * reach * axis, place + reach * axis]), _rig_elements.STAGE, 1.6, dash="--")
+        pen.line(np.stack([place - back * reach * axis, place + reach * axis]), STAGE, 1.6, dash="--")
         centre = place + 0.86 * reach * axis
-        path = _rig_elements.arc(centre, start, towards, 1.6 * np.pi, 0.22 * reach)
-        pen.arrow(path, _rig_elements.STAGE)
-        pen.label(f"+{letter}", path[len(path) // 2], _rig_elements.STAGE, away_from=centre)
-        pen.label(name, place + reach * axis, _rig_elements.STAGE, away_from=place)
+        path = arc(centre, start, towards, 1.6 * np.pi, 0.22 * reach)
+        pen.arrow(path, STAGE)
+        pen.label(f"+{letter}", path[len(path) // 2], STAGE, away_from=centre)
+        pen.label(name, place + reach * axis, STAGE, away_from=place)
     pen.part(scene, posture)
-    pen.label("pivot", pivot, _rig_elements.STAGE, away_from=pivot + _rig_elements.Z)
-    pen.axes.plot(*pen.view.place(pivot), "o", color=_rig_elements.STAGE, zorder=2)
+    pen.label("pivot", pivot, STAGE, away_from=pivot + Z)
+    pen.axes.plot(*pen.view.place(pivot), "o", color=STAGE, zorder=2)

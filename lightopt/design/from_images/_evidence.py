@@ -164,8 +164,7 @@ def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) 
     most = 0
     report = run.stage("measuring contrasts")
     for p in range(len(samples.postures)):
-        marked = [ndimage.binary_dilation(labels[p] >= 0, iterations=SLACK_PX) for labels in samples.labels]
-        good = ~np.array(marked, np.bool_)
+        good = np.stack([_is_good(labels[p] >= 0) for labels in samples.labels])
         count = good.sum(axis=0)
         most = max(most, int(count.max()))
         cells = windows.add(p, count > 0)
@@ -236,6 +235,11 @@ def _surface_contrasts(samples: Samples, lights: _Lights, z: float) -> tuple[lis
         raise InputError(f"{samples.sets[0].folder}: no window of {WINDOW_PX} × {WINDOW_PX} px lies within the part")
     contrast = float(z / np.sqrt(np.median(energies)))
     return list((contrast * surface).T[:, :, None]), contrast
+
+
+def _is_good(mask: Bool) -> Bool:
+    near = ndimage.binary_dilation(mask, iterations=SLACK_PX) if mask.any() else mask
+    return ~np.asarray(near, np.bool_)
 
 
 def _measure(samples: Samples, p: int, good: Bool, cells: list[_Cells], total: tuple[int, int], c: int) -> _Measured:

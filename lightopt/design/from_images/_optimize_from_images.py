@@ -50,6 +50,8 @@ _COMMENT = "Chosen by lightopt optimize --from-images"
 
 @dataclass(frozen=True, kw_only=True)
 class FromImagesOptions:
+    """How lights are chosen."""
+
     images: int = 4  # how many images of a part are to be taken
     mix: bool = False  # whether an image may show several lights with weights; one light each otherwise
     false_alarms: float = DEFAULT_FALSE_ALARMS

@@ -16,7 +16,7 @@ j (:mod:`lightopt.design.responses._pairs`).
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -213,17 +213,21 @@ def _scratch_piece(
             seen = own.seen_by_pixels(1, turn, to_image, off_px=(float(off[0]), float(off[1])), blur_px=blur)
             middle = to_length[0] * (seen.column - off[0]) + to_length[1] * (seen.row - off[1])
             near = np.abs(middle) <= 0.5 * _SCRATCH_WIDTHS * own.shapes[1].width
-            best = max(best, _evidence_of(seen.row, seen.column, seen.variant, seen.weight, lean))
-            short = seen.row[near], seen.column[near], seen.variant[near], seen.weight[near]
+            best = max(best, _evidence_of(seen, lean))
+            short = replace(seen, **{name: values[near] for name, values in vars(seen).items()})
             # of places that are alike the first one, however sums are rounded
-            if (own_evidence := _evidence_of(*short, lean)) > (1.0 + 1e-9) * most:
-                most, piece = own_evidence, defects.PixelMixture(*short)
+            if (own_evidence := _evidence_of(short, lean)) > (1.0 + 1e-9) * most:
+                most, piece = own_evidence, short
         whole += best / _PLACES_ACROSS
     return piece, whole / most if most > 0.0 else 1.0
 
 
+def _evidence_of(seen: defects.PixelMixture, lean: Float64) -> float:
+    return _sum_of_squares(seen.row, seen.column, seen.variant, seen.weight, lean)
+
+
 @kernel
-def _evidence_of(row: Int32, column: Int32, variant: Int32, weight: Float64, lean: Float64) -> float:
+def _sum_of_squares(row: Int32, column: Int32, variant: Int32, weight: Float64, lean: Float64) -> float:
     # Σ m² where changes are as the lean of the surface, over all directions of light; pieces of a pixel are adjacent
     total, x, y = 0.0, 0.0, 0.0
     for i in range(len(row)):

@@ -75,7 +75,11 @@ class SpecularTable:
 
 
 class LeastSquares:
-    """The criterion of least squares over samples, or at `fixed` ln σ with the light there, shape (n,)."""
+    """The criterion of least squares over samples.
+
+    fixed: ln σ and the light there, shape (n,), of a criterion that is only evaluated there.
+    weight: Pixels of the images that each observation stands for, on average 1, shape (N,).
+    """
 
     def __init__(self, samples: Samples, table: SpecularTable, *, fixed: tuple[float, Float64] | None = None) -> None:
         self.samples = samples
@@ -152,7 +156,12 @@ def _accumulate(
 
 
 def find_dust(samples: Samples, mean: Float64) -> Bool:
-    """Observations far from all of a like geometry, (N,), by unclipped levels `mean`: wrong models are wrong alike."""
+    """Observations that are far from all others of a like geometry, shape (N,).
+
+    A model that is wrong is wrong alike there, so that its misfit is not taken for dust.
+
+    mean: Predicted levels, not clipped, shape (N,).
+    """
     level, model = clipped_levels(samples, mean)
     residual = level - model
     ring = np.floor(RINGS * np.log2(np.maximum(samples.deflection, 1e-4) / 1e-4)).astype(np.intp)
@@ -170,7 +179,10 @@ def find_dust(samples: Samples, mean: Float64) -> Bool:
 
 
 def measure_misfit(criterion: LeastSquares, x: Float64) -> float:
-    """Residual of least squares over the noise by rig file or images, both rms of lit pixels, at the worst exposure."""
+    """Residual of least squares over the noise, both rms over the lit pixels of one exposure; that of the worst one.
+
+    The noise is that of the rig file or, where they show more, of the images.
+    """
     s = criterion.samples
     sensor = s.sensor
     mean = predicted(s, criterion.light(x), x)
@@ -191,7 +203,10 @@ def measure_misfit(criterion: LeastSquares, x: Float64) -> float:
 
 
 def image_noise(samples: Samples) -> float:
-    """Typical deviation of a lit pixel from the plane through its neighbours [sensor level]; 0 where there is none."""
+    """Typical deviation of a lit pixel from the plane through its neighbours [sensor level]; 0 where there is none.
+
+    Immerkær 1996, doi:10.1006/cviu.1996.0060: what a 3 × 3 window leaves of anything that is a plane or a saddle.
+    """
     row, column = samples.places
     height, width = samples.images[0].levels.shape
     use = (row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)

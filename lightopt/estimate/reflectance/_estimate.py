@@ -200,7 +200,10 @@ def maximise(
 
 
 def has_settled(top: Maximum, free: Sequence[int], errors: Float64) -> bool:
-    """Whether a climb has converged, or its next step is small beside standard errors: clipped levels bend criteria."""
+    """Whether a climb has converged, or the step that is left is small beside the standard errors.
+
+    A clipped level bends the criterion of least squares at single pixels, where a step's predicted gain means little.
+    """
     if top.converged:
         return True
     index = np.asarray(free, dtype=np.intp)

@@ -70,7 +70,10 @@ def likelihood_estimate(samples: Samples, scan: _sigma_scan.SigmaScan, run: RunC
 
 
 def climb(samples: Samples, x: Float64, free: Sequence[int], width: float) -> Estimate:
-    """Maximise the likelihood from `x`, the specular light tabulated around its σ, and again where that was left."""
+    """Maximise the likelihood from `x`, the specular light tabulated around its σ; an estimate without a scan.
+
+    Where the climb leaves the table, a table is made around the place that it left for.
+    """
     moves = 0
     while True:
         count = TABLE_NODES if width <= USUAL_TABLE else WIDE_TABLE_NODES
@@ -229,7 +232,10 @@ def fit_reflectance(
 
 
 def refit(samples: Samples, start: Estimate, *, only_reflectance: bool = False) -> Estimate:
-    """Fit the same to other samples from an estimate that is near; `only_reflectance`: gains and dark level stay."""
+    """Fit the same parameters to other samples by the same criterion, from an estimate that cannot be far off.
+
+    only_reflectance: Whether gains and dark level stay as they are.
+    """
     size = start.criterion.size
     free = tuple(p for p in start.free if not only_reflectance or p < DARK or p >= size - 2)
     if start.describes:

@@ -66,7 +66,11 @@ class FittedParameter:
     slopes: Float64  # how R_d, ln R_s and ln σ follow the parameter, shape (3,)
 
     def values(self, found: Estimate, others: Sequence[FittedValue], model: SpecularModel) -> tuple[FittedValue, ...]:
-        """Coefficients as fitted with the form held, and the form's parameter, whose uncertainty they include."""
+        """Coefficients and the form's parameter, whose uncertainty the coefficients' errors and intervals include.
+
+        others: The coefficients, as fitted with the form held
+        model: Of the lobe
+        """
         width = next(one for one in others if one.name == model.width_key)
         own = math.sqrt(self.variance * float(np.mean(found.inflation)) * found.critical / CHI2_95)
         units = (1.0, found.R_s, width.value)
@@ -104,7 +108,10 @@ def changed_form(
 def fit_form_parameter(
     samples: Samples, name: ParameterName, *, caster: RayCaster, freed: FreeParameters, run: RunContext
 ) -> FittedParameter:
-    """Fit exponent, roughness or width across the brushing, with all others; InputError: not determined."""
+    """Fit exponent, roughness or the width across the brushing, together with all other parameters.
+
+    Raises InputError: images that do not determine it
+    """
     report = run.stage("width across the brushing" if name == "across" else "diffuse form")
     few = subsample(samples, scan_budget(samples))
     profile = _Profile(few, name, caster, freed)
@@ -191,7 +198,10 @@ class WideLobe:
     slopes: Float64  # how ln R_s and ln σ follow these, shape (2, 2)
 
     def values(self, found: Estimate, others: Sequence[FittedValue], model: SpecularModel) -> tuple[FittedValue, ...]:
-        """R_d with the wide lobe held, and height and width of both lobes, whose logarithms are normal."""
+        """R_d as fitted with the wide lobe held, and height and width of both lobes, whose logarithms are normal.
+
+        others, model: As of :class:`FittedParameter`
+        """
         places = [found.free.index(place) for place in (LOG_R_S, LOG_SIGMA)]
         inner = np.diag(found.covariance)[places] * found.inflation[places]
         inflation = float(np.mean(found.inflation[places])) * found.critical / CHI2_95
@@ -210,7 +220,10 @@ class WideLobe:
 
 
 def fit_wide_lobe(samples: Samples, *, freed: FreeParameters, held: Float64 | None, run: RunContext) -> WideLobe:
-    """Fit the wider lobe's share and ratio, with all other parameters; InputError: not determined by the images."""
+    """Fit the wider lobe's share and ratio, together with all other parameters.
+
+    Raises InputError: Images that do not determine them
+    """
     few = subsample(samples, scan_budget(samples))
     report = run.stage("wide lobe")
     scan = scan_sigma(_with_wide(few, None), freed, held)

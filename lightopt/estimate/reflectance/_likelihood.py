@@ -59,7 +59,11 @@ def parameter_count(samples: Samples) -> int:
 def sum_in_chunks(
     add: Callable[[int, int, Float64, Float64], float], count: int, size: int, *, chunk: int, threads: int | None
 ) -> tuple[float, Float64, Float64]:
-    """Value, gradient and curvature of all observations, by `add` over chunks in threads, to the upper triangle."""
+    """Value, gradient and curvature of all observations, computed in chunks in parallel.
+
+    add: Returns the value of the observations `start` to `end`, and adds to gradient (K,) and to the upper triangle of
+        the curvature (K, K).
+    """
 
     def one(start: int) -> tuple[float, Float64, Float64]:
         gradient, curvature = np.zeros(size), np.zeros((size, size))
@@ -124,7 +128,11 @@ def add_slopes(
 
 
 class Likelihood:
-    """The likelihood of samples; specular light per unit of R_s, (n, m), is interpolated between ln σ, (m,)."""
+    """The likelihood of a set of samples, for σ near those of the specular light's columns.
+
+    log_sigmas: ln σ of the columns of `specular`, shape (m,); between them the light is interpolated by a polynomial.
+    specular: Per unit of R_s, shape (n, m).
+    """
 
     def __init__(self, samples: Samples, log_sigmas: Float64, specular: Float64) -> None:
         self.samples = samples

@@ -34,7 +34,10 @@ MOST_LIGHTS = 8  # exchanged lights are only tried where there are no more than 
 
 
 def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate, quality: Quality) -> bool:
-    """Refuse images of another part, place or rig; else whether placement is no reason for a poor fit."""
+    """Refuse images that do not show this part on this rig at its file placement; the error says what fits better.
+
+    Returns whether the placement is no reason for a poor fit: it was fitted, or no other explains the residual.
+    """
     if quality.describes and not quality.poor:
         return setup.registration is not None
     excluded = True

@@ -100,7 +100,11 @@ def mean_levels(samples: Samples, found: Estimate) -> Float64:
 def fit_warnings(
     found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool, placed: bool
 ) -> Iterator[str]:
-    """Warnings about a fit of R_s and σ, with R_s's 95 % interval; `shorter`: images have several exposures."""
+    """Warnings about a fit of R_s and σ.
+
+    interval: 95 % of R_s [grey level].
+    shorter: Whether the images have more than one exposure already.
+    """
     yield from poor_fit_warnings(found, quality, placed=placed)
     if LOG_R_S in found.free and LOG_SIGMA in found.free:
         low, high = interval or (found.R_s, found.R_s)
@@ -133,7 +137,10 @@ def fit_warnings(
 
 
 def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False) -> Iterator[str]:
-    """Warn of images that the model does not describe; `placed`: the part's placement is excluded as a cause."""
+    """Warn where the model does not describe the images, or the rig file their noise.
+
+    placed: Whether the part's placement is excluded as a cause: it was fitted, or no other explains the residual.
+    """
     if quality.image_noise > MORE_NOISE * quality.noise:
         yield (
             f"the noise of the images is about {quality.image_noise:.2g} sensor levels, but {quality.noise:.2g} by the "

@@ -52,6 +52,8 @@ class FittedValue:
 
 @dataclass(frozen=True, kw_only=True)
 class FitResult:
+    """Fitted reflectance."""
+
     kind: Literal["diffuse", "specular"]
     method: Literal["likelihood", "paper"]
     model: SpecularModel  # the specular lobe
@@ -207,7 +209,10 @@ def _fitted(
 
 
 def fitted_values(found: Estimate, *, full_scale: float, model: SpecularModel) -> tuple[FittedValue, ...]:
-    """R_d, R_s, the lobe's width, and of a Gaussian lobe the saturated half-angle under a point light; with errors."""
+    """R_d, R_s and the lobe's width, with standard errors and intervals.
+
+    Of a Gaussian lobe also the saturated half-angle under a point light.
+    """
     factor = model.width_factor
     r_s = _fitted("R_s", found.R_s, found, LOG_R_S, math.exp, slope=found.R_s)
     width = factor * found.sigma
@@ -261,14 +266,21 @@ def fitted_dark(scene: Scene, found: Estimate) -> FittedValue:
 def fit_folder(
     folder: Path, rig: RigConfig, part: PartConfig, image_set: ImageSet, options: Mapping[str, Any], *, force: bool
 ) -> ResultFolder:
-    """Open the folder of a fit, `options` in JSON form; InputError: it has a fit of other inputs, and no `force`."""
+    """Open a folder that a fit is written to.
+
+    options: In JSON form
+    Raises InputError: the folder holds a fit of other inputs, and `force` is False.
+    """
     made_from = provenance(inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}, options=options)
     names = {"name": FIT_NAME, "format": "lightopt-fit/1", "what": "a fit"}
     return ResultFolder(folder, made_from, **names, also=(PART_NAME, RIG_NAME), force=force)
 
 
 def write_fit(folder: ResultFolder, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
-    """Write the part, the rig where any of it was fitted, and at last ``fit.json``; InputError: cannot be written."""
+    """Write the part, where gains, the dark level or the noise are written the rig, and at last ``fit.json``.
+
+    Raises InputError: a file cannot be written.
+    """
     texts = {PART_NAME: _part_text(folder.folder, result, part)}
     values: _Values = {}
     for index, light in enumerate(rig.lights):

@@ -28,7 +28,7 @@ WHOLE_IMAGE = slice(None), slice(None)
 UNLIT_SHARE = 0.25  # pixels that no light reaches determine the dark level; this share of an octave's budget is plenty
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SampleGroup:
     """Pixels of one posture under one light."""
 
@@ -145,7 +145,12 @@ def collect_samples(
         passed = lens_share(pixels.view.camera, pixels.column + 0.5, pixels.row + 0.5)
         groups += [
             SampleGroup(
-                *(light, pixels.posture, of_light, pixels.row[index], pixels.column[index], 1.0 / share),
+                light=light,
+                posture=pixels.posture,
+                layer=of_light,
+                row=pixels.row[index],
+                column=pixels.column[index],
+                weight=1.0 / share,
                 passed=1.0 if passed is None else passed[index],
             )
             for of_light, index, share in ((layer.take(lit), whole[lit], lit_share), (None, unlit[few], few_share))

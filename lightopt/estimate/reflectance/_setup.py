@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -30,6 +30,8 @@ PAPER_PIXELS = 150_000  # pixels per image that the paper's procedure counts
 
 @dataclass(frozen=True, kw_only=True)
 class FitOptions:
+    """How to fit."""
+
     method: Literal["likelihood", "paper"] = "likelihood"
     joint: bool = False
     gain: bool = False  # whether it is freed as well, and the dark level
@@ -47,6 +49,7 @@ class FitOptions:
 
     @property
     def freed(self) -> FreeParameters:
+        """What a specular fit may change."""
         return FreeParameters(diffuse=self.joint, gain=self.gain, dark=self.dark)
 
 
@@ -91,10 +94,15 @@ class FitSetup:
         """Samples of the images, as many as the options want; `uniform` for the paper's procedure."""
         pairs = len({(o.light, o.posture) for o in self.observations})
         budget = max(20, min(MOST_PER_OCTAVE, self.options.pixels // (pairs * OCTAVES)))
-        budget = PAPER_PIXELS if uniform else budget
-        how: dict[str, Any] = {"threads": self.run.threads, "progress": self.run.stage("geometry")}
-        images = self.observations
-        return collect_samples(self.scene, images, caster=self.caster, budget=budget, uniform=uniform, **how)
+        return collect_samples(
+            self.scene,
+            self.observations,
+            caster=self.caster,
+            budget=PAPER_PIXELS if uniform else budget,
+            uniform=uniform,
+            threads=self.run.threads,
+            progress=self.run.stage("geometry"),
+        )
 
 
 def prepare_fit(
@@ -107,7 +115,10 @@ def prepare_fit(
     *,
     model: ModelName | None = None,
 ) -> FitSetup:
-    """Read the images, build their scene, with another form of the lobe if given, and register a part that is free."""
+    """Read the images, build the scene that they show, and register the part where its shift is freed.
+
+    model: Form of the specular lobe; the part file's where it is None
+    """
     observations = registration.read_observations(image_set, rig, part, threads=run.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]

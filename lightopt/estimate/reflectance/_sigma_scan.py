@@ -61,7 +61,10 @@ class SigmaScan:
 
 
 def scan_sigma(samples: Samples, freed: FreeParameters, held: Float64 | None, progress: Share = ignore) -> SigmaScan:
-    """Fit a subset by least squares at each σ, and climb from the peaks; `held`: R_d, R_s, σ where not fitted."""
+    """Fit a subset of the samples by least squares at each σ of the range, and climb from the peaks.
+
+    held: Values (R_d, R_s, σ) of those that are not fitted.
+    """
     few = subsample(samples, scan_budget(samples))
     free = _free_places(samples, freed)
     guess = _first_guess(few)

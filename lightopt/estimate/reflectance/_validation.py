@@ -77,7 +77,10 @@ class LeftOut(Coefficients):
 def leave_lights_out(
     setup: FitSetup, samples: Samples, found: Estimate, save_prediction: SavePrediction | None = None
 ) -> tuple[LeftOut, ...]:
-    """Predict the images of each light from a fit to the others, with gains and dark level of all; none for one."""
+    """Predict the images of each light from a fit to those of all others; nothing where there is only one light.
+
+    A freed gain or dark level stays as all images have it, since the others do not determine that of a light.
+    """
     used = sorted(set(samples.facts.light.tolist()))
     if len(used) < 2:
         return ()
@@ -122,7 +125,10 @@ def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> Iterat
 def compare_image(
     seen: Observation, levels: Float32, hit: Bool, sensor: Sensor, full_scale: float, *, others: Bool | None = None
 ) -> Comparison:
-    """Compare an image with predicted sensor levels, not clipped, (H, W), on the part but not where `others` are."""
+    """Compare a measured image with the sensor levels predicted for it, not clipped, where the part is; (H, W).
+
+    others: Pixels of regions that are not compared; None for no such
+    """
     own = True if others is None else ~others
     top = sensor.saturated_from
     measured = np.minimum(seen.levels, np.float32(top))
@@ -152,7 +158,10 @@ def _border(mask: Bool) -> Float64:
 def predict_images(
     scene: Scene, x: Float64, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
 ) -> Iterator[tuple[Observation, Float32, Geometry]]:
-    """Per observation: itself, unclipped levels by the first reflectance's parameters, (K,), and what is seen."""
+    """Per observation: itself, the levels that parameters `x`, (K,), predict, not clipped, and what is seen.
+
+    The parameters are those of the scene's first reflectance.
+    """
     names = [light.name for light in scene.lights]
     reflectance = replace(scene.reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
     scale = scene.sensor.max_level / scene.reflectance.full_scale
@@ -231,7 +240,10 @@ class PointsRow(Coefficients):
 
 
 def compare_regions(setup: FitSetup, x: Float64, likelihood: float | None) -> PointsRow:
-    """Compare saturated regions of all images, rendered with the parameters `x`, (K,), with those measured."""
+    """Render all images with the parameters `x`, (K,), and compare the saturated regions with the measured ones.
+
+    Both are taken from whole levels, since the camera delivers no others.
+    """
     scene, sensor = setup.scene, setup.scene.sensor
     areas, perimeters = np.zeros(2), np.zeros(2)
     for seen, levels, _ in predict_images(scene, x, setup.observations, caster=setup.caster, threads=setup.run.threads):

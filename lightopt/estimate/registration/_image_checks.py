@@ -49,7 +49,10 @@ FLIPS: dict[str, tuple[tuple[slice, slice], str]] = {
 def refuse_useless_images(
     scene: Scene, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
 ) -> list[PixelSet]:
-    """Refuse images without the part, or all saturated or black there (InputError); pixels on and around it."""
+    """Refuse images that cannot show where the part is; returns pixels on and around it.
+
+    Raises InputError: the part is outside the view, or all images are saturated or black where it is expected.
+    """
     sets = _coarse_pixels(scene, observations)
     where = observations[0].source.parent
     images = counted(len(observations), "image")
@@ -116,6 +119,7 @@ class Agreement:
 
     @property
     def mismatch(self) -> bool:
+        """Whether the images show something else than the model."""
         return self.share > MISMATCH_SHARE
 
 

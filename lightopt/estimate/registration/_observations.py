@@ -27,6 +27,8 @@ _REACH_PX = 4  # a frame without light is smoothed over windows of 9 × 9 pixels
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
+    """One image."""
+
     light: str
     posture: Posture
     exposure: float  # at which `levels` were taken; 1 for a linear EXR
@@ -163,7 +165,11 @@ def frames_of(entry: ImageEntry) -> int:
 
 
 def dark_levels(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Float64 | None:
-    """Levels of a captured image without its light [sensor level], (H, W); None: not taken; InputError: not listed."""
+    """Levels of an image of a captured set without its light [sensor level], shape (H, W).
+
+    None where the set was captured without such frames: the sensor's black level is all that is known then.
+    Raises InputError: when the set was captured with frames without light, but that of the image is not listed.
+    """
     if not image_set.manifest.options.get("dark"):
         return None
     name = dark_name(entry.posture, entry.exposure)

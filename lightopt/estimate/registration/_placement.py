@@ -75,11 +75,17 @@ class Placement:
 
 
 def place_part(scene: Scene, placement: Placement) -> Scene:
+    """Move the part of a scene to its placement."""
     return move_part(scene, placement.rotation, placement.shift(scene.pivot))
 
 
 def part_file_placement(scene: Scene, placement: Placement, file: PlacementConfig) -> PlacementConfig:
-    """``placement`` of a part file that puts the part of a scene, at its file placement, where it was measured."""
+    """``placement`` of a part file that puts the part at its measured placement, with the anchor that `file` has.
+
+    The anchor uses the bounding box of the rotated part, so that the translation takes back what the anchor moves.
+
+    scene: With the part at its file placement.
+    """
     # the anchor uses the bounding box of the rotated part: the translation takes back what the anchor moves
     moved = placement.rotation
     turned = scene.mesh.vertices @ moved.T
@@ -119,6 +125,7 @@ class PoseFrame:
 
     @staticmethod
     def of(scene: Scene) -> "PoseFrame":
+        """The frame of a scene's part at its file placement."""
         own = scene.mesh.vertices - scene.pivot
         middle = 0.5 * (own.min(axis=0) + own.max(axis=0))
         radius = float(np.sqrt(np.max(np.sum(np.square(own[:, :2] - middle[:2]), axis=1))))
@@ -182,7 +189,7 @@ _LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
 _OFFSETS = np.array([0.6180339887498949, 0.4142135623730951])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PixelSet:
     """Pixels of one posture, shape (n,), and what was measured there."""
 
@@ -198,9 +205,15 @@ class PixelSet:
     def look_up(
         posture: Posture, row: Int32, column: Int32, images: Sequence[Observation], black: float, *, rays: int = 1
     ) -> "PixelSet":
-        levels = np.stack([image.levels[row, column] - black for image in images]).astype(np.float64)
-        saturated = np.stack([image.saturated[row, column] for image in images])
-        return PixelSet(posture, row, column, tuple(images), levels, saturated, rays=rays)
+        return PixelSet(
+            posture=posture,
+            row=row,
+            column=column,
+            images=tuple(images),
+            levels=np.stack([image.levels[row, column] - black for image in images]).astype(np.float64),
+            saturated=np.stack([image.saturated[row, column] for image in images]),
+            rays=rays,
+        )
 
     @property
     def positions(self) -> tuple[Float64, Float64]:
@@ -214,7 +227,10 @@ class PixelSet:
 
 
 def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> PartView:
-    """Camera and lights as a part moved on the stage sees them, in its own frame: one ray caster serves all."""
+    """Camera and lights as a part sees them that was moved on the stage.
+
+    The part's own frame stays, so that one ray caster serves all placements.
+    """
     view = view_from_part(scene, posture)
     # x_placed = R·x + t, inverted
     back = placement.rotation.T

@@ -90,7 +90,10 @@ def _across_outline(hit: Bool) -> tuple[Int32, Int32]:
 
 
 class RefinementProblem:
-    """The least squares of each stage; what the model predicts at the `start`, (K,), decides which pixels count."""
+    """The problem that :func:`lightopt.core.least_squares.solve` solves in each stage.
+
+    Which pixels count is decided once, by what the model predicts at the `start`, shape (K,).
+    """
 
     def __init__(
         self,

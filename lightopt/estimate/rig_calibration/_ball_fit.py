@@ -80,7 +80,10 @@ def _reflection(distance: Float64, radius: float, psi: Float64) -> tuple[Float64
 
 
 def mirrored_image(camera: PinholeCamera, centre: Float64, radius: float, points: Float64) -> Float64:
-    """Image points (column, row) [px] of points [mm] mirrored by a ball, camera's frame, (..., 2); NaN: none."""
+    """Image points (column, row) [px] of points mirrored by a ball, shape (..., 2); NaN where there are none.
+
+    centre, points: [mm], shapes (..., 3), frame of the camera's vectors
+    """
     mirror = mirror_points(centre, radius, camera.position, points)
     columns, rows, _ = project(camera, mirror.reshape(-1, 3))
     return np.stack([columns, rows], axis=-1).reshape((*mirror.shape[:-1], 2))
@@ -256,7 +259,10 @@ class _Problem:
 
 
 def posed_panel(light: PanelLight, parameters: Float64) -> PanelLight:
-    """A panel, world frame, displaced by :data:`PANEL_PARAMETERS`; its fall-off stays normalised where it was."""
+    """A panel displaced by :data:`PANEL_PARAMETERS`: offset of the centre, rotation about its own axes, new sides.
+
+    light: World frame; its fall-off stays normalised where it is.
+    """
     axes = np.stack([light.across, light.along, light.outward], axis=1)
     across, along, outward = (axes @ rotation_from_vector(parameters[3:6])).T
     centre = light.centre + parameters[:3]
@@ -296,7 +302,10 @@ def _ball_start(views: Sequence[BallView], camera: PinholeCamera, stage: Stage, 
 
 
 def _ordered(problem: _Problem) -> tuple[_Image, ...]:
-    """The images, corners as of :func:`lightopt.lights.panel_corners`, by the shape alone: panels may be far off."""
+    """The images with their corners in the order of :func:`lightopt.lights.panel_corners`.
+
+    The shape about its centre alone shows which corner is which: a panel may be far from where the file has it.
+    """
     predicted = problem.mirrored(problem.start)
     numbers = {light.name: k for k, light in enumerate(problem.lights)}
     orders = [(first + sense * np.arange(4)) % 4 for first, sense in itertools.product(range(4), (1, -1))]

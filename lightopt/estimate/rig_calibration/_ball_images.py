@@ -70,7 +70,12 @@ def measure_ball(
 
 
 def mirrored_panel(image: NDArray[Any], sensor: Sensor, centre: Float64, radius_px: float, *, where: str) -> Panel:
-    """The quadrilateral as which a ball, at (column, row) [px], mirrors a panel; InputError as :func:`measure_ball`."""
+    """The quadrilateral as which the ball mirrors a panel.
+
+    image: [sensor level], shape (H, W)
+    centre, radius_px: Of the part of the image to search, (column, row) [px]
+    Raises InputError: As :func:`measure_ball`
+    """
     margin = int(np.ceil(radius_px))
     corner = np.maximum(0, centre.astype(np.intp) - margin)
     left, top = int(corner[0]), int(corner[1])

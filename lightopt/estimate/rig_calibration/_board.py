@@ -72,10 +72,16 @@ INSTALL = "pip install 'lightopt[opencv]'"
 
 
 def board_grid(target: BoardTargetConfig) -> Board:
+    """The inner corners of a printed board."""
     columns, rows = target.squares
-    sizes = {"pitch": target.square_mm, "pitch_error": target.square_error}
-    sizes |= {"height": target.height_mm, "height_error": target.height_error_mm}
-    return Board(columns=columns - 1, rows=rows - 1, **sizes)
+    return Board(
+        columns=columns - 1,
+        rows=rows - 1,
+        pitch=target.square_mm,
+        pitch_error=target.square_error,
+        height=target.height_mm,
+        height_error=target.height_error_mm,
+    )
 
 
 def opencv() -> Any:
@@ -93,7 +99,10 @@ def opencv() -> Any:
 
 
 def opencv_board(target: BoardTargetConfig) -> Any:
-    """OpenCV's board of a target; InputError: no such dictionary, or it has too few markers."""
+    """OpenCV's board of a target.
+
+    Raises InputError: No such dictionary, or it has too few markers
+    """
     aruco: Any = opencv().aruco
     names = sorted(name for name in dir(aruco) if name.startswith("DICT_"))
     if target.dictionary not in names:
@@ -147,7 +156,10 @@ def white_areas(target: BoardTargetConfig, *, margin: float = 0.0) -> Float64:
 
 
 def board_mesh(target: BoardTargetConfig, *, margin: float = 0.0) -> TriangleMesh:
-    """The white areas as flat triangles that face +z, board frame [mm]: matt white, under a black sky, a board."""
+    """The white areas as flat triangles that face +z, board frame [mm]; black is where there is nothing.
+
+    As a matt white part under a black sky it looks like the board. Parameters as of :func:`white_areas`.
+    """
     left, bottom, right, top = white_areas(target, margin=margin).T
     corners = np.stack([left, bottom, right, bottom, right, top, left, top], axis=1).reshape(-1, 2)
     first = 4 * np.arange(len(left))[:, None]
@@ -166,6 +178,8 @@ FORMAT = "lightopt-corners/1"
 
 @dataclass(frozen=True, eq=False)
 class BoardImage:
+    """An image of the board."""
+
     name: str
     posture: Posture
     pixels: Any  # grey levels, shape (height, width), or with colours (height, width, 3)
@@ -174,7 +188,11 @@ class BoardImage:
 def find_corners(
     images: Sequence[BoardImage], target: BoardTargetConfig, *, full_scale: float = 255.0
 ) -> tuple[list[BoardView], list[str]]:
-    """Corners in each image that shows the board, and what is wrong; InputError: no OpenCV, several sizes, no board."""
+    """Corners of the board in each image that shows it, and what is wrong with images, and what to do.
+
+    full_scale: Level at which a pixel is saturated
+    Raises InputError: No OpenCV, images of several sizes, or none that shows the board
+    """
     sizes = {image.pixels.shape[:2]: image.name for image in images}
     if len(sizes) > 1:
         found = ", ".join(f"{width} × {height} ({name})" for (height, width), name in sizes.items())

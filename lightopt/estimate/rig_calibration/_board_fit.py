@@ -50,7 +50,10 @@ _FAULTY_SHARE, _FAULTY_RATIO = 0.5, 4.0  # outliers in a view; its median residu
 def judge_postures(
     fit: JointFit, board: Board, taken: Float64, camera: PinholeCamera
 ) -> tuple[float, tuple[Posture, float] | None]:
-    """Standard error of predicted pixels, all postures that show the board [px], and the best; readings taken [rad]."""
+    """Standard error of a pixel predicted for points of the board over all postures that show it [px], and the best.
+
+    taken: Readings of the views [rad], shape (K, 2)
+    """
     postures = [Posture(float(t), float(r)) for t, r in product(_TILTS_DEG, _ROTATIONS_DEG)]
     points = np.arange(board.columns * board.rows)
     outer = points.reshape(board.rows, board.columns)[[0, 0, -1, -1], [0, -1, -1, 0]]
@@ -128,7 +131,12 @@ def nominal_prior(board: Board, camera: PinholeCamera, stage: Stage, angle_error
 
 
 def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float64) -> tuple[Float64, Origin]:
-    """Parameters and orientations with the board in its place, from nominal ones; InputError: points on a line."""
+    """Parameters and orientations with the board in its place.
+
+    x, origin: Nominal; those of the board are not used
+    pixels: Shape (N, 2)
+    Raises InputError: No view has enough points that are not on a line
+    """
     f, cx, cy, aspect = x[AT["camera.focal_px"] : AT["camera.k1"]]
     rays = (pixels - [cx, cy]) / [f, f * aspect]
     views = len(seen.readings)

@@ -35,7 +35,7 @@ _FILED = np.diag(np.square([3.0, 3.0, 3.0, 0.04, 0.04, 0.04, 0.1, 0.1]))
 CELL_SHARE = 1 / 40  # side of a plate's cell, of the image's width
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RigCalibration:
     """What the image sets of a calibration folder show of a rig."""
 
@@ -52,6 +52,7 @@ class RigCalibration:
 
     @property
     def unobservable(self) -> tuple[str, ...]:
+        """What the images do not show, although they are there."""
         return tuple(name for fit in (self.board, self.ball) if fit is not None for name in fit.unobservable)
 
     @property
@@ -77,7 +78,10 @@ class RigCalibration:
 
 
 def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None) -> RigCalibration:
-    """Calibrate what the image sets below a folder allow; InputError: none, or they show no or other targets."""
+    """Calibrate what the image sets below a calibration folder allow.
+
+    Raises InputError: No image set, targets that do not fit the images, or a target of which too little is seen
+    """
     if rig.stage.pivot_mm[:2] != (0.0, 0.0):
         at, found = rig.source.at("stage", "pivot_mm"), list(rig.stage.pivot_mm)
         raise InputError(f"{at}: expected [0, 0, z]: a calibration has its origin on the rotary axis; found {found}")
@@ -119,8 +123,18 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         plate = fit_plate(images.plate(targets.plate, camera, stage, black), lights=lights, panels_covariance=known)
         images.warnings.extend(plate.warnings)
         lights = plate.lights
-    fits = board, ball, plate, sensor
-    return RigCalibration(rig, folder, *fits, camera, stage, lights, tuple(images.warnings))
+    return RigCalibration(
+        rig=rig,
+        folder=folder,
+        board=board,
+        ball=ball,
+        plate=plate,
+        sensor=sensor,
+        camera=camera,
+        stage=stage,
+        lights=lights,
+        warnings=tuple(images.warnings),
+    )
 
 
 @dataclass(frozen=True)

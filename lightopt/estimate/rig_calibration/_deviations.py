@@ -28,7 +28,11 @@ def measured(value: float, error: float, *, errors_95: float = NORMAL_95) -> Mea
 
 
 def read_covariance(rig: RigConfig) -> tuple[tuple[str, ...], Float64]:
-    """Names and covariance of a calibrated rig, as of `RigCalibration`, or none; InputError: cannot be read."""
+    """Names of the values of a calibrated rig, and their covariance as `RigCalibration.covariance` has it.
+
+    Nothing where the rig file has no calibration.
+    Raises InputError: The file with the covariance cannot be read
+    """
     if rig.calibration is None:
         return (), np.zeros((0, 0))
     path = rig.source.resolve(rig.calibration.covariance)
@@ -88,7 +92,10 @@ def displaced(camera: PinholeCamera, stage: Stage, names: Sequence[str], deviati
 
 
 def rig_deviations(camera: PinholeCamera, stage: Stage, names: Sequence[str], covariance: Float64) -> list[Rig]:
-    """Camera and stage, displaced by one standard deviation along each independent direction of a covariance."""
+    """Camera and stage, displaced by one standard deviation along each independent direction of their covariance.
+
+    names: Of the covariance's values; those of other things are left out
+    """
     own = [i for i, name in enumerate(names) if name.startswith(("camera.", "tilt_axis.", "rotary_axis."))]
     columns = square_root(covariance[np.ix_(own, own)]).T
     return [displaced(camera, stage, [names[i] for i in own], column) for column in columns]

@@ -52,7 +52,10 @@ class CalibrationPlan:
 
 
 def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> CalibrationPlan:
-    """Write targets, and part and mesh of each, sized for the view; InputError: no table in it, or other files."""
+    """Write targets.yaml, and part and mesh of each target, sized for the rig's view.
+
+    Raises InputError: The camera does not see the table, or other files are in the way and `force` is False
+    """
     size = view_size(build_camera(rig))
     if size is None:
         raise InputError(f"{rig.source.at('camera')}: the view reaches beyond the table's horizon; no target fits it")
@@ -196,7 +199,10 @@ Values = dict[tuple[str | int, ...], str | None]
 
 
 def calibrated_rig_text(found: RigCalibration) -> str:
-    """The rig file with what was measured, comments kept; InputError: built in code, or aliases in the way."""
+    """Text of the rig file with what was measured in place of what was filed; comments stay.
+
+    Raises InputError: The rig was built in code, or its file has anchors and aliases where values change
+    """
     rig = found.rig
     values: Values = {}
     if found.board is not None:
@@ -357,7 +363,10 @@ def figures(found: RigCalibration) -> dict[str, Any]:
 
 
 def write_calibration(found: RigCalibration, *, force: bool = False) -> tuple[Path, ...]:
-    """Write calibrated rig, covariance and figures into the folder; InputError: others are there, and no `force`."""
+    """Write the calibrated rig, the covariance and the figures into the calibration folder.
+
+    Raises InputError: Other results are there, and `force` is False
+    """
     names, covariance = found.covariance
     packed = io.BytesIO()
     np.savez(packed, names=np.array(names, np.str_), covariance=covariance)

@@ -255,7 +255,11 @@ class JointFit:
 
 
 def fit_jointly(corners: Corners, start: tuple[Float64, Origin], prior: Prior, *, on_evidence: bool) -> JointFit:
-    """Fit all that is not held, with `on_evidence` those of OPTIONAL that matter; InputError: another rig or board."""
+    """Fit all that is not held, and with `on_evidence` those of OPTIONAL that matter.
+
+    start: Parameters of shape (P,) and orientations
+    Raises InputError: The corners are of another rig or board
+    """
     (x, origin), angles, spread = start, np.zeros_like(corners.seen.readings), np.inf
     extra: tuple[str, ...] = ()
     free = _free(prior, extra)
@@ -366,8 +370,9 @@ def _polished(
         pull = slopes.T @ residual.ravel()[rows] / (noise * common) - precision * (now - mean)
         if pull @ covariance @ pull <= _SETTLED or step == _POLISH_STEPS:
             fitted, angles = problem.split(now)
-            noises = angle_sd, noise, common
-            return JointFit(fitted, origin, prior, free, covariance, angles, *noises, residual, inlier, extra)
+            return JointFit(
+                fitted, origin, prior, free, covariance, angles, angle_sd, noise, common, residual, inlier, extra
+            )
 
         def cost(there: Float64, rows: Bool = rows, unit: float = noise * common) -> float:
             off = problem.residuals(there)[rows] / unit

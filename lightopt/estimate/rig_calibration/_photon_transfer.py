@@ -106,7 +106,10 @@ def photon_transfer(pairs: Sequence[FramePair], darks: Sequence[FramePair], *, b
 
 
 def gaussian_of_levels(mean: float, variance: float) -> tuple[float, float]:
-    """Mean and deviation of a Gaussian with these when rounded and clipped at 0 [sensor level]; 0 below 0.13."""
+    """Mean and standard deviation of a Gaussian that, rounded and clipped at 0, has this mean and variance.
+
+    All in sensor levels. Noise that rounding hides, below about 0.13 levels, is given as 0.
+    """
     if variance < 1e-4:
         return mean, 0.0
     spread = math.sqrt(max(variance - ROUNDING_VARIANCE, 0.01))

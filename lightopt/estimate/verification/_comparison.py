@@ -25,7 +25,7 @@ LEAST_BLOCKS = 12  # saturated areas smaller than this have no centre
 LEAST_GAIN = 0.1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LightComparison:
     """Predicted against captured images of one light, all postures together."""
 
@@ -57,7 +57,10 @@ class Compared:
 def compare_image(
     work: Work, fit: Fit, good: Fit | None, number: int, theta: Float64, predictions: Predictions
 ) -> Compared:
-    """Compare an image of a fit, by its number, with predictions; what that of a `good` set is off is not counted."""
+    """Compare an image of a fit, by its number, with predictions at some parameters.
+
+    good: Of a known good set: what the prediction for it is off is not counted.
+    """
     image = fit.images[number]
     posture = image.source.posture
     mean, noise, expected = _delivered(work, theta, image, predictions[posture])
@@ -109,10 +112,17 @@ def compare_lights(
             if least >= LEAST_BLOCKS and seen.any():
                 offsets.append(_offset(work, prediction, areas[0], seen))
                 weights.append(least)
-        pixels, degrees = np.average(offsets, axis=0, weights=weights).tolist() if offsets else (None, None)
-        overlap = common / union if union >= LEAST_BLOCKS else None
-        left = _rms([one for one in after if one.image.source.light == light])
-        found.append(LightComparison(light, overlap, pixels, degrees, _rms(mine), left))
+        offset = np.average(offsets, axis=0, weights=weights).tolist() if offsets else (None, None)
+        found.append(
+            LightComparison(
+                light=light,
+                overlap=common / union if union >= LEAST_BLOCKS else None,
+                offset_px=offset[0],
+                offset_deg=offset[1],
+                residual=_rms(mine),
+                explained=_rms([one for one in after if one.image.source.light == light]),
+            )
+        )
     return tuple(found)
 
 
@@ -136,7 +146,10 @@ def _rms(some: Sequence[Compared]) -> float:
 
 
 def exchanged_lights(scene: Scene, images: Sequence[CoarseImage], predictions: Predictions) -> dict[str, str]:
-    """Names of lights that images of others show, by correlation with all predictions; empty if all are as named."""
+    """For each light whose image shows another one the name of that other one; empty if all are as named.
+
+    By correlation over all postures of the images with the predictions of all lights; each light is shown once.
+    """
     names = list(dict.fromkeys(image.source.light for image in images))
     if len(names) < 2:
         return {}

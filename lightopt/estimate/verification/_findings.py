@@ -59,6 +59,7 @@ class Finding:
 
     @property
     def exceeds(self) -> bool:
+        """Whether the rig has left its tolerances."""
         return self.limit is not None and self.size > self.limit
 
     @property
@@ -110,7 +111,10 @@ def fault_name(kind: str, light: str) -> str:
 
 
 def group_finding(group: Group, theta: Float64, covariance: Float64, alternatives: Sequence[Group]) -> Finding:
-    """A finding of a group of parameters; `theta`, (K,), and `covariance`, (K, K), are of all."""
+    """A finding of a group of parameters.
+
+    theta, covariance: Of all parameters, shapes (K,) and (K, K).
+    """
     unit = math.degrees(1.0) if group.kind.endswith("turn") else 1.0
     value, spread = unit * theta[group.where], unit**2 * covariance[group.where, group.where]
     if group.kind in ("gain", "exposure"):
@@ -138,7 +142,10 @@ def swap_findings(exchanged: Mapping[str, str]) -> list[Finding]:
 
 
 def dark_findings(images: Sequence[Observation], good: Sequence[Observation], limit: float) -> list[Finding]:
-    """A finding of the level of frames without light, which is subtracted, against a good set's, if there is one."""
+    """A finding of the level of frames without light, if a set has them: it is subtracted from the images.
+
+    good: Images of a known good set; empty without one.
+    """
     some = [[float(np.mean(o.subtracted)) for o in of if not isinstance(o.subtracted, float)] for of in (images, good)]
     own, before = (float(np.median(levels)) if levels else 0.0 for levels in some)
     off = own - before

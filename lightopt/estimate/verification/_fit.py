@@ -57,7 +57,15 @@ class Model:
                 continue
             levels = np.stack([images[n].levels[row, column] for n in mine]).astype(np.float64)
             full = np.stack([images[n].saturated[row, column] for n in mine])
-            self._sets.append(PixelSet(posture, row, column, tuple(images[n].source for n in mine), levels, full))
+            pixels = PixelSet(
+                posture=posture,
+                row=row,
+                column=column,
+                images=tuple(images[n].source for n in mine),
+                levels=levels,
+                saturated=full,
+            )
+            self._sets.append(pixels)
             width = max(8, prediction.clean.shape[1] // CELLS)
             for own, n in enumerate(mine):
                 level = prediction.levels[images[n].source.light]
@@ -236,7 +244,10 @@ class Evidence:
 
 
 def gather(model: Model, theta: Float64, origin: Float64, deviations: Float64) -> Evidence:
-    """Sums of the linearised model, by what no fault explains; deviations of a calibrated rig, one sd each, (K, D)."""
+    """Sums of the model linearised at some parameters, with weights by what no fault from the origin explains.
+
+    deviations: Of a calibrated rig from its file, independent ones of one standard deviation each, shape (K, D)
+    """
     parameters = model.parameters
     residual, slope, used = model.linearise(theta)
     target = residual + np.einsum("ij,j->i", slope, theta - origin)

@@ -161,7 +161,10 @@ def _moved_panel(light: PanelLight, shift: Float64, turn: Float64) -> PanelLight
 
 
 def calibrated_deviations(rig: RigConfig, scene: Scene, p: Parameters) -> Float64:
-    """Independent deviations of one sd each, (K, D), D = 0 for a rig as designed; InputError: no covariance."""
+    """Independent deviations of one standard deviation each, as columns, shape (K, D); none for a rig as designed.
+
+    Raises InputError: The covariance that the rig file names cannot be read
+    """
     names, covariance = read_covariance(rig)
     at = {name: i for i, name in enumerate(names)}
     of_rig = rig_deviations(scene.camera, scene.stage, names, covariance)

@@ -38,6 +38,8 @@ _MANY_SPOTS = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Verification:
+    """How captured images differ from those predicted, and why."""
+
     findings: tuple[Finding, ...]  # those that exceed their limits first
     lights: tuple[LightComparison, ...]  # predicted against captured
     unseen: tuple[str, ...]  # faults that these images would not show at their limits, in words
@@ -112,7 +114,11 @@ def verify_observations(
     where: str = "images",
     run: RunContext | None = None,
 ) -> Verification:
-    """As :func:`verify_set`, of images that are read; deviations of the rig, of one sd each, are columns, (K, D)."""
+    """As :func:`verify_set`, of images that are read, and the scene with their postures and lights.
+
+    deviations: By which the rig may differ from its file, of one standard deviation each, as columns of `Parameters`.
+    where: The set, for messages.
+    """
     limits = limits or VerifyLimits()
     work = Work(scene, Parameters.of(scene, limits), run or RunContext())
     good = None
@@ -216,7 +222,10 @@ def verify_folder(
     register: bool,
     force: bool,
 ) -> ResultFolder:
-    """Open the folder of a verification; InputError: it holds one of other inputs, and `force` is False."""
+    """Open a folder that a verification is written to.
+
+    Raises InputError: The folder holds a verification of other inputs, and `force` is False
+    """
     inputs: dict[str, Any] = {**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}
     if baseline is not None:
         inputs["baseline"] = baseline.fingerprint
@@ -226,7 +235,11 @@ def verify_folder(
 
 
 def append_history(folder: Path, result: Verification, *, name: str, when: datetime) -> list[dict[str, str]]:
-    """Add a verification of a set as a row of ``history.csv``; returns all rows. InputError: no such table."""
+    """Add a verification as a row of ``history.csv`` in a folder, and return all rows, the oldest first.
+
+    name: Of the set.
+    Raises InputError: The folder cannot be written to, or its table is another
+    """
     row: dict[str, Any] = {"time": when.isoformat(), "set": name, "within_tolerances": result.within_tolerances}
     for one in result.findings:
         fault = one.kind if one.kind == "swap" else f"{one.kind} {one.light}".strip()

@@ -74,7 +74,11 @@ class FrameMean:
 def exposure_mismatch(
     light: str, one: ExposureImage, other: ExposureImage, *, darks: Sequence[Float32 | float], sensor: Sensor
 ) -> str | None:
-    """How a light's brightness differs between two exposures, with the `darks` of each (H, W) or a level; or None."""
+    """Message about how the brightness of a light differs between two exposures (H, W); None where it does not.
+
+    Pixels that are saturated in the longer exposure must be at least that bright in the shorter one.
+    `darks` are what each shows without the light [sensor level], (H, W) or one level.
+    """
     pairs = [(image, np.asarray(dark, np.float32)) for image, dark in zip((one, other), darks, strict=True)]
     (long, long_dark), (short, short_dark) = pairs if one.exposure >= other.exposure else pairs[::-1]
     ratio = short.exposure / long.exposure

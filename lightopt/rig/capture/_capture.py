@@ -370,7 +370,11 @@ def capture(
 
 @contextmanager
 def lock_folder(folder: Path) -> Generator[None]:
-    """Keep other captures out of a folder while this process lives; InputError: another has it, or it is read-only."""
+    """Keep other captures out of a folder, which is created if it does not exist.
+
+    The operating system holds the lock: that of a killed process is gone, even if its file still exists.
+    InputError when another process captures into the folder, or it cannot be written.
+    """
     path = folder / LOCK_NAME
     while True:
         file = _open_locked(path)

@@ -94,7 +94,12 @@ def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: i
 def check_light(
     light: str, image: NDArray[Any], dark: NDArray[Any] | float, *, predictions: PredictedImages, exposure: float
 ) -> LightCheck:
-    """Compare an image (H, W) with the dark and the predicted image of every light; `light` alone should be on."""
+    """Compare an image with the frame without light and with the predicted image of every light of the rig.
+
+    light: The only light that should have been on.
+    image, dark: [sensor level], shape (H, W); the dark may be one level.
+    exposure: Relative exposure of the image.
+    """
     part, sensor, room = predictions.part, predictions.sensor, predictions.room
     if int(part.sum()) < LEAST_CELLS:
         return LightCheck(undecided="too little of the part is visible")
@@ -323,7 +328,11 @@ class Repeatability:
 def measure_repeatability(
     first: NDArray[Any], last: NDArray[Any], *, light: str, posture: Posture, scene: Scene
 ) -> Repeatability | None:
-    """Rotation of the part between images (H, W) of a posture, exposure and light; None: too little shows."""
+    """Rotation of the part between two images of the same posture; None where too little of it shows.
+
+    `first` and `last` are of one exposure [sensor level], shape (H, W), both under `light`, which is among the scene's.
+    `posture` is what the stage reported for both.
+    """
     caster = cast_rays_at(scene)
     # highlights are where the reflectance puts them; diffuse light and outlines are where the part is
     most = max(one.R_d for one in scene.reflectances)

@@ -109,9 +109,12 @@ class SwitchedOff(NamedTuple):
 def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunContext | None = None) -> SwitchedOff:
     """Darken every channel of every controller, no controller waiting for another; stage and camera are left alone.
 
-    `lights` are the rig's, as far as its file can be read. `serial_log` gets every byte on the wires, `run` warnings.
-    HardwareError once all were tried, with controllers that are dark and lights that may be on; InputError: the same,
-    where nothing failed but controllers of the file cannot be read.
+    `lights` are the rig's, as far as its file can be read. `serial_log` gets every byte on the wires, `run` warnings
+    of irregularities on the wires as they happen, and if that file ends early.
+
+    Raises HardwareError: Once all were tried, with what failed, the controllers that are dark and the lights that may
+        still be on.
+    Raises InputError: The same, where nothing failed but controllers of the file cannot be read.
     """
     run = run or RunContext()
     wiring = _wiring(lights)

@@ -96,7 +96,12 @@ class Devices:
             raise KeyboardInterrupt(self._signals.pending)
 
     def light_on(self, name: str, level: int | None = None) -> int | None:
-        """Light a panel, for its `max_on_s` at most; the level read back, if any. InputError: above its `max_level`."""
+        """Light a panel, at its level unless another is given; returns the level read back, None where impossible.
+
+        From here on the channel is on for its `max_on_s` at most, whatever hangs: see :meth:`check_watchdog`.
+        Raises InputError: The level is above the channel's `max_level`; nothing was sent.
+        Raises HardwareError: The controller does not obey.
+        """
         channel = self.wiring.light(name)
         controller = self.controllers[channel.controller]
         requested = channel.level if level is None else level

@@ -20,7 +20,6 @@ from lightopt.scene import VIRTUAL_DEG_PER_S, display_picture
 STAGE = "stage"  # name of the stage among the devices of a virtual bench; controllers have the names of the rig file
 VIRTUAL = "virtual"  # port of a device that is simulated on this computer
 VIRTUAL_EXPOSURE_US = 10_000.0  # exposure time of exposure 1 where all is virtual and the rig does not give one
-Truth = BenchTruth | None
 _CHANNELS_EACH, _VIRTUAL_LEVEL = 4, 200
 _LEVEL_TOLERANCE = 0.005  # how far a whole level may be from the weight of an image, as a share
 _VIRTUAL_TILT = config.AxisConfig(axis="1", steps_per_deg=1000.0, speed_deg_per_s=VIRTUAL_DEG_PER_S)
@@ -161,8 +160,15 @@ def stage_axes(rig: RigConfig, stage: config.StageDeviceConfig) -> list[Axis]:
     ]
 
 
-def start_bench(rig: RigConfig, wiring: Wiring, *, part: PartConfig | None = None, truth: Truth = None) -> BenchProcess:
-    """Start the virtual devices of a rig, and a camera where there is a part; InputError: the true rig does not fit."""
+def start_bench(
+    rig: RigConfig, wiring: Wiring, *, part: PartConfig | None = None, truth: BenchTruth | None = None
+) -> BenchProcess:
+    """Start a virtual bench with the virtual devices of a rig, and with a camera where there is a part.
+
+    truth: Where the bench differs from the files; as the rig file has it by default.
+    Raises HardwareError: its process does not start.
+    Raises InputError: the true rig that the rig file names does not fit it.
+    """
     hardware = wiring.hardware
     true = rig if part is None else _true_rig(rig)  # which only the camera sees
     devices = _controllers(wiring, true)

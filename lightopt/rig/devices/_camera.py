@@ -27,7 +27,10 @@ class Frame:
 
 
 class Camera(Protocol):
-    """A monochrome camera; every method raises a HardwareError when it does not deliver."""
+    """A monochrome camera.
+
+    Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not deliver.
+    """
 
     @property
     def triggered(self) -> bool: ...  # a frame begins at the call of grab (software trigger): none need be thrown away
@@ -132,7 +135,11 @@ class MachineCamera:
         return self._exposure.set_us(exposure_us)
 
     def grab(self, *, timeout_s: float) -> Frame:
-        """Take a frame, or the next without a trigger; attempts share `timeout_s`, none shorter than its exposure."""
+        """Take one frame, or the next that is completed where there is no trigger.
+
+        All attempts together take no longer than `timeout_s`, of which each has an equal part, and no less than the
+        exposure time: fewer attempts where there is no time for as many exposures.
+        """
         if self._wait_ready is not None:
             self._wait_ready()
         end = time.monotonic() + timeout_s

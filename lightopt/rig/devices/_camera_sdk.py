@@ -88,7 +88,11 @@ class RawFrame:
 
 
 class CameraSdk(Protocol):
-    """An opened camera, features named by GenICam's SFNC; HardwareError: refused; LinkLostError: gone; `close` none."""
+    """An opened camera. Features have the names of GenICam's Standard Features Naming Convention (SFNC).
+
+    Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not answer or refuses, and
+    :class:`~lightopt.rig.devices.LinkLostError` when it is gone; `close` never raises.
+    """
 
     @property
     def details(self) -> dict[str, str]: ...  # maker, model, serial number, address, as far as they are known

@@ -60,7 +60,12 @@ class LightSettings:
 
 
 def all_off(controllers: Mapping[str, "LightController"], *, lit: Mapping[str, Collection[int]] | None = None) -> None:
-    """Darken every channel, lit ones first, no controller waiting for another; then LightsStillOnError for failures."""
+    """Darken every channel of every controller, each of them even if others fail; no controller waits for another.
+
+    lit: Channels that are known to be lit, by controller: they come first.
+
+    Raises LightsStillOnError once all were tried, with a message per controller and reason.
+    """
     first = lit or {}
     work = {name: partial(_darken_all, one, first.get(name, ())) for name, one in controllers.items()}
     reasons = run_in_parallel(work)
@@ -101,7 +106,11 @@ def _darken(controller: "LightController", channel: int) -> str | None:
 
 
 class LightController(ABC):
-    """Panels behind a controller, channels from 1; HardwareError: no answer, refused, or not held as it was set."""
+    """Panels behind one controller on a link; channels are counted from 1, as printed on the device.
+
+    Every method raises :class:`~lightopt.core.errors.HardwareError` when the device does not answer, answers no, or
+    does not hold what was set.
+    """
 
     NAME: ClassVar[str]  # name of the protocol, as in the rig file
     BAUD: ClassVar[int]  # the protocol's usual baud rate

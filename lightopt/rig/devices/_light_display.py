@@ -52,7 +52,11 @@ def check_display(command: Sequence[str] | None, folder: Path) -> None:
 
 
 class ScreenProcess:
-    """A window on a monitor, black until `port` gets a picture; ends with its client. InputError: no such monitor."""
+    """A window on a monitor, black until it gets a picture at `port`; it ends when its client has closed that.
+
+    Raises InputError: The library is missing, or the monitor is not there or has another resolution.
+    Raises HardwareError: The process does not start.
+    """
 
     def __init__(self, monitor: int, size: tuple[int, int], *, device: str) -> None:
         check_display(None, Path())
@@ -88,7 +92,10 @@ class ScreenProcess:
 
 
 def screen_levels(picture: Float64, settings: PictureSettings) -> UInt8:
-    """Levels of the screen's own pixels for shares of the radiance as seen from the part, shape (rows, columns)."""
+    """Levels of the screen's own pixels that show a picture, row 0 at its own upper edge.
+
+    picture: Shares of the full radiance as seen from the part, shape (rows, columns)
+    """
     levels = np.round(255.0 * np.clip(picture, 0.0, 1.0) ** (1.0 / settings.gamma)).astype(np.uint8)
     turned = np.rot90(levels, settings.turn_deg // 90)
     return np.ascontiguousarray(np.fliplr(turned) if settings.mirrored else turned)

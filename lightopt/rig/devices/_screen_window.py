@@ -33,7 +33,7 @@ class _Window:
             raise ValueError(f"no desktop can be reached ({error}); run this in a session with a desktop") from None
         if pygame.display.get_driver() in _NO_SCREENS:
             raise ValueError("no desktop can be reached; run this in a session with a desktop")
-        self._pygame = pygame = pygame
+        self._pygame = pygame
         self._monitor, self._size = monitor, size
         sizes = pygame.display.get_desktop_sizes()
         if monitor > len(sizes):

@@ -158,7 +158,11 @@ class PriorityLock:
 
 
 class Link:
-    """What a driver has of every link; ``lock.priority()`` breaks off dialogues with its `lock`: PreemptedError."""
+    """What a driver has of every link: whose it is, its lock, and how irregularities and failures are reported.
+
+    Its `lock` is held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait
+    breaks them off by ``lock.priority()``; whoever waits for a reply then gets a :class:`PreemptedError`.
+    """
 
     def __init__(self, port: str, *, device: str, timeout_s: float, log: SerialLog | None) -> None:
         self.port = port
@@ -196,7 +200,11 @@ class Link:
 
 
 class SerialLink(Link):
-    """A serial port or pyserial URL that a driver speaks through; InputError: no such; HardwareError: used, silent."""
+    """A serial port, or anything else that pyserial reaches by a URL, that a driver speaks through.
+
+    Raises InputError when the port is not there (the message lists those that are), is none, or may not be opened.
+    Raises HardwareError when another program has it, or nothing answers at its address.
+    """
 
     def __init__(
         self,
@@ -246,7 +254,11 @@ class SerialLink(Link):
             return reply
 
     def send(self, frame: bytes) -> None:
-        """Send a frame; pending input is discarded, after silence where a reply may still be on its way."""
+        """Discard pending input and send a frame without waiting for a reply.
+
+        Where the query before was broken off (its reply was late, or the program was interrupted), the reply may still
+        be on its way; the line is then first listened to until it is silent.
+        """
         with self.lock:
             if self._owed:
                 self._owed = False
@@ -271,10 +283,14 @@ class SerialLink(Link):
     def read(
         self, *, end: bytes | re.Pattern[bytes] | None, deadline_s: float | None = None, after: bytes = b""
     ) -> bytes:
-        """Read a reply up to and with its `end`: bytes, a pattern, or None: silence after a byte; `after` was sent.
+        """Read a reply up to and with its end. What lies in the input at the deadline was in time and is read, too.
 
-        What lies in the input at the deadline was in time. ReplyError: the deadline passes before the end;
-        PreemptedError: what cannot wait needs the wire; LinkLostError: the device is gone.
+        end: Bytes that end it; or a pattern, which ends it where it is first found; or None: silence after at least one
+            byte.
+        after: The command that was sent, for messages.
+
+        Raises ReplyError when the deadline passes before the end, PreemptedError when something that cannot wait needs
+        the wire, LinkLostError when the device is gone.
         """
         limit_s = self.timeout_s if deadline_s is None else deadline_s
         until = time.monotonic() + limit_s

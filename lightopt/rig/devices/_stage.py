@@ -216,7 +216,11 @@ class Stage:
             return self._state(reading)
 
     def confirm(self) -> StageState:
-        """Check that it stands still where it was left, without alarm and referenced (HardwareError); moves nothing."""
+        """Check that it still stands where the last move left it; moves nothing.
+
+        HardwareError when it stands elsewhere, moves, or has an alarm or lost its origin. It stands elsewhere after it
+        was moved by hand, or switched off and on: then most devices count from another place.
+        """
         with self._link.lock:
             reading = self._dialogue.read()
             if (problem := self._problem(reading)) is not None:

@@ -78,7 +78,11 @@ def build(kind: str, options: dict[str, Any]) -> Firmware:
 
 
 class LampFirmware(Firmware):
-    """Firmware of a light controller: channels from 1, with intensities (keys may be text) and switch at power-up."""
+    """Firmware of a light controller: intensity and switch of each channel, counted from 1.
+
+    levels: Intensities at power-up by channel, 0 where absent. Keys may be text, as in JSON.
+    on: Whether the channels are switched on at power-up.
+    """
 
     def __init__(
         self, *, channels: int = 4, top_level: int = 255, levels: Mapping[str, int] | None = None, on: bool = True

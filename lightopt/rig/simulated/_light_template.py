@@ -74,7 +74,12 @@ _WIDEST = 8
 
 
 def example(pattern: str, level: int | None = None) -> str:
-    """The plainest text that a pattern matches, a group ``level`` the level; ValueError: looks around, refers back."""
+    """The plainest text that a pattern matches wholly.
+
+    Alternatives are resolved to the first, repetitions to the fewest; a group named ``level`` becomes the level, with
+    as many leading zeros as the pattern wants. Raises a ValueError for a pattern that looks around, refers back, or is
+    conditional.
+    """
     for width in range(1, _WIDEST + 1):
         maker = _Maker(pattern, "" if level is None else f"{level:0{width}d}")
         text = maker.alternatives()

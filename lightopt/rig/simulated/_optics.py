@@ -35,7 +35,10 @@ _MOST_PICTURES = 64  # that are kept, other than those of channels
 def as_channels(
     picture: SeenPicture, lights: Sequence[LightConfig], *, folder: Path = Path()
 ) -> dict[str, float] | None:
-    """Shares of channels of a display, whose pictures are relative to `folder`, that sum up to a picture; or None."""
+    """Shares of channels of a display that a picture is the sum of, by name; None where it is no such sum.
+
+    folder: Of the rig's file, which names of pictures are relative to
+    """
     rows, columns = picture.radiance.shape
     # blocks of whole pixels, whose means are those of the pattern
     common = math.gcd(rows, columns)
@@ -85,7 +88,10 @@ class BenchOptics:
             self._layer(posture, name)
 
     def shares(self, device: str, picture: SeenPicture, wires: Sequence[LightWire]) -> dict[str, float]:
-        """What a picture on a screen lights, for :meth:`frame`: shares of channels, or else a name of its own."""
+        """What a picture on a screen lights: shares of its channels, or a name of its own, all for :meth:`frame`.
+
+        A sum of pictures of channels takes no new rendering; any other picture is rendered.
+        """
         with self._looking:
             number, shares = self._shown.get(device, (-1, {}))
             lights = [self._displays[wire.light] for wire in wires if wire.light in self._displays]
@@ -114,7 +120,10 @@ class BenchOptics:
         exposure: float,  # relative
         gain_db: float = 0.0,  # of the camera [dB]: signal and noise alike, and fewer electrons per level
     ) -> Levels:
-        """One frame under `shares` of the lights; its noise depends on the seed, what is seen, and how often it was."""
+        """One frame with noise, quantised and saturated, under lights with `shares` of the brightness in the rig file.
+
+        The noise depends on the seed, on what is seen, and on how many frames of it were taken before.
+        """
         gain, sensor = 10.0 ** (gain_db / 20.0), self.scene.sensor
         electrons = None if sensor.electrons_per_level is None else sensor.electrons_per_level / gain
         noises = {"read_noise_levels": sensor.read_noise_levels * gain, "dsnu_levels": sensor.dsnu_levels * gain}
