@@ -166,14 +166,14 @@ def test_highlight_in_a_highlight_against_a_sum_over_the_other_surface():
     direction = light.centre / np.linalg.norm(light.centre)
     views = [direction + np.array([0, 0, 0.1 * k]) for k in (-1, 0, 1, 2)]
     surface = floor_points([(6.0, 0.0), (8.0, 1.0), (10.0, -1.0), (7.0, 2.0)], views)
-    diffuse, specular = area_sum(scene, surface, height=height, half=half, step=0.05)
+    diffuse, specular = area_sum(scene, surface, height=height, half=half, step=0.1)
     own = part_light(scene)
     assert specular.max() > 200.0
     found = own.specular(surface)[0, 0]
     np.testing.assert_allclose(found, specular, rtol=0.03, atol=0.5)
     # rays of diffuse points meet diffuse light; what the wall's lobe throws is `test_caustics_…`
     added, matte = own.diffuse(surface), replace(scene, reflectance=replace(scene.reflectance, R_s=0.0))
-    even = area_sum(matte, surface, height=height, half=half, step=0.05, white=white_level(scene.reflectance))[0]
+    even = area_sum(matte, surface, height=height, half=half, step=0.1, white=white_level(scene.reflectance))[0]
     np.testing.assert_allclose(added[0, 0] + added[2, 0], even, rtol=0.05, atol=0.15)
     assert np.all(diffuse > 10.0 * even)
 
@@ -217,7 +217,7 @@ def small_spout(**options):
     scene = build_scene(
         CONFIGS / "rigs" / "four-panel.yaml", CONFIGS / "parts" / "spout.yaml", lights=["light1"], **options
     )
-    camera = replace(scene.camera, width=160, height=120, pixel_size=10 * scene.camera.pixel_size)
+    camera = replace(scene.camera, width=96, height=72, pixel_size=50 / 3 * scene.camera.pixel_size)
     return replace(scene, camera=camera, postures=scene.postures[:1])
 
 

@@ -25,13 +25,13 @@ defects:
 """
 
 
-def small(name: str, folder: Path) -> Path:
-    """The sample rig with 128 × 96 pixels of the same view."""
+def small(name: str, folder: Path, *, side: int = 1) -> Path:
+    """The sample rig with 128 × 96 pixels of the same view, or with fewer, so many times as long."""
     text = (CONFIGS / "rigs" / f"{name}.yaml").read_text(encoding="utf-8")
-    text, count = re.subn(r"resolution_px: \[640, 480\]", "resolution_px: [128, 96]", text)
+    text, count = re.subn(r"resolution_px: \[640, 480\]", f"resolution_px: [{128 // side}, {96 // side}]", text)
     assert count == 1
     path = folder / f"{name}.yaml"
-    path.write_text(text.replace("pixel_size_um: 11\n", "pixel_size_um: 55\n"), encoding="utf-8")
+    path.write_text(text.replace("pixel_size_um: 11\n", f"pixel_size_um: {55 * side}\n"), encoding="utf-8")
     return path
 
 
@@ -51,9 +51,9 @@ def test_the_systems_are_there():
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_a_sample_rig_is_checked_and_rendered(name, tmp_path):
-    rig, part = load_rig(small(name, tmp_path)), load_part(one_posture(tmp_path))
+    rig, part = load_rig(small(name, tmp_path, side=2)), load_part(one_posture(tmp_path))
     found = check_scene(rig, part)
-    # images a fifth as large show stripes that are a fifth as wide
+    # images a tenth as large show stripes that are a tenth as wide
     assert [f.text for f in found.findings if f.level in ("warning", "error") and f.topic != "stripes"] == []
     bright = [f for f in found.findings if f.topic == "bright field"]
     assert len(bright) == len({light.entry for light in rig.lights})

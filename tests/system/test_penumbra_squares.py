@@ -18,9 +18,12 @@ LIGHTS = [ref.Light(elevation=62, azimuth=90), ref.Light(elevation=30, azimuth=2
 R_S = {0.003: 1e5, 0.0475: 12500.0, 0.15: 800.0}
 
 
-def boxes(sigma):
-    """One box in the air, one that stands on the plane, and a narrow post, seen in the direction of mirrored light."""
-    camera = ref.Camera(width=360, height=270, pixel_um=14.7, elevation=62)
+def boxes(sigma, side=1):
+    """One box in the air, one that stands on the plane, and a narrow post, seen in the direction of mirrored light.
+
+    In 360 × 270 pixels, or in ones that are so many times as long.
+    """
+    camera = ref.Camera(width=360 // side, height=270 // side, pixel_um=14.7 * side, elevation=62)
     mesh = merged(
         plane(40),
         box(np.array([-7.0, -4.0, 9.0]), np.array([6.0, 8.0, 14.0])),
@@ -66,7 +69,7 @@ def test_part_that_shades_itself(monkeypatch, tmp_path):
 
 
 def test_any_number_of_threads_gives_the_same_bytes():
-    scene = boxes(0.0475)
+    scene = boxes(0.0475, side=2)
     one, rays = rendered(scene, threads=1)
     four, as_many = rendered(scene, threads=4)
     assert one.tobytes() == four.tobytes()

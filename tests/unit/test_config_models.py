@@ -79,12 +79,10 @@ def paths(data: Any, here: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 
 def with_value(data: Any, path: tuple[Any, ...], value: Any) -> Any:
-    data = copy.deepcopy(data)
-    inner = data
-    for key in path[:-1]:
-        inner = inner[key]
-    inner[path[-1]] = value
-    return data
+    """A copy of nested data with another value at a path; what is beside the path is shared."""
+    changed = copy.copy(data)
+    changed[path[0]] = value if len(path) == 1 else with_value(data[path[0]], path[1:], value)
+    return changed
 
 
 def error_kinds(model: Any, data: Any, folder: Path) -> set[str]:

@@ -70,8 +70,8 @@ def test_oren_and_nayar_reflect_as_much_backwards(name: str) -> None:
 
 def albedo(cos_view: float, form: DiffuseForm) -> float:
     """(1/π) ∫ term dω over the light's directions, by nodes that are dense at the horizon."""
-    x, w = np.polynomial.legendre.leggauss(160)
-    theta, phi = 0.25 * math.pi * (x + 1.0), (np.arange(400) + 0.5) * math.pi / 400
+    x, w = np.polynomial.legendre.leggauss(80)
+    theta, phi = 0.25 * math.pi * (x + 1.0), (np.arange(200) + 0.5) * math.pi / 200
     light = np.stack(
         np.broadcast_arrays(
             np.sin(theta)[:, None] * np.cos(phi), np.sin(theta)[:, None] * np.sin(phi), np.cos(theta)[:, None]
@@ -80,7 +80,7 @@ def albedo(cos_view: float, form: DiffuseForm) -> float:
     ).reshape(-1, 3)
     view = np.array([math.sqrt(1.0 - cos_view**2), 0.0, cos_view])
     values = terms(np.tile([0.0, 0.0, 1.0], (len(light), 1)), np.tile(view, (len(light), 1)), light, form)
-    return float(np.sum(values.reshape(160, 400).mean(axis=1) * np.sin(theta) * w) * 0.5 * math.pi)
+    return float(np.sum(values.reshape(80, 200).mean(axis=1) * np.sin(theta) * w) * 0.5 * math.pi)
 
 
 def fujii_albedo(mu: float, roughness: float) -> float:
@@ -152,7 +152,7 @@ def half_sphere(count: int) -> SurfacePoints:
 )
 def test_large_lights_integrate_each_form(name: str, light: str) -> None:
     """To a tenth of a level or a thousandth where R_d is 100."""
-    surface, form = half_sphere(80), FORMS[name]
+    surface, form = half_sphere(30), FORMS[name]
     reflectance = Reflectance(R_d=100.0, R_s=0.0, sigma=0.05, diffuse=form)
     (found,), _ = shade_surface_lights(surface, [large_light(light)], reflectance=reflectance, caster=None)
     emitter = ref.emitter(**LARGE[light][1])

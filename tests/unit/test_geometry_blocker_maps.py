@@ -126,18 +126,16 @@ def test_no_blocked_ray_is_taken_for_free(name):
 @pytest.mark.parametrize("reach", [maps.REACH, 0.3])
 @pytest.mark.parametrize("near", [1.8, 6.0])
 @pytest.mark.parametrize("name", [*CLOSED, pytest.param("bumpy ball", marks=pytest.mark.nightly)])
-def test_the_map_of_a_moving_target_takes_no_blocked_ray_to_one_nearby_for_free(name, near, reach, monkeypatch):
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
+def test_the_map_of_a_moving_target_takes_no_blocked_ray_to_one_nearby_for_free(name, near, reach, seed, monkeypatch):
     monkeypatch.setattr(maps, "REACH", reach)
-    saved = 0
-    for seed in range(3):
-        mesh = BUMPY if name == "bumpy ball" else CLOSED[name]
-        caster, arrays, facing = shadow_rays(mesh, seed, near=near, far=near + 0.5)
-        rng = np.random.default_rng(seed)
-        off = np.stack([direction(rng) * reach * share for share in (0.999, 0.99, 0.5, 0.0)]) * caster.radius
-        plain, mapped, every, cast = cast_with_and_without(caster, arrays, facing, map_at=arrays[2] + off)
-        np.testing.assert_array_equal(mapped, plain)
-        saved += every - cast
-    assert saved > 0 or reach > 0.1 or name in ("star", "ball in a box", "ring through a box")
+    mesh = BUMPY if name == "bumpy ball" else CLOSED[name]
+    caster, arrays, facing = shadow_rays(mesh, seed, near=near, far=near + 0.5)
+    rng = np.random.default_rng(seed)
+    off = np.stack([direction(rng) * reach * share for share in (0.999, 0.99, 0.5, 0.0)]) * caster.radius
+    plain, mapped, every, cast = cast_with_and_without(caster, arrays, facing, map_at=arrays[2] + off)
+    np.testing.assert_array_equal(mapped, plain)
+    assert cast < every or reach > 0.1 or name in ("star", "ball in a box", "ring through a box")
 
 
 def test_a_map_is_made_once_enough_rays_went_to_targets_that_move():

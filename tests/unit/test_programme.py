@@ -30,7 +30,9 @@ programme:
 
 @pytest.fixture
 def mixed(bench):
-    """A bench with a dome and a bar, and the programme above."""
+    """A bench with a dome and a bar, and the programme above, whose camera has a quarter of the pixels."""
+    bench.edit("rig.yaml", "resolution_px: [160, 120]", "resolution_px: [80, 60]")
+    bench.edit("rig.yaml", "pixel_size_um: 44", "pixel_size_um: 88")
     bench.edit("rig.yaml", "stage:", f"{LIGHTS}{PROGRAMME}stage:")
     return bench
 

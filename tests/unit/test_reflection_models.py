@@ -133,7 +133,7 @@ def test_converged_panel_integrates_the_lobe(name: str, sigma: float) -> None:
     # R_s so that the peak of a small panel is 1e4 levels, to a tenth of a level or a thousandth
     r = Reflectance(R_d=1.0, R_s=12500.0 * (0.0475 / sigma) ** 2, sigma=sigma, model=MODELS[name])
     # the reference takes 64 times as long for narrow lobes
-    panel, surface = _panel(), _surface(60 if sigma > 0.01 else 20)
+    panel, surface = _panel(), _surface(60 if sigma > 0.01 else 8)
     half = _unit(_unit(panel.centre - surface.points) + surface.views)
     rng = np.random.default_rng(5)
     near = _unit(half + rng.normal(size=half.shape) * (4.0 * sigma + 0.03))

@@ -74,7 +74,7 @@ def test_the_model_is_that_of_the_scene():
         np.testing.assert_allclose(picture(points, rig.camera), np.column_stack([columns, rows]), atol=1e-8)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, 3))])
 def test_a_hidden_rig_is_found(seed):
     rig = hidden_rig(seed)
     fit = fitted(rig, rig.views(seed=seed))
@@ -104,19 +104,19 @@ def test_without_noise_the_rig_is_found_exactly():
     assert max(abs(error) for name, error in rig.errors(fit).items() if "px" not in name) < 0.02
 
 
-def test_the_nominal_rig_may_be_3_degrees_and_millimetres_off():
-    for seed in range(4):
-        rng, rig = np.random.default_rng(seed), hidden_rig(seed)
-        r = turn(rng.normal(size=3), np.radians(3.0))
-        camera = replace(
-            NOMINAL,
-            position=NOMINAL.position + rng.normal(0, 8, 3),
-            right=r @ NOMINAL.right,
-            up=r @ NOMINAL.up,
-            forward=r @ NOMINAL.forward,
-        )
-        fit = fit_board(rig.views(seed=seed), rig.board, camera=camera)
-        assert rig.predicted_error(fit) < 0.15
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2, 3))])
+def test_the_nominal_rig_may_be_3_degrees_and_millimetres_off(seed):
+    rng, rig = np.random.default_rng(seed), hidden_rig(seed)
+    r = turn(rng.normal(size=3), np.radians(3.0))
+    camera = replace(
+        NOMINAL,
+        position=NOMINAL.position + rng.normal(0, 8, 3),
+        right=r @ NOMINAL.right,
+        up=r @ NOMINAL.up,
+        forward=r @ NOMINAL.forward,
+    )
+    fit = fit_board(rig.views(seed=seed), rig.board, camera=camera)
+    assert rig.predicted_error(fit) < 0.15
 
 
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.2])

@@ -30,7 +30,7 @@ def rig(tmp_path):
 
 
 def corner_list(rig, *, seed=1, noise=0.05):
-    """What a camera that is 3 mm and 0.2° off sees of a board, 15 views; and that camera and stage."""
+    """What a camera that is 3 mm and 0.2° off sees of a board, 9 views; and that camera and stage."""
     rng = np.random.default_rng(seed)
     nominal = build_camera(load_rig(rig))
     camera = nominal.moved(rotation_from_vector(np.array([0.003, -0.002, 0.004])), np.array([2.0, -1.0, 2.0]))
@@ -42,7 +42,7 @@ def corner_list(rig, *, seed=1, noise=0.05):
     points = np.column_stack([5.0 * (column - 5), 5.0 * (3.5 - row), np.full(88, 2.0)])
     views = []
     for tilt in (0.0, 40.0, -40.0):
-        for turn in (10.0, 82.0, 154.0, 226.0, 298.0):
+        for turn in (10.0, 130.0, 250.0):
             rotation, shift = stage.transform(Posture(tilt, turn))
             columns, rows, _ = project(camera, points @ rotation.T + shift)
             seen = (columns > 0) & (columns < 1600) & (rows > 0) & (rows < 1200)
@@ -98,7 +98,7 @@ def test_the_calibrated_rig_is_the_measured_one_with_its_comments(rig, folder):
     high_less_low = [high - low for low, high in measured.calibration.intervals.values()]
     np.testing.assert_allclose(2 * 1.96 * np.sqrt(np.diag(covariance)), high_less_low, rtol=1e-3)
     figures = json.loads(paths[2].read_text(encoding="utf-8"))
-    assert len(figures["board"]["views"]) == 15
+    assert len(figures["board"]["views"]) == 9
     assert figures["unobservable"] == []
 
 
@@ -142,7 +142,7 @@ def test_the_command(cli, rig, folder):
     refused = cli("calibrate", rig, folder)
     assert refused.status == 0  # the same results
     data = json.loads((folder / "board.json").read_text(encoding="utf-8"))
-    data["views"] = data["views"][:10]
+    data["views"] = data["views"][:7]
     (folder / "board.json").write_text(json.dumps(data), encoding="utf-8")
     assert cli("calibrate", rig, folder).status == 2
     assert cli("calibrate", rig, folder, "--force").status == 0
