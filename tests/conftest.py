@@ -13,6 +13,11 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 
+# NumPy and OpenCV read these when they are first imported, here and in commands that tests start. Their threads wait
+# for one another by spinning, which takes as much time again of processors that all workers share
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
+
 import pytest
 from forked_benches import ForkingProcess
 from hypothesis import settings

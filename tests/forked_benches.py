@@ -137,7 +137,7 @@ def _serve(requests: socket.socket) -> None:
 
 
 def _reap(*_: object) -> None:
-    """Wait for what has ended: then its processor time counts as that of the tests, which ignored children's does not."""
+    """Wait for what has ended, so that its processor time counts as that of the tests."""
     try:
         while os.waitpid(-1, os.WNOHANG) != (0, 0):
             pass

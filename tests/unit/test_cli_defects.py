@@ -89,18 +89,19 @@ def test_sizes_and_slopes_are_drawn_from_the_ranges_of_the_catalogue(cli, bench)
     assert 1.5 <= np.degrees(slopes).min() < 2.5 < 4.0 < np.degrees(slopes).max() <= 6.0
 
 
-def test_places_are_even_by_area(catalogue):
+@pytest.mark.parametrize(("count", "off"), [(60, 0.2), pytest.param(200, 0.11, marks=pytest.mark.nightly)])
+def test_places_are_even_by_area(catalogue, count, off):
     """Of many small defects the halves of the knob on either side of its middle get about half each."""
     text = catalogue.part.read_text(encoding="utf-8").partition("defect_catalogue")[0]
     text += "defect_catalogue: [{name: dot, kind: stain, size_mm: 0.01, R_d_factor: 0.5}]\n"
     catalogue.part.write_text(text, encoding="utf-8")
     part = load_part(catalogue.part)
     rig = load_rig(catalogue.rig)
-    found = place_random_defects(rig, part, count=200, seed=0)
+    found = place_random_defects(rig, part, count=count, seed=0)
     places = np.array([d.at_mm for d in found])
     middle = build_scene(rig, part).placement.to_file(np.zeros(3))
     for axis in (0, 1):
-        assert abs(np.mean(places[:, axis] > middle[axis]) - 0.5) < 0.11, "three standard deviations"
+        assert abs(np.mean(places[:, axis] > middle[axis]) - 0.5) < off, "three standard deviations"
 
 
 def test_no_defect_lies_across_an_edge(bench):

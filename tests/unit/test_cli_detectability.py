@@ -274,11 +274,13 @@ def test_one_image_decides_where_the_brightest_scattered_light_drowns_in_noise(t
     assert 0.7 * 30.0 * least < max(layer.max() for layer in levels) <= 1.05 * 30.0 * least
 
 
+@pytest.mark.usefixtures("few_pixels_for_the_rest")
 def test_a_calibration_gives_threshold_and_rate_and_must_be_of_the_same_inspection(three, cli):
     sets = []
     for seed in range(5):
         sets.append(three.folder / f"good-{seed}")
-        ran = cli("render", three.rig, three.part, "-o", sets[-1], "--noise", seed, "--posture", "0,0")
+        few = ("--posture", "0,0", "--patches", "500")
+        ran = cli("render", three.rig, three.part, "-o", sets[-1], "--noise", seed, *few)
         assert ran.status == 0, ran.err
     learned = three.folder / "learned"
     ran = cli(

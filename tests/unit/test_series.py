@@ -189,6 +189,8 @@ def test_the_dark_field_is_that_of_images_in_which_a_good_part_is_dark(bench):
 
 
 def test_parts_of_series_are_said(cli, bench):
+    bench.edit("rig.yaml", "resolution_px: [160, 120]", "resolution_px: [80, 60]")
+    bench.edit("rig.yaml", "pixel_size_um: 44", "pixel_size_um: 88")
     bench.edit("rig.yaml", "stage:", f"{LIGHTS}stage:")
     command = ("render", bench.rig, bench.part, "-o", bench.out, "--posture", "0,0", "--patches", "500", "--derived")
     ran = cli(*command, "--light", "dome-1", "--light", "light1", "--exposure", "1,1/4")
@@ -202,6 +204,8 @@ def test_sets_without_a_series_say_so(cli, bench):
 
 
 def test_inspect_derived(cli, bench):
+    bench.edit("rig.yaml", "resolution_px: [160, 120]", "resolution_px: [80, 60]")
+    bench.edit("rig.yaml", "pixel_size_um: 44", "pixel_size_um: 88")
     bench.edit("rig.yaml", "stage:", f"{LIGHTS}stage:")
     cli("render", bench.rig, bench.part, "-o", bench.out, "--posture", "0,0", "--patches", "500", "--noise", "1")
     out = bench.folder / "inspected"
