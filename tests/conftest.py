@@ -19,6 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 import pytest
+from browsers import close_browsers
 from forked_benches import ForkingProcess
 from hypothesis import settings
 
@@ -196,6 +197,13 @@ def forked_benches() -> Generator[None]:
     yield
     patch.undo()
     process.close()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def browsers_end_with_their_module() -> Generator[None]:
+    """The tests of a module share a browser."""
+    yield
+    close_browsers()
 
 
 @pytest.fixture

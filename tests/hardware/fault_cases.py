@@ -11,6 +11,8 @@ from typing import Any
 __all__ = ["BEDS", "Case", "driver_cases", "line_cases", "make_rig", "other_cases", "pulled_cases"]
 
 ROOT = Path(__file__).resolve().parents[2]
+# a reply that comes at all comes within this [s], however busy the machine; one that is late comes after it
+TIMEOUT_S, LATE_S = 1.0, 2.0
 
 _RIG = """\
 format: lightopt-rig/1
@@ -30,13 +32,13 @@ lights:
 stage: {{elevation_range_deg: [-45, 45], rotation_range_deg: [0, 360]}}
 hardware:
   controllers:
-    lights: {{{lights}, channels: 2, timeout_s: 0.15}}
+    lights: {{{lights}, channels: 2, timeout_s: {timeout_s}}}
   lights:
     light1: {{controller: lights, channel: 1, level: 200}}
     light3: {{controller: lights, channel: 2, level: 200}}
   stage:
     {stage}
-    timeout_s: 0.15
+    timeout_s: {timeout_s}
   camera: {{driver: virtual}}
   timing: {{light_ms: 5, stage_ms: 5}}
 """
@@ -109,7 +111,8 @@ def make_rig(folder: Path, stage: str = "shot") -> tuple[Path, Path]:
     """Write the small rig, its part and the mesh; returns rig and part."""
     folder.mkdir(parents=True, exist_ok=True)
     rig, part = folder / "rig.yaml", folder / "part.yaml"
-    rig.write_text(_RIG.format(stage=STAGES[stage], lights=LIGHTS[BEDS[stage]]), encoding="utf-8", newline="\n")
+    text = _RIG.format(stage=STAGES[stage], lights=LIGHTS[BEDS[stage]], timeout_s=TIMEOUT_S)
+    rig.write_text(text, encoding="utf-8", newline="\n")
     part.write_text(_PART, encoding="utf-8", newline="\n")
     shutil.copyfile(ROOT / "configs" / "parts" / "cover-knob.stl", folder / "knob.stl")
     return rig, part
@@ -127,7 +130,7 @@ def line_cases(deliveries: dict[str, int], *, every: int = 1) -> Iterator[Case]:
     """
     faults: tuple[tuple[str, str, dict[str, Any], tuple[str, ...]], ...] = (
         ("reply dropped", "drop", {}, ("lights", "stage")),
-        ("reply late", "delay", {"delay_s": 0.3}, ("lights", "stage")),
+        ("reply late", "delay", {"delay_s": LATE_S}, ("lights", "stage")),
         ("reply truncated", "truncate", {"keep": 2}, ("lights", "stage")),
         ("garbage before the reply", "garbage_before", {"bytes": 4}, ("lights", "stage")),
         ("garbage instead of the reply", "garbage_instead", {"bytes": 6}, ("lights", "stage")),
@@ -155,7 +158,7 @@ def driver_cases(deliveries: dict[str, dict[str, int]]) -> Iterator[Case]:
     """
     faults: tuple[tuple[str, str, dict[str, Any]], ...] = (
         ("reply dropped", "drop", {}),
-        ("reply late", "delay", {"delay_s": 0.3}),
+        ("reply late", "delay", {"delay_s": LATE_S}),
         ("reply truncated", "truncate", {"keep": 2}),
         ("garbage before the reply", "garbage_before", {"bytes": 4}),
         ("garbage instead of the reply", "garbage_instead", {"bytes": 6}),

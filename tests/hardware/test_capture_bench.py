@@ -228,7 +228,7 @@ def test_lights_go_off_when_the_command_is_ended(outside, tmp_path, name):
 
 @pytest.mark.slow
 @posix
-@pytest.mark.parametrize("light_ms", [1000])
+@pytest.mark.parametrize("light_ms", [3000])
 def test_lights_left_on_by_a_killed_command_are_off_before_the_next_moves(outside, tmp_path):
     bench, rig, part = outside
     process = start(rig, part, tmp_path / "out")

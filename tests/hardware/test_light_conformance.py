@@ -65,7 +65,7 @@ class Rig:
 
     def comes_to(self, expected: dict[int, float]) -> bool:
         """Whether the lamps shine so; at once where the controller replies, else once it has heard all."""
-        until = time.monotonic() + (0 if self.kind.reads else 5)
+        until = time.monotonic() + (0 if self.kind.reads else 60)
         while (found := self.shines()) != expected and time.monotonic() < until:
             time.sleep(0.01)
         return found == expected

@@ -17,7 +17,7 @@ from lightopt.rig.simulated import BenchProcess
 
 pytestmark = pytest.mark.slow
 
-TIMEOUT_S = 0.15
+TIMEOUT_S = 1.0  # a reply that comes at all comes within it, however busy the machine
 DRIVERS = ("ccs", "sa", "template")
 OPTIONS: dict[str, dict[str, Any]] = {"ccs": {}, "sa": {}, "template": {"template": TEMPLATE}}
 
@@ -76,7 +76,7 @@ def test_a_line_that_stays_bad_is_an_error_in_bounded_time(
     started = time.monotonic()
     with pytest.raises(ReplyError, match=rf"light controller {name}.*sent 3 times"):
         controller.set_level(2, 40)
-    assert time.monotonic() - started < 10 * TIMEOUT_S + 20
+    assert time.monotonic() - started < 10 * TIMEOUT_S + 60
     assert retries(controller) == 2
 
 

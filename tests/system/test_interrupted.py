@@ -230,8 +230,12 @@ def test_ctrl_c_while_rays_are_cast(cli, shared_bench, tmp_path, quick, snapshot
 @one_console
 @pytest.mark.parametrize("inspected", [True, False], ids=["defects", "levels"])
 def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(shared_bench, inspected):
-    """A block of patches under such a panel takes many seconds of a processor; it ends within one piece of it."""
+    """A block of patches under such a panel takes many seconds of a processor; it ends within one piece of it.
+
+    However busy the machine: pieces that begin with the request wait until the thread that gets it has stopped them.
+    """
     from lightopt import build_scene
+    from lightopt.core import threads
     from lightopt.defects import BUILT_IN_CATALOGUE
     from lightopt.design import DetectionModel, luminance_matrix, planned_catalogue
     from lightopt.geometry import RayCaster
@@ -247,6 +251,8 @@ def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(share
                 shadow_rays.append(int(np.count_nonzero(candidates)))
                 if len(shadow_rays) == 1:
                     signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+                if (stopped := threads._stopped.get()) is not None:
+                    stopped.wait(60.0)
             return super().visible(*geometry, candidates=candidates, **how)
 
     caster = Interrupting(scene.mesh.vertices, scene.mesh.faces)

@@ -61,9 +61,9 @@ def opened(bench, world):
 
 
 def until(condition):
-    end = time.monotonic() + 5.0
+    end = time.monotonic() + 60.0
     while not condition():
-        assert time.monotonic() < end, "not within 5 s"
+        assert time.monotonic() < end, "not within a minute"
         time.sleep(0.002)
 
 
@@ -119,7 +119,7 @@ def test_no_light_waits_for_one_whose_driver_hangs():
 
     def darken(light):
         if light == "light1":
-            hangs.wait(5.0)
+            hangs.wait(60.0)
         dark.append(light)
 
     watch = LightWatchdog(darken)

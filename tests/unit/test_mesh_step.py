@@ -217,7 +217,7 @@ def test_a_tolerance_by_the_footprint_of_a_wrong_camera_is_refused_at_once(tmp_p
     """A camera whose distance is in metres has pixels of nanometres; the kernel would take hours, and say nothing."""
     begun = time.monotonic()
     refused(tmp_path, ball(), "check distance_mm and pixel_size_um of the camera", chord_tolerance_mm=1e-5)
-    assert time.monotonic() - begun < 30.0
+    assert time.monotonic() - begun < 120.0
 
 
 def test_a_wrong_unit_ends_the_fine_tessellation_at_once(tmp_path, monkeypatch):
@@ -234,7 +234,7 @@ def test_a_wrong_unit_ends_the_fine_tessellation_at_once(tmp_path, monkeypatch):
     refused(
         tmp_path, ball(unit=si("$")), "with a unit mistake of 1000", chord_tolerance_mm=1e-4, angular_tolerance=1e-3
     )
-    assert time.monotonic() - begun < 30.0
+    assert time.monotonic() - begun < 120.0
     assert [worker.poll() is not None for worker in workers] == [True, True]
 
 

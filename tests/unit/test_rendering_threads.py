@@ -31,7 +31,7 @@ def test_running_tasks_end_where_another_fails():
         run_all([(endless, ()), (fail, ()), (endless, ())], threads=2)
     with pytest.raises(KeyboardInterrupt):
         in_threads(lambda start: fail() if start else endless(), [0, 1], 2)
-    assert time.monotonic() - began < 10.0
+    assert time.monotonic() - began < 40.0
 
 
 def test_running_tasks_end_where_progress_raises():
@@ -41,7 +41,7 @@ def test_running_tasks_end_where_progress_raises():
     began = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         run_all([(endless, ()), (time.sleep, (0.01,))], threads=2, done=tell)
-    assert time.monotonic() - began < 10.0
+    assert time.monotonic() - began < 40.0
 
 
 def test_nobody_is_stopped_elsewhere():
