@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 # NumPy and OpenCV read these when they are first imported, here and in commands that tests start. Their threads wait
 # for one another by spinning, which takes as much time again of processors that all workers share
@@ -29,6 +30,8 @@ from lightopt.estimate.reflectance import _fit
 from lightopt.estimate.registration import _image_checks, _refinement
 from lightopt.geometry import _load_mesh
 from lightopt.geometry._step import read_step
+from lightopt.inspection.prediction import _prediction_cache
+from lightopt.inspection.prediction._template_bank import template_bank
 
 # a busy machine is no reason for an example to fail; CI draws the same every time, make test-nightly ten times as many
 settings.register_profile("developer", deadline=None, max_examples=30)
@@ -37,6 +40,7 @@ settings.register_profile("nightly", deadline=None, max_examples=300)
 settings.load_profile("ci" if os.environ.get("CI") else "developer")
 
 ROOT = Path(__file__).resolve().parents[1]
+MOST_BANKS = 6  # that are kept by `template_banks_once`
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -184,6 +188,35 @@ def step_files_once(tmp_path_factory: pytest.TempPathFactory) -> Generator[None]
 def real_step_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """STEP files are tessellated as a command does it."""
     monkeypatch.setattr(_load_mesh, "read_step", read_step)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def template_banks_once() -> Generator[None]:
+    """What defects would change in a view, more than half of a small inspection, is computed once in each worker.
+
+    That is for the same scene, catalogue, number of threads, and view but for the images, as the cache of a batch has
+    it; see `real_template_banks`.
+    """
+    kept: dict[str, object] = {}
+
+    def once(scene: object, view: Any, catalogue: object, caster: object, *, threads: int | None = None) -> object:
+        of_view = (view.posture, view.lights, view.predicted, view.deviation, view.limit, view.wavy, view.prediction)
+        key = hashlib.sha256(pickle.dumps((scene, of_view, catalogue, threads))).hexdigest()
+        if key not in kept:
+            while len(kept) >= MOST_BANKS:
+                del kept[next(iter(kept))]
+            kept[key] = template_bank(scene, view, catalogue, caster, threads=threads)  # type: ignore[arg-type]
+        return kept[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_prediction_cache, "template_bank", once)
+        yield
+
+
+@pytest.fixture
+def real_template_banks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What defects would change is computed for each inspection, as a command does it."""
+    monkeypatch.setattr(_prediction_cache, "template_bank", template_bank)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -149,6 +149,7 @@ def test_a_good_part_is_ok_and_the_surface_is_accounted_for(cli, bench, parts):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("real_template_banks")
 def test_the_same_images_give_the_same_bytes_with_any_number_of_threads(cli, bench, parts, snapshot):
     one = inspect(cli, bench, parts["bad"], "--threads", "1", out="one")
     two = inspect(cli, bench, parts["bad"], "--threads", "2", out="two")

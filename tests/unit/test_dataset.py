@@ -68,6 +68,7 @@ def samples_of(folder):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("real_template_banks")
 def test_the_same_bytes_by_two_threads(made, tmp_path, cli, snapshot):
     ran = cli(*command(made, tmp_path / "again"), "--threads", 2)
     assert (ran.status, ran.err) == (0, "")

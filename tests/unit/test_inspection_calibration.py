@@ -208,6 +208,7 @@ def test_a_calibration_holds_its_rate_on_other_good_sets_and_finds_defects(cli, 
     assert any(math.dist(one["position_mm"], truth["position_mm"]) < 2.0 for one in result["defects"])
 
 
+@pytest.mark.usefixtures("real_template_banks")
 def test_the_same_good_sets_give_the_same_bytes(cli, bench, good, taught, snapshot):
     learned(cli, bench, good[0][:SETS], "--threads", "1")
     assert snapshot(bench.folder / "cal") == snapshot(taught.parent)

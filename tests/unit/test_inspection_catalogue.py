@@ -279,6 +279,7 @@ def test_a_long_scratch_is_one_defect_with_its_length_and_direction(found):
     assert abs(off) <= 12.0
 
 
+@pytest.mark.usefixtures("real_template_banks")
 def test_a_good_part_has_no_defects_and_threads_change_no_byte(case):
     rig, (good, _), images, bad, *_ = case
     assert not inspect_set(rig, good, images, options=OPTIONS).defects
