@@ -82,7 +82,7 @@ test: $(BIN)/.installed  ## the tests that take less than five minutes
 test-all: $(BIN)/.installed  ## all tests but the long statistics
 	$(PYTEST) -m "not nightly"
 
-test-nightly: $(BIN)/.installed  ## the long statistics and campaigns, and Hypothesis with ten times the examples
+test-nightly: $(BIN)/.installed  ## the long statistics and campaigns, and Hypothesis with 15 times the examples
 	$(PYTEST) -m "nightly or hypothesis" --hypothesis-profile=nightly
 
 coverage: $(BIN)/.installed  ## share of the code that all tests but the long statistics run, without compiled kernels; out/coverage

@@ -33,9 +33,9 @@ from lightopt.geometry._step import read_step
 from lightopt.inspection.prediction import _prediction_cache
 from lightopt.inspection.prediction._template_bank import template_bank
 
-# a busy machine is no reason for an example to fail; CI draws the same every time, make test-nightly ten times as many
-settings.register_profile("developer", deadline=None, max_examples=30)
-settings.register_profile("ci", deadline=None, max_examples=30, derandomize=True, database=None, print_blob=True)
+# a busy machine is no reason for an example to fail; CI draws the same every time, make test-nightly 15 times as many
+settings.register_profile("developer", deadline=None, max_examples=20)
+settings.register_profile("ci", deadline=None, max_examples=20, derandomize=True, database=None, print_blob=True)
 settings.register_profile("nightly", deadline=None, max_examples=300)
 settings.load_profile("ci" if os.environ.get("CI") else "developer")
 
@@ -45,8 +45,8 @@ MOST_BANKS = 6  # that are kept by `template_banks_once`
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Three times as many as there are processors: many tests wait for simulated devices."""
-    return 3 * available_processors()
+    """Twice as many as there are processors: many tests wait for simulated devices."""
+    return 2 * available_processors()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

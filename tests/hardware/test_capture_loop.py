@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import random
 import subprocess
@@ -11,17 +13,20 @@ import pytest
 from fault_cases import make_rig
 from fault_runs import differences, kill_sometime
 
+from lightopt.cli._main import run
 from lightopt.config import load_part
 from lightopt.images import read_image_set
 
 EXPOSURES = ("--exposure", "1,1/16", "--dark")
 
 
-def lightopt(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "lightopt", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stderr
-    return done
+def lightopt(*arguments: object) -> tuple[str, str]:
+    """What a command says to standard output and to standard error."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = run([*map(str, arguments)])
+    assert status == 0, err.getvalue()
+    return out.getvalue(), err.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +40,9 @@ def captured(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_command_says_what_it_did(captured):
-    _, _, folder, said = captured
-    assert said.stderr == ""
-    first, last = said.stdout.splitlines()
+    _, _, folder, (said, errors) = captured
+    assert errors == ""
+    first, last = said.splitlines()
     assert first.startswith("8 images in ")
     assert last == str(folder / "manifest.json")
 

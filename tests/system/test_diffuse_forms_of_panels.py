@@ -47,7 +47,7 @@ def test_convex_part(name, points):
     light = ref.Light(elevation=65, azimuth=60, size=(60, 45), k=2, falloff="inverse_square", emission=1.3)
     mesh = cap(30.0, half=20.0, cells=90)
     hits = ref.trace(camera, *corners(mesh))
-    lit = np.flatnonzero(hits.front)[::3]
+    lit = np.flatnonzero(hits.front)[::6]
     rule = ref.equally_spaced(2) if points == 2 else ref.product_rule(6, 12)
     form = partial(ref.diffuse, form=FORMS[name])
     unit = ref.panel_radiance(hits[lit], light, R_d=R_D, R_s=0.0, sigma=0.05, form=form, rule=rule)
@@ -66,11 +66,11 @@ def test_penumbra(name):
     camera, light = ref.Camera(width=80, height=60, pixel_um=66), ref.Light(elevation=60, azimuth=0)
     mesh = merged(plane(40), box(LOW, HIGH))
     hits = ref.trace(camera, *corners(mesh))
-    lit = np.flatnonzero(hits.front & (hits.face < 2))[::4]
+    lit = np.flatnonzero(hits.front & (hits.face < 2))[::7]
     how = {"R_d": R_D, "R_s": 0.0, "sigma": 0.05, "form": partial(ref.diffuse, form=FORMS[name])}
     unit = ref.panel_radiance(hits[lit], light, **how)
     *unit, penumbra = ref.subtract_convex(hits[lit], light, *unit, LOW + BOX_CORNERS * (HIGH - LOW), **how, n=24)
-    assert np.count_nonzero(penumbra) > 25
+    assert np.count_nonzero(penumbra) > 14
     image = levels(scene_from_mesh(camera, [light], mesh, points="auto", reflectance=shine(FORMS[name]))).ravel()[lit]
     agree(image, unit[0])
 

@@ -57,7 +57,9 @@ def compare_with_full_work(monkeypatch, scene, fewer):
     assert rays <= fewer * all_rays
 
 
-@pytest.mark.parametrize("sigma", [pytest.param(one, marks=pytest.mark.nightly) if one > 0.1 else one for one in R_S])
+@pytest.mark.parametrize(
+    "sigma", [pytest.param(0.003, marks=pytest.mark.slow), 0.0475, pytest.param(0.15, marks=pytest.mark.nightly)]
+)
 def test_boxes_over_and_on_a_plane(monkeypatch, sigma):
     compare_with_full_work(monkeypatch, boxes(sigma), 0.8)
 

@@ -189,9 +189,14 @@ def wrong(found: np.ndarray, expected: np.ndarray, peak: float) -> np.ndarray:
     return np.abs(level - right) > np.maximum(0.1, 0.001 * right)
 
 
-def half_in_highlight(light: SurfaceLight, sigma: float, count: int) -> tuple[SurfacePoints, float]:
-    """Points of a sphere, half of them in a light's highlight, and the highlight's greatest light."""
-    surface = sphere(1000 if sigma > 0.01 else 20_000)
+def half_in_highlight(
+    light: SurfaceLight, sigma: float, count: int, *, among: int = 1000
+) -> tuple[SurfacePoints, float]:
+    """Points of a sphere, half of them in a light's highlight, and the highlight's greatest light.
+
+    They are chosen among so many points, or among 20,000 where the highlight is small.
+    """
+    surface = sphere(among if sigma > 0.01 else 20_000)
     specular = layers(surface, [light], sigma)[1, 0]
     order = np.random.default_rng(2).permutation(len(surface))
     bright = order[specular[order] > 0.01 * specular.max()][: count // 2]
@@ -202,7 +207,7 @@ def half_in_highlight(light: SurfaceLight, sigma: float, count: int) -> tuple[Su
 @pytest.mark.parametrize("sigma", SIGMAS)
 @pytest.mark.parametrize("name", MOST_KINDS)
 @pytest.mark.parametrize(
-    "count", [pytest.param(10, id="sample"), pytest.param(2000, id="many", marks=pytest.mark.nightly)]
+    "count", [pytest.param(8, id="sample"), pytest.param(2000, id="many", marks=pytest.mark.nightly)]
 )
 def test_light_is_the_surface_integral(name: str, sigma: float, count: int) -> None:
     file, words = KINDS[name]
@@ -290,7 +295,7 @@ def quartered(elements: np.ndarray) -> np.ndarray:
 NAMES = sorted({"bar", "ring", "dome", "flat_dome", "tunnel", "spot", "display"})
 
 
-@settings(max_examples=25)
+@settings(max_examples=15)
 # much of the dome is below horizons, at which a wide lobe ends
 @example(name="dome", elevation=20.0, azimuth=146.64, factor=0.83, sigma=0.125, seed=3)
 # the tunnel bends so much that its middle says little of where it is mirrored
@@ -350,7 +355,7 @@ def test_narrow_lobes_lose_hardly_any_highlight_in_any_pose(name: str) -> None:
 @pytest.mark.parametrize("segments", [2, 3, 4, 6, 8, 12])
 @pytest.mark.parametrize("name", ["ring", "low_angle_ring", "quadrant"])
 def test_segments_add_up_to_the_light(name: str, segments: int, sigma: float) -> None:
-    surface = sphere(500)
+    surface = sphere(200)
     parts = layers(surface, built(**KINDS[name][0] | {"segments": segments}), sigma)
     whole = layers(surface, built(**KINDS[name][0] | {"segments": 1}), sigma)[:, 0]
     assert parts.shape[1] == segments
@@ -495,8 +500,15 @@ def test_a_light_shines_on_one_side() -> None:
 BLOCK = np.array([[12.0, -30.0, 15.0], [40.0, 30.0, 45.0]])
 
 
-@pytest.mark.parametrize("sigma", [0.01, 0.0475, pytest.param(0.15, marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("name", ["dome", "ring", "flat_dome", "fine display"])
+@pytest.mark.parametrize(
+    ("name", "sigma"),
+    [
+        *(("dome", 0.0475), ("ring", 0.01), ("ring", 0.0475), ("flat_dome", 0.01), ("flat_dome", 0.0475)),
+        ("fine display", 0.01),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("dome", 0.01), ("fine display", 0.0475))),
+        *(pytest.param(one, 0.15, marks=pytest.mark.nightly) for one in ("dome", "ring", "flat_dome", "fine display")),
+    ],
+)
 def test_a_part_hides_some_of_a_light(name: str, sigma: float) -> None:
     """A block beside the sphere, against a ray to each node of the reference.
 
@@ -507,7 +519,7 @@ def test_a_part_hides_some_of_a_light(name: str, sigma: float) -> None:
     light = built(**file)[0]
     block = trimesh.creation.box(bounds=BLOCK)
     caster = RayCaster(np.array(block.vertices, np.float64), np.array(block.faces, np.int32))
-    surface, peak = half_in_highlight(light, sigma, 40)
+    surface, peak = half_in_highlight(light, sigma, 40, among=4000)
     triangles = np.array(block.triangles)
 
     def visible(i: int) -> Any:

@@ -39,7 +39,7 @@ def alarms(result):
     return {(f.kind, f.light) for f in result.findings if f.exceeds}
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 def test_an_unchanged_set_raises_no_alarm(scene, images, seed):
     result = verified(scene, images, seed=seed)
     assert result.within_tolerances
@@ -158,7 +158,9 @@ def known_to(scene, tmp_path, bench, names, sd):
     ("names", "fault", "moved", "far"),
     [
         ([f"camera.position_{axis}" for axis in "xyz"], "camera_shift", 0.3, 4.0),
-        ([f"light1 centre {axis} [mm]" for axis in "xyz"], "panel_shift light1", 0.3, 6.0),
+        pytest.param(
+            *([f"light1 centre {axis} [mm]" for axis in "xyz"], "panel_shift light1", 0.3, 6.0), marks=pytest.mark.slow
+        ),
     ],
 )
 def test_what_a_calibration_leaves_open_raises_no_alarm(scene, tmp_path, shared_bench, names, fault, moved, far):
