@@ -18,12 +18,13 @@ from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import build_scene
 
 
-def small_scene(bench):
-    """The small rig with twice its pixels per side, and its part."""
+def small_scene(bench, *, points=1):
+    """The small rig with twice its pixels per side and panels of so many points, and its part."""
     scene = build_scene(load_rig(bench.rig), load_part(bench.part))
     camera = scene.camera
     return replace(
         scene,
+        lights=tuple(replace(light, points=points) for light in scene.lights),
         camera=replace(camera, width=2 * camera.width, height=2 * camera.height, pixel_size=0.5 * camera.pixel_size),
     )
 

@@ -566,7 +566,7 @@ def best_score(rig, part, folder, objective):
     return result, result.results[0].answers[0].found
 
 
-@pytest.mark.parametrize("objective", ["coverage", "detectability"])
+@pytest.mark.parametrize("objective", ["coverage", pytest.param("detectability", marks=pytest.mark.slow)])
 def test_the_best_distances_are_those_of_trying_all(objective, bench, tmp_path):
     with_lights(bench, DISTANT)
     rig, part = load_rig(bench.rig), load_part(bench.part)

@@ -254,7 +254,7 @@ def test_images_of_all_kinds_of_light_are_held_by_their_places(world):
     assert [cache.find(POSTURES[0], (1.0,), one) for one in others] == [None] * 3
 
 
-@pytest.mark.parametrize("together", [True, False])
+@pytest.mark.parametrize("together", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_tolerances_of_channels_are_those_of_recounting_every_corner(world, together):
     rig, evaluator = world
     evaluator = deciding(evaluator, 2)

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.nightly
 
 @pytest.fixture(scope="module")
 def scene(shared_bench):
-    return small_scene(shared_bench)
+    return small_scene(shared_bench, points=4)
 
 
 def bodies(result):
