@@ -266,11 +266,11 @@ def shared_bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 @pytest.fixture
 def few_pixels_for_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Registration and second opinions on fits look at a third of their pixels: for tests of files and words."""
+    """Registration and second opinions on fits look at a quarter of their pixels: for tests of files and words."""
     monkeypatch.setattr(_fit, "SECOND_BUDGET", 80)
-    monkeypatch.setattr(_image_checks, "PIXELS", 2000)
-    monkeypatch.setattr(_refinement, "INNER_PIXELS", 4000)
-    monkeypatch.setattr(_refinement, "FIRST_INNER_PIXELS", 1000)
+    monkeypatch.setattr(_image_checks, "PIXELS", 1000)
+    monkeypatch.setattr(_refinement, "INNER_PIXELS", 3000)
+    monkeypatch.setattr(_refinement, "FIRST_INNER_PIXELS", 750)
 
 
 @pytest.fixture(scope="session")
