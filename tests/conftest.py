@@ -49,10 +49,11 @@ def pytest_xdist_auto_num_workers() -> int:
     return 2 * available_processors()
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Modules of many slow tests come first; one that waits for simulated devices after every two that compute.
 
-    So no worker is left alone with slow tests at the end, and the processors have work while others wait.
+    This is last of its hooks, so that tests that are not run do not count. So no worker is left alone with slow tests at the end, and the processors have work while others wait.
     """
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
     tests = Counter(item.path for item in items)
