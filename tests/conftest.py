@@ -53,7 +53,8 @@ def pytest_xdist_auto_num_workers() -> int:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Modules of many slow tests come first; one that waits for simulated devices after every two that compute.
 
-    This is last of its hooks, so that tests that are not run do not count. So no worker is left alone with slow tests at the end, and the processors have work while others wait.
+    So no worker is left alone with slow tests at the end, and the processors have work while others wait. This is the
+    last of these hooks, so that tests that are not run do not count.
     """
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
     tests = Counter(item.path for item in items)
