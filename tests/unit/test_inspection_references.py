@@ -418,7 +418,7 @@ def test_results_do_not_depend_on_threads(cli, plate, snapshot):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("reference", ["model", "self", "good-parts"])
+@pytest.mark.parametrize("reference", ["model", pytest.param("self", marks=pytest.mark.nightly), "good-parts"])
 @pytest.mark.parametrize("whole_view", [False, pytest.param(True, marks=pytest.mark.nightly)])
 def test_a_matte_plate_without_features_is_registered_as_far_as_its_outline_shows(cli, plate, reference, whole_view):
     if whole_view:
