@@ -9,6 +9,7 @@ from ._load_mesh import UNITLESS_SUFFIXES, LoadedMesh, load_mesh
 from ._mesh_formats import box_mesh, sphere_mesh, stl_bytes as stl_bytes
 from ._patches import Patches, estimate_patch_count, longest_edges, refine
 from ._regions import BoxRegion, ColouredRegion, MaskRegion, NamedRegion, Region, RegionAtPoints, mesh_with_regions
+from ._silhouettes import Silhouettes, triangles_before, triangles_in_row
 from ._topology import merge_rows, mesh_edges, points_inside
 from ._triangle_mesh import (
     Brushing,

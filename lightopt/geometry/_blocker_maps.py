@@ -55,6 +55,7 @@ class BlockerMaps:
         self._lock = threading.Lock()
         self._surface: tuple[Float32, Bool] | None = None
         self._closed: bool | None = None
+        self._welded: tuple[Int32, Int32] | None = None
         self._maps: dict[bytes, BlockerMap] = {}
         # the same of targets that move, which serve those nearby; and rays so far to targets around one without a map
         self._moving: dict[bytes, BlockerMap] = {}
@@ -68,20 +69,28 @@ class BlockerMaps:
     def _is_closed(self) -> bool:
         if self._closed is None:
             vertices, faces = self._vertices, self._faces
-            planes, (_, welded) = side_by_side(  # the first vertex at each place
+            planes, (places, welded) = side_by_side(  # the first vertex at each place
                 lambda: _planes(vertices, faces), lambda: merge_rows(vertices)
             )
             (closed, folded), body = side_by_side(
                 lambda: _closed_and_folded(vertices, faces, planes, welded, *corners_by_edge(welded[faces])),
                 lambda: _bodies(welded, faces),
             )
-            self._closed = bool(closed)
+            self._closed, self._welded = bool(closed), (places, welded)
             if not closed:
                 _log.info("the mesh is open or its faces disagree in direction: every shadow ray is cast")
             else:
                 at_fold = folded[faces[:, 0]] | folded[faces[:, 1]] | folded[faces[:, 2]]
                 self._surface = planes, at_fold | _near_other_bodies(vertices, faces, body)
         return bool(self._closed)
+
+    def welded(self) -> tuple[Float32, Int32]:
+        """The mesh with one vertex at each place: vertices, faces."""
+        with self._lock:
+            self._is_closed()
+            assert self._welded is not None
+            places, number = self._welded
+            return self._vertices[places], number[self._faces]
 
     @property
     def doubtful(self) -> Bool | None:

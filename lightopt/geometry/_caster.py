@@ -15,6 +15,7 @@ from lightopt.core.threads import side_by_side
 from lightopt.core.vectors import vector_at
 from lightopt.geometry._blocker_maps import BlockerMaps
 from lightopt.geometry._ray_packets import packet_scene
+from lightopt.geometry._silhouettes import SilhouetteEdges, Silhouettes
 from lightopt.geometry._triangle_mesh import bounding_box
 
 _log = logging.getLogger("lightopt.geometry")
@@ -40,12 +41,13 @@ class RayCaster:
         low, high = bounding_box(vertices)
         self.centre: Float64 = 0.5 * (low + high)
         self.radius = float(0.5 * np.linalg.norm(high - low))
-        self._lock = threading.Lock()
+        self._lock, self._edges_lock = threading.Lock(), threading.Lock()
         self._rays_cast = self._rays_free = 0
         # float32 keeps 7 digits, so the mesh is centred and scaled to unit size before it is given to Embree
         local = self._local(vertices).astype(np.float32)
         faces = np.ascontiguousarray(faces, dtype=np.int32)
         self._maps = BlockerMaps(local, faces)
+        self._edges: SilhouetteEdges | None = None  # made where they are needed
         few = rays < FEW_RAYS * len(faces)
         self._packets, _ = side_by_side(lambda: packet_scene(local, faces, few_rays=few), self._maps.check)
         if self._packets is None:
@@ -136,6 +138,19 @@ class RayCaster:
         seen = candidates.copy()
         seen[target, point] = self._run("OCCLUDED", *_rays_of_pairs(begins, local, point, target)) < 0
         return seen
+
+    def silhouettes(self, points: Float64, normals: Float64, corner: Float64, sides: Float64) -> Silhouettes:
+        """The mesh's silhouettes between surface points and a rectangle, which tell without rays what they see of it.
+
+        points, normals: As in :meth:`occluded`
+        corner, sides: A corner of the rectangle, shape (3,), and the sides s and t that begin there, perpendicular to
+            each other, shape (2, 3) [mm]
+        """
+        begins = _begins(points, normals, self.centre, self.radius)
+        with self._edges_lock:
+            if self._edges is None:
+                self._edges = SilhouetteEdges(*self._maps.welded())
+        return self._edges.between(begins, self._local(corner), *(sides / self.radius))
 
     def map_blockers(self, targets: Float64, *, rays: int, moving: bool = False, threads: int | None = None) -> None:
         """Make maps that prove rays to some targets free, where so many rays to each of them make that worthwhile.

@@ -1,9 +1,12 @@
 """The part of a panel that a surface point sees when the part's own shadow edge crosses it.
 
-Rays to the corners of a grid of cells distinguish visible cells from hidden ones. Where the edge of the shadow crosses
-the side of a cell is found by bisection, and between two such crossings the edge is taken as straight. Rays beside the
-middle of that chord test this; a cell where the edge is bent is divided into a finer grid. How far all this goes
-depends on the light that is at stake in a cell: a cell of a tenth of a level is not refined.
+What is seen at the corners of a grid of cells distinguishes visible cells from hidden ones. Where the edge of the
+shadow crosses the side of a cell is found by bisection, and between two such crossings the edge is taken as straight.
+Places beside the middle of that chord test this; a cell where the edge is bent is divided into a finer grid. How far
+all this goes depends on the light that is at stake in a cell: a cell of a tenth of a level is not refined.
+
+What is seen at a place is known from the part's silhouettes, which a ray or two per point make absolute; a ray decides
+where these disagree, or where there are too many silhouettes.
 
 Squares of the panel, several perhaps for one surface point, are divided into n × n cells. A cell is known by what is
 seen at its corners, and by where the edge crosses its sides.
@@ -26,7 +29,7 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64, Index, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import dot, minus, vector_at
-from lightopt.geometry import RayCaster
+from lightopt.geometry import RayCaster, Silhouettes, triangles_before, triangles_in_row
 from lightopt.lights import PanelNumbers, panel_point
 from lightopt.optics import DiffuseForm, Lobe, lobe_at
 from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
@@ -65,6 +68,15 @@ class Squares(NamedTuple):
     s: Float64  # lower corner along s, in units of the panel's sides, from 0 to 1; shape (q,)
     t: Float64  # lower corner along t, in units of the panel's sides, from 0 to 1; shape (q,)
     cell: float  # side of the grid's cells, in the same units
+
+
+class Shadow(NamedTuple):
+    """What hides a panel from k surface points."""
+
+    silhouettes: Silhouettes
+    # a place is seen where the silhouettes count as many triangles before it as the first number, and hidden where they
+    # count as many as the second one, or more; a ray decides where neither holds; shape (k, 2)
+    counts: Int64
 
 
 class Edge(NamedTuple):
@@ -281,6 +293,12 @@ LEVEL_TOLERANCE, RELATIVE_TOLERANCE = 0.05, 0.0005  # error of a penumbra that i
 LEAST_BISECTIONS = 2  # rays that at least halve the side of a cell in search of the shadow's edge
 
 
+_REFERENCES = 5  # places a side, of which rays go to the ones with the fewest and with the most triangles before them
+_AMID = 4  # such places, itself and neighbours of it, show that none passes by a hair's breadth
+_FEWEST, _MOST = 0, 1
+_NO_PLACE = np.iinfo(np.int64).max // 2  # triangles before a place that the horizon hides; no place has as many
+
+
 @dataclass(frozen=True)
 class _Work:
     """What is shaded, and the sums so far: the two terms (k, 2) and the levels of error allowed (k,)."""
@@ -288,6 +306,7 @@ class _Work:
     surface: SurfacePoints
     light: ConvergedLight
     caster: RayCaster
+    shadow: Shadow
     terms: Float64
     tolerance: Float64
 
@@ -298,10 +317,80 @@ def shade_penumbra(surface: SurfacePoints, light: ConvergedLight, caster: RayCas
     Returns diffuse, specular, crossed: Each of shape (k,); `crossed` is whether the edge of a shadow crosses the panel
     """
     k = len(surface)
-    work = _Work(surface, light, caster, terms=np.zeros((k, 2)), tolerance=np.zeros(k))
+    shadow = _shadow(surface, light.panel, caster)
+    work = _Work(surface, light, caster, shadow, terms=np.zeros((k, 2)), tolerance=np.zeros(k))
     whole = Squares(np.arange(k, dtype=np.int32), np.zeros(k), np.zeros(k), 1.0 / GRIDS[0])
     crossed = _shade_squares(work, whole, depth=0)
     return work.terms[:, 0], work.terms[:, 1], crossed
+
+
+def _shadow(surface: SurfacePoints, panel: PanelNumbers, caster: RayCaster) -> Shadow:
+    sides = np.array([panel.across, panel.along])
+    corner = np.array(panel.centre) - 0.5 * sides.sum(axis=0)
+    silhouettes = caster.silhouettes(surface.points, surface.facets, corner, sides)
+    point, targets, count, extreme = _reference_places(surface.rows, panel, silhouettes)
+    index = np.arange(len(point), dtype=np.int32)
+    hidden = caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=index)
+    counts = np.tile(np.array([-_NO_PLACE, _NO_PLACE]), (len(surface), 1))
+    fewest, most = extreme == _FEWEST, extreme == _MOST
+    counts[point[fewest], 0] = np.where(hidden, -_NO_PLACE, count)[fewest]
+    counts[point[fewest], 1] = np.where(hidden, count, count + 1)[fewest]
+    # a place with more triangles before it than another one is hidden; else a ray met what is not there, or missed it
+    counts[point[most & ~hidden]] = -_NO_PLACE, _NO_PLACE
+    return Shadow(silhouettes, counts)
+
+
+@kernel
+def _reference_places(
+    rows: PointRows, panel: PanelNumbers, silhouettes: Silhouettes
+) -> tuple[Int32, Float64, Int64, UInt8]:
+    # of places that the horizon does not hide, one of those with the fewest triangles before them, amid others of them
+    # if there is such a one; if there is not, one of those with the most as well. Returns the points that see any
+    # places, the places (j, 3), the triangles before them, and _FEWEST or _MOST
+    points, n = rows[0], _REFERENCES
+    found = np.empty((n, n), np.int64)
+    point, count = np.empty(2 * len(points), np.int32), np.empty(2 * len(points), np.int64)
+    targets, extreme = np.empty((2 * len(points), 3)), np.empty(2 * len(points), np.uint8)
+    m = 0
+    for i in range(len(points)):
+        if not silhouettes.found[i]:
+            continue
+        fewest, most = _NO_PLACE, -_NO_PLACE
+        for row in range(n):
+            triangles_in_row(silhouettes, i, 0.0, 1.0 / (n - 1), row / (n - 1), found[row])
+            for column in range(n):
+                if _horizon(rows, panel, i, column / (n - 1), row / (n - 1)) == 0:
+                    fewest, most = min(fewest, found[row, column]), max(most, found[row, column])
+                else:
+                    found[row, column] = _NO_PLACE
+        if fewest == _NO_PLACE:
+            continue
+        alike = 0
+        for which in (_FEWEST, _MOST):
+            if alike >= _AMID or (which == _MOST and most == fewest):
+                continue
+            count[m] = fewest if which == _FEWEST else most
+            alike, row, column = _amid(found, count[m])
+            s, t = column / (n - 1) - 0.5, row / (n - 1) - 0.5
+            targets[m, 0], targets[m, 1], targets[m, 2] = panel_point(panel, s, t)
+            point[m], extreme[m] = i, which
+            m += 1
+    return point[:m].copy(), targets[:m].copy(), count[:m].copy(), extreme[:m].copy()
+
+
+@kernel
+def _amid(found: Int64, count: int) -> tuple[int, int, int]:
+    # of the places with this count, the one that most others surround: how many, with itself, its row and its column
+    n, best, best_row, best_column = len(found), 0, 0, 0
+    for row in range(n):
+        for column in range(n):
+            alike = 0
+            for y in range(max(0, row - 1), min(n, row + 2)):
+                for x in range(max(0, column - 1), min(n, column + 2)):
+                    alike += found[y, x] == count
+            if found[row, column] == count and alike > best:
+                best, best_row, best_column = alike, row, column
+    return best, best_row, best_column
 
 
 def _shade_squares(work: _Work, squares: Squares, *, depth: int) -> Bool:
@@ -336,17 +425,36 @@ def _finer_squares(squares: Squares, chosen: Bool, *, divisions: int) -> Iterato
 
 def _states_at_corners(work: _Work, squares: Squares, n: int) -> UInt8:
     # what is seen at the corners of the cells, (q, n + 1, n + 1)
-    square, row, column = (
-        a.ravel() for a in np.meshgrid(np.arange(len(squares.point)), np.arange(n + 1), np.arange(n + 1), indexing="ij")
-    )
-    state = _states(work, squares, square, column, row)
-    return state.reshape(len(squares.point), n + 1, n + 1)
+    state = _known_corners(work.surface.rows, work.light.panel, work.shadow, squares, n)
+    square, row, column = np.nonzero(state == 0)
+    state[square, row, column] = _states(work, squares, square, column, row)
+    return state
+
+
+@kernel
+def _known_corners(rows: PointRows, panel: PanelNumbers, shadow: Shadow, squares: Squares, n: int) -> UInt8:
+    # 0 where neither the horizon nor the silhouettes tell
+    state = np.zeros((len(squares.point), n + 1, n + 1), np.uint8)
+    counts = np.empty(n + 1, np.int64)
+    for j in range(len(squares.point)):
+        i = squares.point[j]
+        seen, hidden = shadow.counts[i, 0], shadow.counts[i, 1]
+        for row in range(n + 1):
+            s, t = _place(squares, j, 0.0, float(row))
+            if hidden < _NO_PLACE:
+                triangles_in_row(shadow.silhouettes, i, s, squares.cell, t, counts)
+            for column in range(n + 1):
+                state[j, row, column] = _horizon(rows, panel, i, *_place(squares, j, float(column), float(row)))
+                if state[j, row, column] == 0 and hidden < _NO_PLACE:
+                    count = counts[column]
+                    state[j, row, column] = VISIBLE if count <= seen else BLOCKED if count >= hidden else 0
+    return state
 
 
 def _states(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: NDArray[Any]) -> UInt8:
     # what is seen at places (x, y) of squares, counted in cells of their grid
     surface = work.surface
-    state, undecided, point, targets = _horizon_state(surface.rows, work.light.panel, squares, square, x, y)
+    state, undecided, point, targets = _known_states(surface.rows, work.light.panel, work.shadow, squares, square, x, y)
     # each ray has a target of its own
     index = np.arange(len(undecided), dtype=np.int32)
     blocked = work.caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=index)
@@ -355,49 +463,107 @@ def _states(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: ND
 
 
 @kernel
-def _horizon_state(
-    rows: PointRows, panel: PanelNumbers, squares: Squares, square: Index, x: Any, y: Any
+def _known_states(
+    rows: PointRows, panel: PanelNumbers, shadow: Shadow, squares: Squares, square: Index, x: Any, y: Any
 ) -> tuple[UInt8, Int32, Int32, Float64]:
-    # what the horizon decides: below the interpolated one there is no light, below the face's own plane the face is in
-    # the way; the rest needs a ray
-    points, frames, _, facets, _ = rows
+    # what the horizon and the silhouettes decide; the rest needs a ray
     state = np.empty(len(square), np.uint8)
     undecided, origin = np.empty(len(square), np.int32), np.empty(len(square), np.int32)
     targets = np.empty((len(square), 3))
     m = 0
     for j in range(len(square)):
-        i = squares.point[square[j]]
-        s, t = squares.s[square[j]] + x[j] * squares.cell, squares.t[square[j]] + y[j] * squares.cell
-        target = panel_point(panel, s - 0.5, t - 0.5)
-        towards = minus(target, vector_at(points, i))
-        if dot(vector_at(frames, i), towards) <= 0.0:
-            state[j] = BELOW
-        elif dot(vector_at(facets, i), towards) <= 0.0:
-            state[j] = BLOCKED
-        else:
-            undecided[m], origin[m] = j, i
-            targets[m, 0], targets[m, 1], targets[m, 2] = target
+        state[j] = _known_state(rows, panel, shadow, squares, square[j], float(x[j]), float(y[j]))
+        if state[j] == 0:
+            undecided[m], origin[m] = j, squares.point[square[j]]
+            s, t = _place(squares, square[j], float(x[j]), float(y[j]))
+            targets[m, 0], targets[m, 1], targets[m, 2] = panel_point(panel, s - 0.5, t - 0.5)
             m += 1
     return state, undecided[:m].copy(), origin[:m].copy(), targets[:m].copy()
+
+
+@kernel
+def _place(squares: Squares, square: int, x: float, y: float) -> tuple[float, float]:
+    # in units of the panel's sides
+    return squares.s[square] + x * squares.cell, squares.t[square] + y * squares.cell
+
+
+@kernel
+def _known_state(
+    rows: PointRows, panel: PanelNumbers, shadow: Shadow, squares: Squares, square: int, x: float, y: float
+) -> int:
+    # 0 where neither the horizon nor the silhouettes tell
+    i = squares.point[square]
+    s, t = _place(squares, square, x, y)
+    state = _horizon(rows, panel, i, s, t)
+    seen, hidden = shadow.counts[i, 0], shadow.counts[i, 1]
+    if state != 0 or hidden >= _NO_PLACE:
+        return state
+    count = triangles_before(shadow.silhouettes, i, s, t)
+    return VISIBLE if count <= seen else BLOCKED if count >= hidden else 0
+
+
+@kernel
+def _horizon(rows: PointRows, panel: PanelNumbers, i: int, s: float, t: float) -> int:
+    # below the interpolated horizon there is no light, below the face's own plane the face is in the way; 0 above both
+    points, frames, _, facets, _ = rows
+    towards = minus(panel_point(panel, s - 0.5, t - 0.5), vector_at(points, i))
+    if dot(vector_at(frames, i), towards) <= 0.0:
+        return BELOW
+    return BLOCKED if dot(vector_at(facets, i), towards) <= 0.0 else 0
 
 
 def _edge_crossings(work: _Work, squares: Squares, state: UInt8, stake: Float64, *, vertical: bool) -> Float64:
     # where the shadow's edge crosses the sides of the cells that run along t (vertical) or along s: the share of the
     # side from its first corner; ½ where it does not cross
-    square, row, column, steps, from_blocked = _crossed_sides(state, stake, vertical)
-    low, high = np.zeros(len(square)), np.ones(len(square))
-    for step in range(int(steps.max(initial=0))):
-        j = np.flatnonzero(steps > step)
-        middle = 0.5 * (low[j] + high[j])
+    sides = _crossed_sides(state, stake, vertical)
+    square, row, column, steps, from_blocked = sides
+    share = _known_crossings(work.surface.rows, work.light.panel, work.shadow, squares, *sides, vertical)
+    rest = np.flatnonzero(np.isnan(share))
+    low, high = np.zeros(len(rest)), np.ones(len(rest))
+    for step in range(int(steps[rest].max(initial=0))):
+        halved = np.flatnonzero(steps[rest] > step)
+        j, middle = rest[halved], 0.5 * (low[halved] + high[halved])
         x, y = (column[j], row[j] + middle) if vertical else (column[j] + middle, row[j])
-        seen = _states(work, squares, square[j], x, y)
-        as_first = (seen == BLOCKED) == from_blocked[j]
-        low[j] = np.where(as_first, middle, low[j])
-        high[j] = np.where(as_first, high[j], middle)
+        as_first = (_states(work, squares, square[j], x, y) == BLOCKED) == from_blocked[j]
+        low[halved] = np.where(as_first, middle, low[halved])
+        high[halved] = np.where(as_first, high[halved], middle)
+    share[rest] = 0.5 * (low + high)
     n = stake.shape[1]
     crossing = np.full((len(stake), n, n + 1) if vertical else (len(stake), n + 1, n), 0.5)
-    crossing[square, row, column] = 0.5 * (low + high)
+    crossing[square, row, column] = share
     return crossing
+
+
+@kernel
+def _known_crossings(
+    rows: PointRows,
+    panel: PanelNumbers,
+    shadow: Shadow,
+    squares: Squares,
+    square: Int64,
+    row: Int64,
+    column: Int64,
+    steps: Int64,
+    from_blocked: Bool,
+    vertical: bool,
+) -> Float64:
+    # the shares where the edge crosses some sides; NaN where that takes rays
+    share = np.empty(len(square))
+    for j in range(len(square)):
+        low, high = 0.0, 1.0
+        for _ in range(steps[j]):
+            middle = 0.5 * (low + high)
+            x, y = (float(column[j]), row[j] + middle) if vertical else (column[j] + middle, float(row[j]))
+            state = _known_state(rows, panel, shadow, squares, square[j], x, y)
+            if state == 0:
+                low = math.nan
+                break
+            if (state == BLOCKED) == from_blocked[j]:
+                low = middle
+            else:
+                high = middle
+        share[j] = 0.5 * (low + high)
+    return share
 
 
 @kernel
