@@ -6,7 +6,7 @@ in degrees, triangles as (F, 3, 3) corners in the world frame with (F, 3, 3) uni
 
 from __future__ import annotations
 
-from ._casting import Hits, blocked, closest, trace
+from ._casting import Hits, blocked, closest, crossed_between, trace
 from ._emitters import Emitter, emitter
 from ._frames import Camera, Light, posed, posed_normals
 from ._lobes import diffuse, fresnel, specular
@@ -22,6 +22,7 @@ __all__ = [
     "Light",
     "blocked",
     "closest",
+    "crossed_between",
     "diffuse",
     "emitter",
     "equally_spaced",

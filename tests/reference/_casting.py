@@ -61,6 +61,14 @@ def blocked(light, points, triangles):
     return result
 
 
+def crossed_between(point, targets, triangles):
+    """How many triangles cross the open segments from a point to each of the targets (N, 3)."""
+    result = np.zeros(len(targets), dtype=int)
+    for block, t, _, _, crossed in _pairs(point, targets - point, triangles):
+        result[block] = (crossed & (t < 1)).sum(axis=1)
+    return result
+
+
 @dataclass(frozen=True)
 class Hits:
     """What the rays of a camera meet: one entry per ray; black where `face` is -1 or `back`."""
