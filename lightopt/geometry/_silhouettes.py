@@ -21,7 +21,7 @@ leaves: Of each leaf the planes of its edges' triangles, (normal, distance from 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -162,7 +162,7 @@ def _crossing(edges: Float64, j: int, t: float) -> tuple[float, int]:
     return s0 + (t - t0) * (s1 - s0) / (t1 - t0), -int(edges[j, 4]) if t1 > t0 else int(edges[j, 4])
 
 
-def _along_curve(points: Float32 | Float64) -> Index:
+def _along_curve(points: Any) -> Index:
     # order of points along a curve through their bounding box that stays near each point (Morton order)
     if len(points) == 0:
         return np.zeros(0, np.intp)
@@ -172,7 +172,7 @@ def _along_curve(points: Float32 | Float64) -> Index:
 
 
 @kernel
-def _curve_keys(points: Float64, low: Float64, scale: float) -> Int32:
+def _curve_keys(points: Any, low: Any, scale: float) -> Int32:
     keys = np.empty(len(points), np.int32)
     for i in range(len(points)):
         key = 0
@@ -352,7 +352,10 @@ def _in_view(view: _View, p: Vector) -> Vector:
 @kernel
 def _single(v: Vector) -> Vector:
     # in float32, of which twice as many are worked out at once
-    return Vector(np.float32(v.x), np.float32(v.y), np.float32(v.z))
+    x: Any = np.float32(v.x)
+    y: Any = np.float32(v.y)
+    z: Any = np.float32(v.z)
+    return Vector(x, y, z)
 
 
 @kernel
