@@ -25,11 +25,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32, Int64
+from lightopt.core.arrays import Bool, Float32, Float64, Int32, Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, dot
 from lightopt.geometry._topology import corners_by_edge, next_corner
-from lightopt.geometry._triangle_mesh import bounding_box
 
 _BRANCHES = 8  # edges of a leaf, and children of any other node
 _NO_CONE = 2.0  # in place of that sine: the triangles may show any side
@@ -53,7 +52,7 @@ class Silhouettes(NamedTuple):
     # edges that cross the rectangle's first side, s = 0; shape (k, _ROWS + 2)
     first: Int64
     edges: Float64  # s and t of both ends, and the triangles on its left less those on its right, shape (m, 5)
-    found: Bool  # whether there are edges of point i, or else too many of them, shape (k,)
+    found: Bool  # False where they are too many, and where the point is behind the rectangle, shape (k,)
 
 
 class _Tree(NamedTuple):
@@ -81,7 +80,7 @@ class SilhouetteEdges:
     def __init__(self, vertices: Float32, faces: Int32) -> None:
         self._vertices, self._faces = vertices, faces
         corners = _edge_records(faces, *corners_by_edge(faces))
-        self._corners = corners[_along_curve(_middles(vertices, faces, corners))]
+        self._corners = corners[np.argsort(_curve_keys(_middles(vertices, faces, corners)), kind="stable")]
         counts = [max(1, -(-len(corners) // _BRANCHES))]
         self._leaves = np.zeros((counts[0], 8, _BRANCHES), np.float32)
         boxes = np.empty((counts[0], 10), np.float32)
@@ -162,23 +161,15 @@ def _crossing(edges: Float64, j: int, t: float) -> tuple[float, int]:
     return s0 + (t - t0) * (s1 - s0) / (t1 - t0), -int(edges[j, 4]) if t1 > t0 else int(edges[j, 4])
 
 
-def _along_curve(points: Any) -> Index:
-    # order of points along a curve through their bounding box that stays near each point (Morton order)
-    if len(points) == 0:
-        return np.zeros(0, np.intp)
-    low, high = bounding_box(points)
-    scale = 1023.0 / max(float((high - low).max()), 1e-30)
-    return np.argsort(_curve_keys(points, low, scale), kind="stable")
-
-
 @kernel
-def _curve_keys(points: Any, low: Any, scale: float) -> Int32:
+def _curve_keys(points: Float32) -> Int32:
+    # places of points in the unit sphere along a curve that stays near each of them (Morton order)
     keys = np.empty(len(points), np.int32)
     for i in range(len(points)):
         key = 0
         for axis in range(3):
             # spreads ten bits to every third one
-            cell = int((points[i, axis] - low[axis]) * scale)
+            cell = int((points[i, axis] + 1.0) * 511.5)
             cell = (cell | (cell << 16)) & 0x030000FF
             cell = (cell | (cell << 8)) & 0x0300F00F
             cell = (cell | (cell << 4)) & 0x030C30C3
