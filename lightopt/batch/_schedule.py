@@ -77,11 +77,12 @@ def _computed(
 
 def _outcome(future: Any, places: Mapping[str, str]) -> Outcome:
     place = places[future.key]
-    if future.status == "finished":
-        return future.result()
-    if future.status in ("cancelled", "lost"):
+    # where the worker that holds the result was lost, this waits until another one has computed it again
+    error = None if future.status == "cancelled" else future.exception()
+    if future.status == "cancelled":
         return Outcome(place=place, state="failed", messages=("the connection to the scheduler was lost",))
-    error = future.exception()
+    if error is None:
+        return future.result()
     lost: str | None = getattr(error, "task", None)
     if lost is not None and lost in places and lost != future.key:
         return Outcome(place=place, state="skipped", messages=(f"needs {places[lost]}",))

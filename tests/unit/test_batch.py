@@ -406,6 +406,27 @@ def test_the_command(cli, files, monkeypatch):
     assert (ran.status, "expected one of them" in ran.err) == (2, True)
 
 
+class LostResult:
+    """A future whose result went with its worker, as Dask has it until another one has computed it again."""
+
+    key, status = "best-1", "lost"
+
+    def __init__(self, then):
+        self.then = then
+
+    def exception(self):
+        self.status = self.then
+
+    def result(self):
+        assert self.status == "finished"
+        return _task.Outcome(place="best/knob", state="done")
+
+
+@pytest.mark.parametrize(("then", "state"), [("finished", "done"), ("cancelled", "failed")])
+def test_a_result_that_went_with_its_worker_is_computed_again(then, state):
+    assert _schedule._outcome(LostResult(then), {"best-1": "best/knob"}).state == state
+
+
 def test_a_scheduler_that_does_not_answer(batch, monkeypatch):
     monkeypatch.setattr(_schedule, "_ANSWER_S", 0.2)
     with pytest.raises(InputError, match=r"tcp://127.0.0.1:1: no Dask scheduler answers"):
