@@ -55,7 +55,7 @@ class BlockerMaps:
         self._lock = threading.Lock()
         self._surface: tuple[Float32, Bool] | None = None
         self._closed: bool | None = None
-        self._welded: tuple[Int32, Int32] | None = None
+        self._welded: tuple[Int32, Int32, Float32] | None = None
         self._maps: dict[bytes, BlockerMap] = {}
         # the same of targets that move, which serve those nearby; and rays so far to targets around one without a map
         self._moving: dict[bytes, BlockerMap] = {}
@@ -76,7 +76,7 @@ class BlockerMaps:
                 lambda: _closed_and_folded(vertices, faces, planes, welded, *corners_by_edge(welded[faces])),
                 lambda: _bodies(welded, faces),
             )
-            self._closed, self._welded = bool(closed), (places, welded)
+            self._closed, self._welded = bool(closed), (places, welded, planes)
             if not closed:
                 _log.info("the mesh is open or its faces disagree in direction: every shadow ray is cast")
             else:
@@ -84,13 +84,13 @@ class BlockerMaps:
                 self._surface = planes, at_fold | _near_other_bodies(vertices, faces, body)
         return bool(self._closed)
 
-    def welded(self) -> tuple[Float32, Int32]:
-        """The mesh with one vertex at each place: vertices, faces."""
+    def welded(self) -> tuple[Float32, Int32, Float32]:
+        """The mesh with one vertex at each place: vertices, faces, and of these unit normal and distance, (m, 4)."""
         with self._lock:
             self._is_closed()
             assert self._welded is not None
-            places, number = self._welded
-            return self._vertices[places], number[self._faces]
+            places, number, planes = self._welded
+            return self._vertices[places], number[self._faces], planes
 
     @property
     def doubtful(self) -> Bool | None:

@@ -13,6 +13,7 @@ What the functions share
 ------------------------
 vertices: In the mesh's radii from its centre, float32 as Embree has them, shape (n, 3)
 faces: With one vertex for each place, shape (m, 3)
+planes: Unit normal of each face, zero if it has no area, and its plane's distance from the centre, shape (m, 4)
 corners: The corners 3·face + corner that begin an edge, one in each of its triangles; −1 where it has one; shape (e, 2)
 nodes: The nodes of all levels, the root first, and of each its children side by side: centre and half sides of their
     boxes, axis of the cone of normals, sine of its half-angle; shape (b, 10, 8)
@@ -32,7 +33,7 @@ from lightopt.geometry._topology import corners_by_edge, next_corner
 
 _BRANCHES = 8  # edges of a leaf, and children of any other node
 _NO_CONE = 2.0  # in place of that sine: the triangles may show any side
-_CONE_MARGIN = 1e-5  # of sines and cosines in float32
+_CONE_MARGIN = 1e-3  # of sines: cosines of float32 normals are good to 1e-7, small angles from these to 5e-4
 _BOX_MARGIN = 1e-6  # of boxes, in radii of the mesh
 _SLACK = np.float32(1e-5)  # of places in float32, per unit of the point's height above the rectangle
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
@@ -77,14 +78,12 @@ class _View(NamedTuple):
 class SilhouetteEdges:
     """A hierarchy of the edges of a mesh."""
 
-    def __init__(self, vertices: Float32, faces: Int32) -> None:
-        self._vertices, self._faces = vertices, faces
+    def __init__(self, vertices: Float32, faces: Int32, planes: Float32) -> None:
         corners = _edge_records(faces, *corners_by_edge(faces))
-        self._corners = corners[np.argsort(_curve_keys(_middles(vertices, faces, corners)), kind="stable")]
+        corners = corners[np.argsort(_curve_keys(_middles(vertices, faces, corners)), kind="stable")]
         counts = [max(1, -(-len(corners) // _BRANCHES))]
-        self._leaves = np.zeros((counts[0], 8, _BRANCHES), np.float32)
-        boxes = np.empty((counts[0], 10), np.float32)
-        _fill_leaves(vertices, faces, self._corners, self._leaves, boxes)
+        leaves, boxes = np.zeros((counts[0], 8, _BRANCHES), np.float32), np.empty((counts[0], 10), np.float32)
+        _fill_leaves(vertices, faces, planes, corners, leaves, boxes)
         levels: list[Float32] = []
         while counts[0] > 1 or not levels:
             counts.insert(0, -(-counts[0] // _BRANCHES))
@@ -92,8 +91,7 @@ class SilhouetteEdges:
             _fill_level(boxes, level, above)
             levels.insert(0, level)
             boxes = above
-        self._nodes = np.concatenate(levels)
-        self._begins = np.cumsum([0, *counts])  # of the nodes of each level, and of the leaves
+        self._tree = _Tree(vertices, faces, corners, np.concatenate(levels), leaves, np.cumsum([0, *counts]))
 
     def between(self, begins: Float64, corner: Float64, across: Float64, along: Float64) -> Silhouettes:
         """The silhouettes between points and a rectangle.
@@ -105,8 +103,7 @@ class SilhouetteEdges:
         hand = -float(np.copysign(1.0, normal @ corner))
         axes = np.stack([across / (across @ across), along / (along @ along), hand * normal / np.linalg.norm(normal)])
         view = _View(*(Vector(*row.tolist()) for row in (*axes, axes @ corner)), hand=hand)
-        tree = _Tree(self._vertices, self._faces, self._corners, self._nodes, self._leaves, self._begins)
-        return _silhouettes(tree, begins, view)
+        return _silhouettes(self._tree, begins, view)
 
 
 @kernel
@@ -210,19 +207,9 @@ def _middles(vertices: Float32, faces: Int32, corners: Int32) -> Float32:
 
 
 @kernel
-def _unit_normal(vertices: Float32, faces: Int32, f: int) -> tuple[float, float, float]:
-    # zero for a face without area
-    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-    ax, ay, az = float(vertices[a, 0]), float(vertices[a, 1]), float(vertices[a, 2])
-    ux, uy, uz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
-    vx, vy, vz = vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    length = math.sqrt(x * x + y * y + z * z)
-    return (x / length, y / length, z / length) if length > 1e-20 else (0.0, 0.0, 0.0)
-
-
-@kernel
-def _fill_leaves(vertices: Float32, faces: Int32, corners: Int32, leaves: Float32, boxes: Float32) -> None:
+def _fill_leaves(
+    vertices: Float32, faces: Int32, planes: Float32, corners: Int32, leaves: Float32, boxes: Float32
+) -> None:
     ends = faces.reshape(-1)
     low, high = np.empty(3), np.empty(3)
     for leaf in range(len(leaves)):
@@ -242,13 +229,11 @@ def _fill_leaves(vertices: Float32, faces: Int32, corners: Int32, leaves: Float3
                 corner = corners[edge, which]
                 if corner < 0:
                     continue
-                x, y, z = _unit_normal(vertices, faces, corner // 3)
-                cone &= x != 0.0 or y != 0.0 or z != 0.0
-                ax, ay, az = ax + x, ay + y, az + z
-                vertex, sign = faces[corner // 3, 0], 1.0 if ends[corner] == ends[one] else -1.0
-                distance = x * vertices[vertex, 0] + y * vertices[vertex, 1] + z * vertices[vertex, 2]
-                for k, number in enumerate((x, y, z, distance)):
-                    leaves[leaf, 4 * which + k, edge - begin] = sign * number
+                f, sign = corner // 3, np.float32(1.0 if ends[corner] == ends[one] else -1.0)
+                cone &= planes[f, 0] != 0.0 or planes[f, 1] != 0.0 or planes[f, 2] != 0.0  # a face with an area
+                ax, ay, az = ax + planes[f, 0], ay + planes[f, 1], az + planes[f, 2]
+                for k in range(4):
+                    leaves[leaf, 4 * which + k, edge - begin] = sign * planes[f, k]
         _write_box(boxes, leaf, low, high)
         length = math.sqrt(ax * ax + ay * ay + az * az)
         cosine = 1.0

@@ -290,8 +290,7 @@ GRIDS = (8, 4, 4)
 
 SQUARES_AT_ONCE = 4096  # squares whose rays are cast at once, some 10 MiB of them
 LEVEL_TOLERANCE, RELATIVE_TOLERANCE = 0.05, 0.0005  # error of a penumbra that is aimed at: 0.05 level + 0.05 %
-LEAST_BISECTIONS = 2  # rays that at least halve the side of a cell in search of the shadow's edge
-
+LEAST_BISECTIONS = 2  # halvings, at least, of a cell's side in search of the shadow's edge
 
 _REFERENCES = 5  # places a side, of which rays go to the ones with the fewest and with the most triangles before them
 _AMID = 4  # such places, itself and neighbours of it, show that none passes by a hair's breadth
@@ -446,8 +445,7 @@ def _known_corners(rows: PointRows, panel: PanelNumbers, shadow: Shadow, squares
             for column in range(n + 1):
                 state[j, row, column] = _horizon(rows, panel, i, *_place(squares, j, float(column), float(row)))
                 if state[j, row, column] == 0 and hidden < _NO_PLACE:
-                    count = counts[column]
-                    state[j, row, column] = VISIBLE if count <= seen else BLOCKED if count >= hidden else 0
+                    state[j, row, column] = _by_count(counts[column], seen, hidden)
     return state
 
 
@@ -498,7 +496,12 @@ def _known_state(
     seen, hidden = shadow.counts[i, 0], shadow.counts[i, 1]
     if state != 0 or hidden >= _NO_PLACE:
         return state
-    count = triangles_before(shadow.silhouettes, i, s, t)
+    return _by_count(triangles_before(shadow.silhouettes, i, s, t), seen, hidden)
+
+
+@kernel
+def _by_count(count: int, seen: int, hidden: int) -> int:
+    # by the triangles before a place, and `counts` of the shadow
     return VISIBLE if count <= seen else BLOCKED if count >= hidden else 0
 
 
@@ -516,26 +519,22 @@ def _edge_crossings(work: _Work, squares: Squares, state: UInt8, stake: Float64,
     # where the shadow's edge crosses the sides of the cells that run along t (vertical) or along s: the share of the
     # side from its first corner; ½ where it does not cross
     sides = _crossed_sides(state, stake, vertical)
-    square, row, column, steps, from_blocked = sides
-    share = _known_crossings(work.surface.rows, work.light.panel, work.shadow, squares, *sides, vertical)
-    rest = np.flatnonzero(np.isnan(share))
-    low, high = np.zeros(len(rest)), np.ones(len(rest))
-    for step in range(int(steps[rest].max(initial=0))):
-        halved = np.flatnonzero(steps[rest] > step)
-        j, middle = rest[halved], 0.5 * (low[halved] + high[halved])
-        x, y = (column[j], row[j] + middle) if vertical else (column[j] + middle, row[j])
-        as_first = (_states(work, squares, square[j], x, y) == BLOCKED) == from_blocked[j]
-        low[halved] = np.where(as_first, middle, low[halved])
-        high[halved] = np.where(as_first, high[halved], middle)
-    share[rest] = 0.5 * (low + high)
+    square, row, column = sides[:3]
+    low, high, answer = np.zeros(len(square)), np.ones(len(square)), np.zeros(len(square), np.uint8)
+    given = work.surface.rows, work.light.panel, work.shadow, squares
+    while True:
+        rest, x, y = _halve(*given, *sides, vertical, low, high, answer)
+        if not len(rest):
+            break
+        answer[rest] = _states(work, squares, square[rest], x, y)
     n = stake.shape[1]
     crossing = np.full((len(stake), n, n + 1) if vertical else (len(stake), n + 1, n), 0.5)
-    crossing[square, row, column] = share
+    crossing[square, row, column] = 0.5 * (low + high)
     return crossing
 
 
 @kernel
-def _known_crossings(
+def _halve(
     rows: PointRows,
     panel: PanelNumbers,
     shadow: Shadow,
@@ -546,24 +545,32 @@ def _known_crossings(
     steps: Int64,
     from_blocked: Bool,
     vertical: bool,
-) -> Float64:
-    # the shares where the edge crosses some sides; NaN where that takes rays
-    share = np.empty(len(square))
+    low: Float64,
+    high: Float64,
+    answer: UInt8,
+) -> tuple[Int64, Float64, Float64]:
+    # halves the stretches [low, high] of sides that the edge crosses, and counts `steps` down, as far as it is known
+    # what their middles see, or was answered; returns the sides that wait for a ray, and the places that these go to
+    index, x, y = np.empty(len(square), np.int64), np.empty(len(square)), np.empty(len(square))
+    m = 0
     for j in range(len(square)):
-        low, high = 0.0, 1.0
-        for _ in range(steps[j]):
-            middle = 0.5 * (low + high)
-            x, y = (float(column[j]), row[j] + middle) if vertical else (column[j] + middle, float(row[j]))
-            state = _known_state(rows, panel, shadow, squares, square[j], x, y)
+        while steps[j] > 0:
+            middle = 0.5 * (low[j] + high[j])
+            x[m] = column[j] + (0.0 if vertical else middle)
+            y[m] = row[j] + (middle if vertical else 0.0)
+            state, answer[j] = answer[j], 0
             if state == 0:
-                low = math.nan
+                state = _known_state(rows, panel, shadow, squares, square[j], x[m], y[m])
+            if state == 0:
+                index[m] = j
+                m += 1
                 break
             if (state == BLOCKED) == from_blocked[j]:
-                low = middle
+                low[j] = middle
             else:
-                high = middle
-        share[j] = 0.5 * (low + high)
-    return share
+                high[j] = middle
+            steps[j] -= 1
+    return index[:m].copy(), x[:m].copy(), y[:m].copy()
 
 
 @kernel
