@@ -172,13 +172,16 @@ class Inspector:
                 bank = self.cache.template_bank(registered.scene, view, exposures, catalogue, threads=threads)
             place = f"{where}, posture {view.posture}"
             postures.append(self._inspect_posture(view, registered, bank, calibrated, place))
-        expected, found = part_postures(self.part), registered.registration
+        expected, found, adjustment = part_postures(self.part), registered.registration, self.cache.adjustment
         warnings = inspection_warnings(
             self.rig,
             postures,
             options,
             expected=expected,
-            registration=() if found is None else found.warnings,
+            registration=(
+                *(() if found is None else found.warnings),
+                *(() if adjustment is None else adjustment.warnings),
+            ),
             calibrated=calibration is not None,
         )
         surface_map = self.cache.surface_map(registered.scene, expected, threads=threads)
@@ -188,6 +191,7 @@ class Inspector:
             postures=tuple(postures),
             placement=registered.placement if options.register else None,
             registration=found,
+            adjustment=adjustment,
             warnings=warnings,
             reference=options.reference,
             nominal=registered.nominal,

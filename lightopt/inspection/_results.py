@@ -8,6 +8,7 @@ from lightopt.config import InspectionConfig
 from lightopt.core.arrays import Float32, Int32
 from lightopt.core.errors import counted
 from lightopt.estimate.registration import Placement, Registration
+from lightopt.estimate.verification import RigAdjustment
 from lightopt.images import ImageSet
 from lightopt.inspection.detection._coverage import REFERENCE_CONTRAST, PostureCoverage, SurfaceCoverage
 from lightopt.inspection.detection._defects import Detection, FoundDefect
@@ -60,6 +61,7 @@ class InspectionResult:
     placement: Placement | None  # where the part lies from where its file has it; None where it was not searched for
     # the search that found it, or the part of the batch that it lies near; None where there was none
     registration: Registration | None = None
+    adjustment: RigAdjustment | None = None  # of a calibrated rig, by the first set of the batch
     warnings: tuple[str, ...]  # missing lights and postures, and so on
     reference: ReferenceName = "model"  # what the images were compared with
     nominal: Scene = field(repr=False, compare=False)  # the scene with the part where its file has it
@@ -74,6 +76,7 @@ class InspectionResult:
             "surface": self.surface.as_dict(),
             "placement": None if self.placement is None else self.placement.as_dict(),
             "registration": None if self.registration is None else self.registration.as_dict(),
+            **({} if self.adjustment is None else {"rig_adjustment": self.adjustment.as_dict()}),
             "warnings": list(self.warnings),
         }
 

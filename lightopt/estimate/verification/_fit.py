@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -25,14 +26,28 @@ from lightopt.optics import clipped_mean
 
 SIGMA_STEP = 0.01
 MOST_ENTRIES = 2_500_000  # of the matrix of derivatives
-BLOCKS = 1500  # blocks of each posture, if there are not too many images
 MISFIT_SHARE = 0.01  # of the predicted level: models are no better than that, even of the right part
+BLOCKS = 1500  # of each posture, if there are not too many images
 CLEAR = 4.0  # blocks that the model has this many standard deviations of a pixel below saturation are used
-# blocks that change this many times as much as nine of ten do lie across the edge of a shadow: few of them would
-# outweigh all others
-STEEP = 15.0
 CELLS = 24  # of neighbouring blocks, along the width of an image
 BLUR_PX = 1.5  # blur for the difference
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """What is fitted, and how far images and model are trusted."""
+
+    # of a calibrated rig from its file, independent ones of one standard deviation each, shape (K, D); a known good set
+    # has them, too
+    deviations: Float64
+    groups: tuple[Group, ...] | None = None  # faults that there are; None for those that the evidence is greatest for
+    blocks: int = BLOCKS
+    misfit_share: float = MISFIT_SHARE
+    # blocks that change this many times as much as nine of ten do lie across the edge of a shadow or on the steep flank
+    # of a highlight: few of them would outweigh all others
+    steepest: float = 15.0
+    most_steps: int = 6
+    settled: float = 0.05  # a step is the last if it changes no parameter by more than this share of its limit
 
 
 class Model:
@@ -44,10 +59,13 @@ class Model:
     cell: Number of a cell of neighbouring blocks of an image.
     """
 
-    def __init__(self, work: Work, images: Sequence[CoarseImage], predictions: Predictions) -> None:
-        self._work = work
+    def __init__(
+        self, work: Work, images: Sequence[CoarseImage], predictions: Predictions, options: FitOptions
+    ) -> None:
+        self._work, self._options = work, options
         self.scene, self.parameters = work.coarse, work.parameters
-        budget = int(min(BLOCKS, max(200, MOST_ENTRIES // (len(images) * self.parameters.size))))
+        share = options.blocks / BLOCKS
+        budget = int(min(options.blocks, max(200, share * MOST_ENTRIES // (len(images) * self.parameters.size))))
         self._sets: list[PixelSet] = []  # of each posture
         columns: list[list[NDArray[Any]]] = []  # of each image
         for posture, prediction in predictions.items():
@@ -126,7 +144,7 @@ class Model:
         black = sensor.black_level + float(theta[self.parameters.group("black").first])
         mean, share = clipped_mean(signal + black, sensor.read_noise_levels)
         sets = 2.0 if self._corrected else 1.0
-        noise = sets * sensor.noise_variance(signal) / self._count + np.square(MISFIT_SHARE * signal)
+        noise = sets * sensor.noise_variance(signal) / self._count + np.square(self._options.misfit_share * signal)
         return mean + self._correction, share, np.sqrt(noise)
 
     def predicted(self, theta: Float64) -> tuple[Float64, Float64]:
@@ -180,7 +198,7 @@ class Model:
         for group in moving:
             if used.any():
                 size = np.abs(slope[:, group.where]).max(axis=1)
-                used &= ~(size > STEEP * np.quantile(size[used], 0.9))
+                used &= ~(size > self._options.steepest * np.quantile(size[used], 0.9))
         residual = np.where(used, (self.measured - np.where(used, mean, 0.0)) / noise, 0.0)
         return residual, np.where(used[:, None], slope, 0.0) / np.where(used, noise, 1.0)[:, None], used
 
@@ -191,8 +209,6 @@ MOST_GROUPS = 6
 HUBER, ROUNDS = 1.5, 5
 # another group explains as much if it leaves no more than this share of what the group explains, or this evidence
 SAME_SHARE, SAME_EVIDENCE = 0.05, 10.0
-MOST_STEPS = 6
-SETTLED = 0.05  # a step is the last if it changes no parameter by more than this share of its limit
 STALE_BLOCKS = 0.5  # blocks are chosen anew, and images rendered, where the part's image has moved by more than this
 LEAST_ROWS = 300  # fewer blocks of all images determine nothing
 # an excess residual of more than this share of the level is not explained: the part may lie elsewhere
@@ -311,18 +327,15 @@ class Fit:
     covariance: Float64
     chosen: tuple[Group, ...]
     evidence: Evidence
-    predictions: Predictions  # of the rig with these faults
     left: Agreement  # what they leave
     registered: bool = False  # whether the part was searched for
 
 
 def fit_faults(
-    work: Work, images: _Images, good: Fit | None = None, *, deviations: Float64, where: str, register: bool
+    work: Work, images: _Images, good: Fit | None = None, *, options: FitOptions, where: str, register: bool
 ) -> Fit:
     """Find the faults that explain images, from those of a known good set or from the rig file.
 
-    deviations: Of a calibrated rig from its file, independent ones of one standard deviation each, shape (K, D); a
-        known good set has them, too
     where: The set, for messages.
     register: Whether the part is searched for where it does not lie near its nominal placement.
 
@@ -331,13 +344,15 @@ def fit_faults(
     observations = [image.source for image in images]
     registration.refuse_useless_images(work.scene, observations, caster=work.caster, threads=work.run.threads)
     origin = np.zeros(work.parameters.size) if good is None else good.theta
-    deviations = deviations if good is None else deviations[:, :0]
-    fit = _descend(work, images, good, deviations, origin, origin)
+    if good is not None:
+        options = replace(options, deviations=options.deviations[:, :0])
+    fit_from = partial(descend, work, images, good, options, origin)
+    fit = fit_from(origin)
     far = work.moved_blocks(fit.theta, origin) > FAR_BLOCKS and fit.left.residual > FAR_RESIDUAL * fit.left.noise
     if register and (far or fit.left.share > UNEXPLAINED_SHARE):
         found = registration.register(work.scene, observations, caster=work.caster, reduced=True, run=work.run)
         start = work.parameters.at_placement(work.scene, found.placement)
-        other = replace(_descend(work, images, good, deviations, origin, start), registered=True)
+        other = replace(fit_from(start), registered=True)
         fit = min(fit, other, key=lambda one: one.left.residual)
     if (evaluable := int(np.count_nonzero(fit.evidence.weight))) < LEAST_ROWS:
         raise InputError(f"{where}: {evaluable} places are neither saturated nor at an edge, expected {LEAST_ROWS}")
@@ -350,38 +365,39 @@ def fit_faults(
     return fit
 
 
-def _descend(
-    work: Work, images: _Images, good: Fit | None, deviations: Float64, origin: Float64, start: Float64
-) -> Fit:
+def descend(work: Work, images: _Images, good: Fit | None, options: FitOptions, origin: Float64, start: Float64) -> Fit:
+    """Gauss–Newton steps from parameters to start at; what is found counts from the origin."""
     p = work.parameters
     limits = np.concatenate([np.full(g.size, g.limit) for g in p.groups])
     report = work.run.stage("comparing with the prediction")
     at, predictions = start, work.predict(start)
-    model = _model(work, images, good, predictions)
+    model = _model(work, images, good, predictions, options)
     theta, step = start, 0
     while True:
         if report is not None:
-            report(step / MOST_STEPS)
+            report(step / options.most_steps)
         if step and work.moved_blocks(theta, at) > STALE_BLOCKS:
             at, predictions = theta, work.predict(theta)
-            model = _model(work, images, good, predictions)
-        evidence = gather(model, theta, origin, deviations)
-        chosen = choose(evidence)
+            model = _model(work, images, good, predictions, options)
+        evidence = gather(model, theta, origin, options.deviations)
+        chosen = choose(evidence) if options.groups is None else options.groups
         _, faults, covariance = evidence.solve(chosen)
         before, theta = theta, origin + faults + evidence.deviation(faults)
         change = np.abs(theta - before)[: len(limits)] / limits
         step += 1
-        if change.max() < SETTLED or step == MOST_STEPS:
+        if change.max() < options.settled or step == options.most_steps:
             break
     mean, noise = model.predicted(theta)
     black = work.scene.sensor.black_level
     known = np.isfinite(mean) & (evidence.weight > 0.0)
     left = agreement(model.measured[known] - black, mean[known] - black, noise[known])
-    return Fit(images, theta, faults, covariance, chosen, evidence, work.predict(theta), left)
+    return Fit(images, theta, faults, covariance, chosen, evidence, left)
 
 
-def _model(work: Work, images: Sequence[CoarseImage], good: Fit | None, predictions: Predictions) -> Model:
-    model = Model(work, images, predictions)
+def _model(
+    work: Work, images: Sequence[CoarseImage], good: Fit | None, predictions: Predictions, options: FitOptions
+) -> Model:
+    model = Model(work, images, predictions, options)
     if good is not None:
-        model.correct(Model(work, good.images, predictions), good.theta)
+        model.correct(Model(work, good.images, predictions, options), good.theta)
     return model

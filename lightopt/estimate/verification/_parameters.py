@@ -119,6 +119,13 @@ class Parameters:
     def group(self, kind: str, light: str = "") -> Group:
         return next(group for group in self.groups if (group.kind, group.light) == (kind, light))
 
+    def part_groups(self, freedoms: int) -> tuple[Group, ...]:
+        """The part's shift and turn in the freedoms of its registration: on the stage's plate, or all six."""
+        shift, turn = self.group("part_shift"), self.group("part_turn")
+        if freedoms == 6:
+            return shift, turn
+        return replace(shift, size=2), replace(turn, first=turn.first + 2, size=1)
+
     def at_placement(self, scene: Scene, placement: Placement) -> Float64:
         """The parameters of a rig whose part lies at a placement, shape (K,)."""
         theta = np.zeros(self.size)
@@ -135,8 +142,8 @@ class Parameters:
             return theta[self.group(kind, light).where]
 
         camera, lights = scene.camera, scene.lights
-        camera = _moved_camera(camera, of("camera_shift"), of("camera_turn"))
-        lights = tuple(_moved_panel(p, of("panel_shift", p.name), of("panel_turn", p.name)) for p in lights)
+        camera = moved_camera(camera, of("camera_shift"), of("camera_turn"))
+        lights = tuple(moved_panel(p, of("panel_shift", p.name), of("panel_turn", p.name)) for p in lights)
         view = view_from_part(replace(scene, camera=camera, lights=lights), posture)
         # the part moved at posture (0, 0), x' = R·x + t, inverted
         back = rotation_from_vector(of("part_turn")).T
@@ -145,14 +152,14 @@ class Parameters:
         return replace(view, camera=view.camera.moved(back, shift), lights=lights)
 
 
-def _moved_camera(camera: PinholeCamera, shift: Float64, turn: Float64) -> PinholeCamera:
+def moved_camera(camera: PinholeCamera, shift: Float64, turn: Float64) -> PinholeCamera:
     # along its own axes, and about its own pinhole
     axes = np.stack([camera.right, camera.up, camera.forward], axis=1)
     right, up, forward = (rotation_from_vector(axes @ turn) @ axes).T
     return replace(camera, position=camera.position + axes @ shift, right=right, up=up, forward=forward)
 
 
-def _moved_panel(light: PanelLight, shift: Float64, turn: Float64) -> PanelLight:
+def moved_panel(light: PanelLight, shift: Float64, turn: Float64) -> PanelLight:
     # along its own axes, and about its own centre
     axes = np.stack([light.across, light.along, light.outward], axis=1)
     across, along, outward = (rotation_from_vector(axes[:, :2] @ turn) @ axes).T

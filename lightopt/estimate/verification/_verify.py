@@ -25,7 +25,7 @@ from lightopt.estimate.registration import Observation, observed_postures, read_
 from lightopt.estimate.verification import _comparison, _findings
 from lightopt.estimate.verification._comparison import LightComparison
 from lightopt.estimate.verification._findings import Finding
-from lightopt.estimate.verification._fit import alternatives, fit_faults
+from lightopt.estimate.verification._fit import FitOptions, alternatives, fit_faults
 from lightopt.estimate.verification._parameters import Parameters, VerifyLimits, Work, calibrated_deviations
 from lightopt.images import ImageSet, ResultFolder, csv_text, make_folder, write_text_atomic
 from lightopt.scene import Scene, build_scene
@@ -122,10 +122,8 @@ def verify_observations(
     limits = limits or VerifyLimits()
     work = Work(scene, Parameters.of(scene, limits), run or RunContext())
     good = None
-    how: dict[str, Any] = {
-        "deviations": np.zeros((work.parameters.size, 0)) if deviations is None else deviations,
-        "register": register,
-    }
+    deviations = np.zeros((work.parameters.size, 0)) if deviations is None else deviations
+    how: dict[str, Any] = {"options": FitOptions(deviations=deviations), "register": register}
     if baseline is not None:
         known = work.blocks(_matching(observations, baseline))
         good = fit_faults(work, known, where="the known good set", **how)
@@ -142,7 +140,8 @@ def verify_observations(
     predictions = work.predict(plain)
     compare = partial(_comparison.compare_image, work, fit, good)
     before = [compare(number, plain, predictions) for number in range(len(images))]
-    after = [compare(number, theta, fit.predictions) for number in range(len(images))]
+    found = work.predict(theta)
+    after = [compare(number, theta, found) for number in range(len(images))]
     spots, many = _comparison.find_spots(work, fit, after)
     blur = p.nuisance[-1]
     blur_error = float(np.sqrt(fit.covariance[blur, blur]))

@@ -3,11 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from lightopt.config import RigConfig
 from lightopt.core.arrays import Float64
+from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.defects import CatalogueEntry
 from lightopt.estimate.registration import Observation, Placement, Registration
+from lightopt.estimate.verification import RigAdjustment, adjust_rig
 from lightopt.geometry import RayCaster
 from lightopt.inspection.prediction import _nearby_placement as nearby
 from lightopt.inspection.prediction._posture_view import PostureView
@@ -33,6 +36,7 @@ class PredictionCache:
 
     # scenes with the part where its file has it, by postures and lights
     nominal_scenes: dict[tuple[tuple[Posture, ...], tuple[str, ...]], Scene] = field(default_factory=dict)
+    adjustment: RigAdjustment | None = None  # of a calibrated rig, by the first set
     # where the last part lay, and the scene with it there
     placement: Placement | None = None
     scene: Scene | None = None
@@ -45,6 +49,17 @@ class PredictionCache:
     samples: dict[tuple[Key, str, bool], nearby.PixelSample] = field(default_factory=dict)
     surface_maps: dict[tuple[Posture, ...], SurfaceMap] = field(default_factory=dict)
     banks: dict[tuple[Key, ExposuresKey], TemplateBank] = field(default_factory=dict)
+
+    def adjusted(
+        self, rig: RigConfig, scene: Scene, observations: Sequence[Observation], *, register: bool, run: RunContext
+    ) -> Scene:
+        """The scene with a calibrated rig as the first set's images show it; as it is where nothing was calibrated."""
+        if rig.calibration is None:
+            return scene
+        if self.adjustment is None:
+            where = str(observations[0].source.parent)
+            self.adjustment = adjust_rig(rig, scene, observations, register=register, where=where, run=run)
+        return self.adjustment.applied(scene)
 
     def use_placement(self, scene: Scene, placement: Placement) -> tuple[Scene, Placement]:
         """The scene and placement to predict with: those of the previous part, if that lay in the same place.

@@ -62,6 +62,8 @@ def register_set(
     """Find the part of a set, and predict the good part for its images; takes what :func:`inspect_set` takes."""
     threads = run.threads
     nominal, observations = nominal_scene(rig, part, image_set, scenes=cache.nominal_scenes, threads=threads)
+    if reference == "model":
+        nominal = cache.adjusted(rig, nominal, observations, register=register, run=run)
     scene, placement, offset = _find(nominal, observations, cache, run, register=register)
 
     def views() -> Iterator[tuple[PostureView, ExposuresByLight]]:

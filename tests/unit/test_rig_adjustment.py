@@ -1,0 +1,91 @@
+"""A calibrated rig is adjusted to the images of a part within what its calibration leaves open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from verified import images_of, observed, parameters_of, rig_with, small_scene
+
+from lightopt.config import load_rig
+from lightopt.estimate.verification import adjust_rig
+from lightopt.rendering import cast_rays_at, render_posture
+
+CENTRE_MM, CAMERA_MM = 0.5, 0.4  # standard deviations of the calibration
+OFF = {"panel_shift light1": [0.5, -0.3, 0.0], "panel_shift light3": [-0.4, 0.6, 0.0], "camera_shift": [0.2, -0.3, 0.0]}
+
+
+@pytest.fixture(scope="module")
+def scene(shared_bench):
+    return small_scene(shared_bench, points=4)
+
+
+@pytest.fixture(scope="module")
+def rig(shared_bench, tmp_path_factory):
+    """The rig file with a calibration that knows panels and camera to half a millimetre."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    lights = [f"{light.name} centre {axis} [mm]" for light in load_rig(shared_bench.rig).lights for axis in "xyz"]
+    names = [f"camera.position_{axis}" for axis in "xyz"] + lights
+    covariance = np.diag(np.square([CAMERA_MM] * 3 + [CENTRE_MM] * len(lights)))
+    np.savez(folder / "rig.npz", names=np.array(names), covariance=covariance)
+    (folder / "rig.yaml").write_text(f"{shared_bench.rig.read_text()}\ncalibration: {{covariance: rig.npz}}\n")
+    return load_rig(folder / "rig.yaml")
+
+
+def misfit(scene, adjustment, truth):
+    """Root of the sum of squared differences in the noise of a pixel, between a rig and the images of the true one."""
+    world = scene if adjustment is None else adjustment.applied(scene)
+    caster, total = cast_rays_at(world), 0.0
+    for posture in scene.postures:
+        for image in render_posture(world, posture, caster=caster).lights:
+            known = truth[posture, image.light]
+            used = (known < 250.0) & (known > 0.0) & (image.level > 0.0)
+            noise = scene.sensor.noise_variance(known[used].astype(np.float64))
+            total += float(np.sum(np.square(image.level[used] - known[used]) / np.maximum(noise, 1.0)))
+    return total**0.5
+
+
+def adjusted(rig, scene, images, *, seed=1):
+    return adjust_rig(rig, scene, observed(scene, images, seed=seed), register=True, where="images")
+
+
+def test_what_the_calibration_leaves_open_is_found(scene, rig):
+    truth = images_of(scene, rig_with(scene, **OFF))
+    found = adjusted(rig, scene, truth)
+    assert misfit(scene, found, truth) < 0.1 * misfit(scene, None, truth)
+    assert found.greatest_z < 4.0
+    assert found.warnings == ()
+    assert found.as_dict()["R_s_factor"] == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_rig_that_is_as_filed_stays(scene, rig):
+    truth = images_of(scene, np.zeros(parameters_of(scene).size))
+    found = adjusted(rig, scene, truth)
+    off = images_of(scene, rig_with(scene, **OFF))
+    assert misfit(scene, found, truth) < 0.1 * misfit(scene, None, off)
+
+
+def test_defects_do_not_move_the_rig(scene, rig):
+    truth = images_of(scene, rig_with(scene, **OFF))
+    marked = {key: level.copy() for key, level in truth.items()}
+    height, width = next(iter(marked.values())).shape
+    for level in marked.values():
+        level[height // 2 - 4 : height // 2 + 4, width // 2 - 20 : width // 2 + 20] *= 0.6
+    found = adjusted(rig, scene, marked)
+    assert misfit(scene, found, truth) < 0.15 * misfit(scene, None, truth)
+
+
+def test_a_rig_that_has_changed_since_is_told(scene, rig):
+    far = {"panel_shift light1": [6.0, 0.0, 0.0]}
+    found = adjusted(rig, scene, images_of(scene, rig_with(scene, **far)))
+    assert found.greatest_z > 5.0
+    (warning,) = found.warnings
+    assert "from its calibration: it has changed since; find out what by lightopt verify" in warning
+
+
+def test_lights_that_the_images_lack_stay(scene, rig):
+    one = replace(scene, lights=scene.lights[:1])
+    found = adjusted(rig, one, images_of(one, np.zeros(parameters_of(one).size)))
+    (_, *others) = found.applied(scene).lights
+    assert tuple(others) == scene.lights[1:]
