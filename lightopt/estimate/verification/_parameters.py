@@ -143,7 +143,7 @@ class Parameters:
 
         camera, lights = scene.camera, scene.lights
         camera = moved_camera(camera, of("camera_shift"), of("camera_turn"))
-        lights = tuple(moved_panel(p, of("panel_shift", p.name), of("panel_turn", p.name)) for p in lights)
+        lights = tuple(moved_light(p, of("panel_shift", p.name), of("panel_turn", p.name)) for p in lights)
         view = view_from_part(replace(scene, camera=camera, lights=lights), posture)
         # the part moved at posture (0, 0), x' = R·x + t, inverted
         back = rotation_from_vector(of("part_turn")).T
@@ -159,12 +159,11 @@ def moved_camera(camera: PinholeCamera, shift: Float64, turn: Float64) -> Pinhol
     return replace(camera, position=camera.position + axes @ shift, right=right, up=up, forward=forward)
 
 
-def moved_panel(light: PanelLight, shift: Float64, turn: Float64) -> PanelLight:
+def moved_light(light: PanelLight, shift: Float64, turn: Float64) -> PanelLight:
     # along its own axes, and about its own centre
     axes = np.stack([light.across, light.along, light.outward], axis=1)
-    across, along, outward = (rotation_from_vector(axes[:, :2] @ turn) @ axes).T
-    place = {"centre": light.centre + axes @ shift, "across": across, "along": along, "outward": outward}
-    return replace(light, **place, reference_distance=light.reference_distance or light.distance)
+    rotation = rotation_from_vector(axes[:, :2] @ turn)
+    return light.moved(rotation, light.centre + axes @ shift - rotation @ light.centre)
 
 
 def calibrated_deviations(rig: RigConfig, scene: Scene, p: Parameters) -> Float64:

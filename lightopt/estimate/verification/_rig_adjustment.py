@@ -22,7 +22,7 @@ from lightopt.estimate.verification._parameters import (
     Work,
     calibrated_deviations,
     moved_camera,
-    moved_panel,
+    moved_light,
 )
 from lightopt.lights import PanelLight
 from lightopt.scene import Scene, with_reflectances
@@ -56,7 +56,7 @@ class RigAdjustment:
         def adjusted(light: PanelLight) -> PanelLight:
             if light.name not in self.parameters.lights:
                 return light
-            moved = moved_panel(light, self._of("panel_shift", light.name), self._of("panel_turn", light.name))
+            moved = moved_light(light, self._of("panel_shift", light.name), self._of("panel_turn", light.name))
             return replace(moved, gain=light.gain * self._gain(light.name))
 
         camera = moved_camera(scene.camera, self._of("camera_shift"), self._of("camera_turn"))

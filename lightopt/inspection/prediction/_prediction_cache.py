@@ -53,8 +53,11 @@ class PredictionCache:
     def adjusted(
         self, rig: RigConfig, scene: Scene, observations: Sequence[Observation], *, register: bool, run: RunContext
     ) -> Scene:
-        """The scene with a calibrated rig as the first set's images show it; as it is where nothing was calibrated."""
-        if rig.calibration is None:
+        """The scene with a calibrated rig as the first set's images show it.
+
+        As it is where nothing was calibrated, and where the part mirrors itself: the fit has direct light only.
+        """
+        if rig.calibration is None or scene.bounces:
             return scene
         if self.adjustment is None:
             where = str(observations[0].source.parent)
