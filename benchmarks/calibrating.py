@@ -2,10 +2,11 @@
 
 ``python -m benchmarks.calibrating -o out/calibrating --seeds 1`` captures the targets of `lightopt calibrate --plan`
 under a true rig that differs from the rig file, calibrates, and prints how far off the result is. With ``--inspect`` it
-captures the sample part with random defects and inspects it with the rig as filed, as calibrated, and as it truly is;
-with ``--good`` also as calibrated, with an inspection that has learned from so many good parts. For the tutorial,
-``--hide`` only writes the rigs, ``--bend FILE`` only bends the mesh of a board, ``--compare`` only prints errors, and
-``--picture FILE`` only draws the targets.
+captures the sample part with random defects and inspects it with the rig as filed, as calibrated, and as it truly is
+(``--rigs``); with ``--good`` also as calibrated, with an inspection that has learned from so many good parts.
+
+For the tutorial, ``--hide`` only writes the rigs, ``--bend FILE`` only bends the mesh of a board, ``--compare`` only
+prints errors, and ``--picture FILE`` only draws the targets.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ CAMERA_DEG, CAMERA_MM, FOCAL_SHARE, CENTRE_PX = 1.0, 2.0, 0.005, 8.0
 AXIS_DEG, AXIS_MM = 0.1, 0.3
 PANEL_MM, PANEL_DEG, GAIN = 3.0, 2.0, 0.08
 BOW_MM = 0.1  # of the board's corners
+RIGS = ("filed", "calibrated", "known")
 
 
 def main() -> None:
@@ -44,6 +46,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--inspect", type=int, metavar="DEFECTS", default=0)
+    parser.add_argument("--rigs", nargs="+", choices=RIGS, default=RIGS, help="that parts are inspected by")
+    parser.add_argument("--part", type=Path, default=PART, help="that is inspected")
     parser.add_argument("--good", type=int, metavar="PARTS", default=0)
     parser.add_argument("--width", type=int, default=1600, help="of the camera's image [px]")
     parser.add_argument("--rays", type=int, default=2, help="along each side of a pixel")
@@ -68,7 +72,7 @@ def main() -> None:
             continue
         calibrate(folder, seed)
         if given.inspect:
-            inspect(folder, seed, given.inspect, good=given.good)
+            inspect(folder, seed, given)
 
 
 def bend(path: Path, seed: int) -> None:
@@ -203,24 +207,27 @@ def angle(a: Float64, b: Float64) -> float:
     return float(np.degrees(np.arccos(np.clip(a @ b, -1.0, 1.0))))
 
 
-def inspect(folder: Path, seed: int, count: int, *, good: int) -> None:
+def inspect(folder: Path, seed: int, given: argparse.Namespace) -> None:
     """Inspect the sample part with random defects by the filed, the calibrated and the true rig."""
-    part = folder / "part.yaml"
-    run("defects", folder / "true.yaml", PART, "-o", part, "--seed", seed + 1, "--count", count, "--force")
-    rigs = {
+    name, good = given.part.stem, given.good
+    part = folder / f"{name}.yaml"
+    run(
+        "defects", folder / "true.yaml", given.part, "-o", part, "--seed", seed + 1, "--count", given.inspect, "--force"
+    )
+    files = {
         "filed": folder / "rig.yaml",
         "calibrated": folder / "calibration" / "rig.calibrated.yaml",
         "known": folder / "known.yaml",
     }
-    for name, rig in rigs.items():
-        images = folder / f"images-{name}"
+    for kind in given.rigs:
+        rig, images = files[kind], folder / f"images-{name}-{kind}"
         run("capture", rig, part, "-o", images, "--exposure", "1,1/16", "--force", "--no-check-lights")
-        judge(name, rig, part, images)
-        if name == "calibrated" and good:
+        judge(kind, rig, part, images)
+        if kind == "calibrated" and good:
             sets = [folder / f"good-{k}" for k in range(good)]
             for k, one in enumerate(sets):
                 options = ("--exposure", "1,1/16", "--force", "--no-check-lights", "--seed", 1000 + k)
-                run("capture", rig, PART, "-o", one, *options)
+                run("capture", rig, given.part, "-o", one, *options)
             # the least rate that so many parts allow
             rate = np.ceil(1e3 * (1.0 - 0.05 ** (1.0 / good))) / 1e3
             learned = folder / "learned"
@@ -243,6 +250,9 @@ def judge(name: str, rig: Path, part: Path, images: Path, *options: object) -> N
         out,
         "--evaluate",
         "--force",
+        "--fusion",
+        "none",
+        "--no-report",
         *options,
     ]
     done = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
