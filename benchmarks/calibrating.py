@@ -224,20 +224,20 @@ def inspect(folder: Path, seed: int, given: argparse.Namespace) -> None:
         run("capture", rig, part, "-o", images, "--exposure", "1,1/16", "--force", "--no-check-lights")
         judge(kind, rig, part, images)
         if kind == "calibrated" and good:
-            sets = [folder / f"good-{k}" for k in range(good)]
+            sets = [folder / f"good-{name}-{k}" for k in range(good)]
             for k, one in enumerate(sets):
                 options = ("--exposure", "1,1/16", "--force", "--no-check-lights", "--seed", 1000 + k)
                 run("capture", rig, given.part, "-o", one, *options)
             # the least rate that so many parts allow
             rate = np.ceil(1e3 * (1.0 - 0.05 ** (1.0 / good))) / 1e3
-            learned = folder / "learned"
+            learned = folder / f"learned-{name}"
             run("inspect", rig, part, *sets, "-o", learned, "--calibrate", "--false-alarms", rate, "--force")
             judge(f"calibrated, {good} good parts", rig, part, images, "--calibration", learned)
 
 
 def judge(name: str, rig: Path, part: Path, images: Path, *options: object) -> None:
     """Inspect a set and print what was found."""
-    out = images.parent / f"inspected-{name.replace(', ', '-').replace(' ', '-')}"
+    out = images.parent / f"{images.name}-inspected{len(options)}"
     command = [
         sys.executable,
         "-m",

@@ -157,8 +157,13 @@ class Inspector:
 
     def inspect(self, image_set: ImageSet) -> InspectionResult:
         how: dict[str, Any] = {"register": self.options.register, "reference": self.options.reference}
-        registered = register_set(self.rig, self.part, image_set, **how, cache=self.cache, run=self.run)
-        return self.inspect_registered(registered, str(image_set.folder))
+        adjustment = self.cache.adjustment
+        try:
+            registered = register_set(self.rig, self.part, image_set, **how, cache=self.cache, run=self.run)
+            return self.inspect_registered(registered, str(image_set.folder))
+        except InputError:
+            self.cache.adjustment = adjustment  # a set that is refused says nothing about the rig
+            raise
 
     def inspect_registered(self, registered: RegisteredSet, where: str) -> InspectionResult:
         """Find the defects of a set whose part is registered; `where` names the set in messages."""

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from verified import images_of, observed, parameters_of, rig_with, small_scene
 
-from lightopt.config import load_rig
+from lightopt.config import load_part, load_rig
+from lightopt.core.run_context import RunContext
 from lightopt.estimate.verification import adjust_rig
-from lightopt.rendering import cast_rays_at, render_posture
+from lightopt.images import read_image_set
+from lightopt.inspection import InspectOptions, inspect_set
+from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
 
 CENTRE_MM, CAMERA_MM = 0.5, 0.4  # standard deviations of the calibration
 OFF = {"panel_shift light1": [0.5, -0.3, 0.0], "panel_shift light3": [-0.4, 0.6, 0.0], "camera_shift": [0.2, -0.3, 0.0]}
@@ -35,7 +38,7 @@ def rig(shared_bench, tmp_path_factory):
 
 def misfit(scene, adjustment, truth):
     """Root of the sum of squared differences in the noise of a pixel, between a rig and the images of the true one."""
-    world = scene if adjustment is None else adjustment.applied(scene)
+    world = scene if adjustment is None else adjustment.apply(scene)
     caster, total = cast_rays_at(world), 0.0
     for posture in scene.postures:
         for image in render_posture(world, posture, caster=caster).lights:
@@ -46,8 +49,8 @@ def misfit(scene, adjustment, truth):
     return total**0.5
 
 
-def adjusted(rig, scene, images, *, seed=1):
-    return adjust_rig(rig, scene, observed(scene, images, seed=seed), register=True, where="images")
+def adjusted(rig, scene, images, *, register=True, black=0.0):
+    return adjust_rig(rig, scene, observed(scene, images, seed=1, black=black), register=register)
 
 
 def test_what_the_calibration_leaves_open_is_found(scene, rig):
@@ -59,11 +62,54 @@ def test_what_the_calibration_leaves_open_is_found(scene, rig):
     assert found.as_dict()["R_s_factor"] == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_rig_that_is_as_filed_stays(scene, rig):
-    truth = images_of(scene, np.zeros(parameters_of(scene).size))
-    found = adjusted(rig, scene, truth)
+@pytest.mark.parametrize(
+    ("fault", "black"),
+    [({}, 0.0), ({"exposure": [np.log(1.03)]}, 0.0), ({"gain light1": [np.log(0.97)]}, 0.0), ({}, 1.0)],
+    ids=["as filed", "exposure", "lamp", "black level"],
+)
+def test_what_inspection_finds_itself_does_not_move_the_rig(scene, rig, fault, black):
+    still = images_of(scene, np.zeros(parameters_of(scene).size))
+    found = adjusted(rig, scene, images_of(scene, rig_with(scene, **fault)), black=black)
+    assert found.greatest_z < 2.0
+    assert found.warnings == ()
     off = images_of(scene, rig_with(scene, **OFF))
-    assert misfit(scene, found, truth) < 0.1 * misfit(scene, None, off)
+    assert misfit(scene, found, still) < 0.15 * misfit(scene, None, off)
+
+
+def test_the_part_may_lie_far_from_its_place(scene, rig):
+    truth = images_of(scene, rig_with(scene, **OFF, part_shift=[2.5, 1.0, 0.0]))
+    found = adjusted(rig, scene, truth)
+    moved = found.as_dict()["camera"]["shift_mm"]
+    assert np.abs(np.array(moved[:2]) - OFF["camera_shift"][:2]).max() < 0.25
+    assert found.warnings == ()
+
+
+def test_a_part_that_is_not_searched_for_is_where_its_file_has_it(scene, rig):
+    truth = images_of(scene, rig_with(scene, **OFF))
+    found = adjusted(rig, scene, truth, register=False)
+    assert misfit(scene, found, truth) < 0.1 * misfit(scene, None, truth)
+    assert found.as_dict()["camera"]["shift_mm"][:2] == pytest.approx(OFF["camera_shift"][:2], abs=0.02)
+
+
+def test_images_that_tell_nothing_leave_the_rig_as_it_is(scene, rig):
+    run = RunContext()
+    dark = {key: np.zeros_like(level) for key, level in images_of(scene, np.zeros(parameters_of(scene).size)).items()}
+    found = adjust_rig(rig, scene, observed(scene, dark, seed=1), register=True, run=run)
+    assert found is None
+    (warning,) = run.warnings
+    assert warning.startswith("the calibrated rig is not adjusted to the images: ")
+
+
+def test_inspection_adjusts_a_calibrated_rig(rig, shared_bench, tmp_path):
+    part = load_part(shared_bench.part)
+    render_image_set(rig, part, tmp_path / "images", options=RenderOptions(noise=1, patch_budget=500))
+    images = read_image_set(tmp_path / "images")
+    result = inspect_set(rig, part, images, options=InspectOptions(fusion=None))
+    assert result.adjustment is not None
+    assert result.as_dict()["rig_adjustment"]["greatest_z"] < 3.0
+    alone = inspect_set(rig, part, images, options=InspectOptions(fusion=None, reference="self"))
+    assert alone.adjustment is None
+    assert "rig_adjustment" not in alone.as_dict()
 
 
 def test_defects_do_not_move_the_rig(scene, rig):
@@ -87,5 +133,6 @@ def test_a_rig_that_has_changed_since_is_told(scene, rig):
 def test_lights_that_the_images_lack_stay(scene, rig):
     one = replace(scene, lights=scene.lights[:1])
     found = adjusted(rig, one, images_of(one, np.zeros(parameters_of(one).size)))
-    (_, *others) = found.applied(scene).lights
+    first, *others = found.apply(scene).lights
     assert tuple(others) == scene.lights[1:]
+    assert not np.array_equal(first.centre, scene.lights[0].centre)

@@ -14,11 +14,13 @@ from verified import images_of, observed, parameters_of, rig_with, small_scene
 
 from lightopt.config import load_rig
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
+from lightopt.core.transforms import rotation_from_vector
 from lightopt.estimate.verification import VerifyLimits, append_history, plan_limits
-from lightopt.estimate.verification._parameters import calibrated_deviations
+from lightopt.estimate.verification._parameters import Work, calibrated_deviations, moved_light
 from lightopt.estimate.verification._verify import verify_observations
 from lightopt.optics import clipped_mean
-from lightopt.scene import project, view_from_part
+from lightopt.scene import build_lights, project, view_from_part
 
 
 @pytest.fixture(scope="module")
@@ -204,6 +206,23 @@ def test_a_covariance_that_cannot_be_read_is_refused(scene, tmp_path, shared_ben
     (tmp_path / "rig.npz").write_bytes(b"none")
     with pytest.raises(InputError, match=r"rig.npz is no covariance .*; copy it to the rig file, or remove"):
         calibrated_deviations(load_rig(tmp_path / "rig.yaml"), scene, parameters_of(scene))
+
+
+def test_lights_of_other_kinds_move_as_a_whole():
+    ring = build_lights(load_rig(Path(__file__).parents[2] / "configs" / "rigs" / "ring-quadrants.yaml"))[0]
+    shift, turn = np.array([1.0, -2.0, 3.0]), np.array([0.02, -0.01])
+    axes = np.stack([ring.across, ring.along, ring.outward], axis=1)
+    moved = moved_light(ring, shift, turn)
+    rotation = rotation_from_vector(axes[:, :2] @ turn)
+    expected = ring.centre + axes @ shift + (ring.targets - ring.centre) @ rotation.T
+    assert np.allclose(moved.targets, expected, atol=1e-9)
+    assert np.allclose(moved.outward, rotation @ ring.outward)
+
+
+def test_a_turned_panel_has_images_of_its_own(scene):
+    work = Work(scene, parameters_of(scene), RunContext())
+    turned = rig_with(scene, **{"panel_turn light1": [0.2, 0.1]})
+    assert work.predict(turned) is not work.predict(np.zeros(parameters_of(scene).size))
 
 
 def test_against_a_known_good_set(scene):

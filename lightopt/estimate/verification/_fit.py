@@ -196,9 +196,12 @@ class Model:
         used = self._open & (mean + CLEAR * single < self._top)
         used &= np.isfinite(mean) & np.isfinite(slope).all(axis=1)
         for group in moving:
-            if used.any():
-                size = np.abs(slope[:, group.where]).max(axis=1)
-                used &= ~(size > self._options.steepest * np.quantile(size[used], 0.9))
+            size = np.abs(slope[:, group.where]).max(axis=1)
+            own = used & rows_of(group)
+            # a tenth of all rows change more; those of other lights do not change
+            share = max(0.5, 1.0 - 0.1 * (len(p.lights) if group.light else 1))
+            if own.any() and math.isfinite(self._options.steepest):
+                used &= ~(size > self._options.steepest * np.quantile(size[own], share))
         residual = np.where(used, (self.measured - np.where(used, mean, 0.0)) / noise, 0.0)
         return residual, np.where(used[:, None], slope, 0.0) / np.where(used, noise, 1.0)[:, None], used
 

@@ -318,8 +318,10 @@ class Work:
     def moved_blocks(self, a: Float64, b: Float64) -> float:
         """By how much the images of two rigs differ, at most [block]: of the part, or of what it mirrors."""
         p = self.parameters
-        panels = [g for g in p.groups if g.kind == "panel_shift"]
-        most = max(float(np.abs(a - b)[g.where].max()) / PANEL_MM for g in panels)
+        sizes = {light.name: 0.5 * max(light.size) for light in self.scene.lights}
+        turns = [(g, sizes[g.light]) for g in p.groups if g.kind == "panel_turn"]
+        shifts = [(g, 1.0) for g in p.groups if g.kind == "panel_shift"]
+        most = max(lever * float(np.abs(a - b)[g.where].max()) / PANEL_MM for g, lever in (*shifts, *turns))
         vertices = self.scene.mesh.vertices
         some = vertices[:: max(1, len(vertices) // 500)]
         for posture in self.scene.postures:

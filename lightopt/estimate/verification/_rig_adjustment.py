@@ -1,7 +1,7 @@
 """A calibrated rig as the images of a part show it, within what its calibration leaves open.
 
 The calibration is the prior: Gaussian, with the covariance that the rig file names. The images of a part know most
-panels far better than a ball does, since the part's highlights cover many pixels.
+panels far better across the line of sight than a ball does, since highlights cover many pixels.
 """
 
 import math
@@ -13,10 +13,12 @@ import numpy as np
 
 from lightopt.config import RigConfig
 from lightopt.core.arrays import Float64
+from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.estimate.registration import Observation
 from lightopt.estimate.verification._fit import FitOptions, descend, fit_faults
 from lightopt.estimate.verification._parameters import (
+    NUISANCE,
     Parameters,
     VerifyLimits,
     Work,
@@ -28,8 +30,11 @@ from lightopt.lights import PanelLight
 from lightopt.scene import Scene, with_reflectances
 
 MISFIT_SHARE = 0.002  # of the level, by which a calibrated rig's images may still be off
-UNLIKELY_Z = 5.0  # no direction of a rig that is as it was calibrated is further off than this
 BLOCKS = 5000  # of each posture: what single pixels leave open is little then against the noise of a defect's pixels
+# greatest distance from the calibration, and of ln R_s and ln σ from the part file, in standard deviations: a right
+# calibration exceeds it for a body of six values with a probability of 3e-6
+UNLIKELY_Z = 6.0
+PART_PRIORS = {"part_shift": 5.0, "part_turn": math.radians(6.0)}  # as far as registration searches [mm], [rad]
 
 
 @dataclass(frozen=True)
@@ -38,19 +43,27 @@ class RigAdjustment:
 
     parameters: Parameters
     theta: Float64  # of `parameters`, shape (K,)
-    # greatest deviation along an independent direction of the calibration, in its standard deviations
-    greatest_z: float
+    greatest_z: float  # of the camera and the lights, distance from the calibration in its standard deviations
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """None where the rig is as its calibration has it."""
-        text = (
-            f"the images show a rig {self.greatest_z:.1f} standard deviations from its calibration: it has changed "
-            "since; find out what by lightopt verify, and calibrate again"
-        )
-        return (text,) if self.greatest_z > UNLIKELY_Z else ()
+        """Empty if rig and part are as their files have them."""
+        found: list[str] = []
+        if self.greatest_z > UNLIKELY_Z:
+            found.append(
+                f"the images show a rig {self.greatest_z:.1f} standard deviations from its calibration: it has changed "
+                "since; find out what by lightopt verify, and calibrate again"
+            )
+        off = np.abs(self.theta[self.parameters.nuisance[:2]]) / list(NUISANCE.values())[:2]
+        if off.max() > UNLIKELY_Z:
+            r_s, sigma = self._factors
+            found.append(
+                f"the images show R_s {r_s:.3g} times and sigma {sigma:.3g} times as large as the part file, which are "
+                "used: a part that is worn or hazy all over looks good; fit the reflectance again to a good part"
+            )
+        return tuple(found)
 
-    def applied(self, scene: Scene) -> Scene:
+    def apply(self, scene: Scene) -> Scene:
         """The scene with its camera, lights and reflectance adjusted."""
 
         def adjusted(light: PanelLight) -> PanelLight:
@@ -60,17 +73,17 @@ class RigAdjustment:
             return replace(moved, gain=light.gain * self._gain(light.name))
 
         camera = moved_camera(scene.camera, self._of("camera_shift"), self._of("camera_turn"))
-        higher, wider = self._lobe
-        reflectances = [replace(one, R_s=one.R_s * higher, sigma=one.sigma * wider) for one in scene.reflectances]
+        r_s, sigma = self._factors
+        reflectances = [replace(one, R_s=one.R_s * r_s, sigma=one.sigma * sigma) for one in scene.reflectances]
         lights = tuple(adjusted(light) for light in scene.lights)
         return with_reflectances(replace(scene, camera=camera, lights=lights), reflectances)
 
     def as_dict(self) -> dict[str, Any]:
-        higher, wider = self._lobe
+        r_s, sigma = self._factors
         return {
             "greatest_z": round(self.greatest_z, 3),
-            "R_s_factor": round(higher, 6),
-            "sigma_factor": round(wider, 6),
+            "R_s_factor": round(r_s, 6),
+            "sigma_factor": round(sigma, 6),
             "camera": self._motion("camera"),
             "lights": {
                 name: {**self._motion("panel", name), "gain_factor": round(self._gain(name), 6)}
@@ -89,43 +102,68 @@ class RigAdjustment:
         return math.exp(self._of("gain", light)[0])
 
     @property
-    def _lobe(self) -> tuple[float, float]:
-        # factors of R_s and σ
-        higher, wider = np.exp(self.theta[self.parameters.nuisance[:2]])
-        return float(higher), float(wider)
+    def _factors(self) -> tuple[float, float]:
+        # of R_s and sigma
+        r_s, sigma = np.exp(self.theta[self.parameters.nuisance[:2]])
+        return float(r_s), float(sigma)
 
 
 def adjust_rig(
-    rig: RigConfig,
-    scene: Scene,
-    observations: Sequence[Observation],
-    *,
-    register: bool,
-    where: str,
-    run: RunContext | None = None,
-) -> RigAdjustment:
+    rig: RigConfig, scene: Scene, observations: Sequence[Observation], *, register: bool, run: RunContext | None = None
+) -> RigAdjustment | None:
     """Find the most probable rig within the covariance of its calibration, given images of a part.
 
-    Camera, panels and gains are adjusted, and R_s and σ of the part by a few percent. The part's place and the focus
-    are fitted with them, and left as they are. Robust against defects.
+    Camera, lights, gains, and R_s and σ of the part are adjusted. The part's place, the exposure, the black level,
+    lamps that are brighter or darker, and the focus are fitted as well, and left to the inspection. Robust against
+    defects of a small share of the surface.
 
     scene: With the lights and postures of the observations.
     register: Whether the part's place is fitted, too; else it lies where its file has it.
-    where: The set, for messages.
-    Raises InputError: The covariance cannot be read, images that show nothing, or that are not this part's
+
+    None, with a warning, if the images do not determine it.
+    Raises InputError: The covariance cannot be read
     """
+    run = run or RunContext()
     parameters = Parameters.of(scene, VerifyLimits())
+    groups = tuple(replace(g, prior=PART_PRIORS.get(g.kind, g.prior)) for g in parameters.groups)
+    parameters = replace(parameters, groups=groups)
     deviations = calibrated_deviations(rig, scene, parameters)
-    work = Work(scene, parameters, run or RunContext())
-    free = parameters.part_groups(scene.freedoms) if register else ()
-    images = work.blocks(observations)
+    free = [g for g in parameters.groups if g.kind in ("exposure", "black", "gain")]
+    if register:
+        free += parameters.part_groups(scene.freedoms)
     # few blocks find the part, many the rig; the flanks of highlights say most about it
-    few = FitOptions(deviations=deviations, groups=free, misfit_share=MISFIT_SHARE, steepest=math.inf, settled=0.5)
-    near = fit_faults(work, images, options=few, where=where, register=register)
-    many = replace(few, blocks=BLOCKS, most_steps=2, settled=0.0)
-    fit = descend(work, images, None, many, np.zeros(parameters.size), near.theta)
-    of_rig = fit.theta - fit.faults
-    coefficients = np.linalg.lstsq(deviations, of_rig, rcond=1e-9)[0]
-    theta = of_rig.copy()
+    coarse = FitOptions(
+        deviations=deviations, groups=tuple(free), misfit_share=MISFIT_SHARE, steepest=math.inf, settled=0.5
+    )
+    fine = replace(coarse, blocks=BLOCKS, most_steps=2, settled=0.0)
+    work = Work(scene, parameters, run)
+    images = work.blocks(observations)
+    where = str(observations[0].source.parent)
+    try:
+        start = fit_faults(work, images, options=coarse, where=where, register=register).theta
+        fit = descend(work, images, None, fine, np.zeros(parameters.size), start)
+    except InputError as error:
+        run.warn(f"the calibrated rig is not adjusted to the images: {error}")
+        return None
+    theta = fit.theta - fit.faults
+    greatest = _greatest_z(parameters, deviations, theta)
     theta[parameters.nuisance] = fit.theta[parameters.nuisance]
-    return RigAdjustment(parameters, theta, float(np.abs(coefficients).max(initial=0.0)))
+    return RigAdjustment(parameters, theta, greatest)
+
+
+def _greatest_z(parameters: Parameters, deviations: Float64, theta: Float64) -> float:
+    # Mahalanobis distance of the camera, or of the light that is furthest
+    bodies: dict[str, list[int]] = {}
+    for group in parameters.groups:
+        if group.light or group.kind.startswith("camera"):
+            bodies.setdefault(group.light, []).extend(range(group.first, group.where.stop))
+    found = 0.0
+    for at in bodies.values():
+        spread = np.linalg.norm(deviations[at], axis=1)
+        known = [i for i, s in zip(at, spread, strict=True) if s > 0.0]
+        unit = np.linalg.norm(deviations[known], axis=1)
+        values, vectors = np.linalg.eigh((deviations[known] @ deviations[known].T) / np.outer(unit, unit))
+        along = vectors.T @ (theta[known] / unit)
+        open_ = values > 1e-9
+        found = max(found, float(np.sqrt(np.sum(np.square(along[open_]) / values[open_]))))
+    return found

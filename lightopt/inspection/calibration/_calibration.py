@@ -150,12 +150,15 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
     by_synthetic = DETECTORS[options.detector].uses_synthetic
     names = ("reference", "detector", "register", "fusion" if by_synthetic else "min_images")
     chosen = {name: getattr(options, name) for name in names}
-    of_rig = {
+    of_rig: dict[str, Any] = {
         "camera": rig.camera.model_dump(mode="json"),
         "light_source": None if rig.light_source is None else rig.light_source.model_dump(mode="json"),
         "lights": [light.model_dump(mode="json", exclude={*RANGE_KEYS}) for light in rig.lights],
         "stage": rig.stage.model_dump(mode="json", exclude={"elevation_range_deg", "rotation_range_deg"}),
     }
+    if rig.calibration is not None:
+        covariance = rig.source.resolve(rig.calibration.covariance)
+        of_rig["covariance"] = file_sha256(covariance) if covariance.is_file() else None
     return {
         "rig": _hash(of_rig),
         "part": _hash({**part.model_dump(mode="json", exclude=of_part), "masks": masks}),

@@ -55,14 +55,14 @@ class PredictionCache:
     ) -> Scene:
         """The scene with a calibrated rig as the first set's images show it.
 
-        As it is where nothing was calibrated, and where the part mirrors itself: the fit has direct light only.
+        As it is if nothing was calibrated, and if other light than that of the lights themselves reaches the part,
+        which the fit does not know.
         """
-        if rig.calibration is None or scene.bounces:
+        if rig.calibration is None or scene.bounces or scene.environment:
             return scene
         if self.adjustment is None:
-            where = str(observations[0].source.parent)
-            self.adjustment = adjust_rig(rig, scene, observations, register=register, where=where, run=run)
-        return self.adjustment.applied(scene)
+            self.adjustment = adjust_rig(rig, scene, observations, register=register, run=run)
+        return scene if self.adjustment is None else self.adjustment.apply(scene)
 
     def use_placement(self, scene: Scene, placement: Placement) -> tuple[Scene, Placement]:
         """The scene and placement to predict with: those of the previous part, if that lay in the same place.
