@@ -100,6 +100,13 @@ def test_images_that_tell_nothing_leave_the_rig_as_it_is(scene, rig):
     assert warning.startswith("the calibrated rig is not adjusted to the images: ")
 
 
+def test_a_calibration_of_the_sensor_adjusts_nothing(scene, shared_bench, tmp_path):
+    np.savez(tmp_path / "rig.npz", names=np.array(["camera.sensor.black_level"]), covariance=np.eye(1))
+    (tmp_path / "rig.yaml").write_text(f"{shared_bench.rig.read_text()}\ncalibration: {{covariance: rig.npz}}\n")
+    images = images_of(scene, np.zeros(parameters_of(scene).size))
+    assert adjusted(load_rig(tmp_path / "rig.yaml"), scene, images) is None
+
+
 def test_inspection_adjusts_a_calibrated_rig(rig, shared_bench, tmp_path):
     part = load_part(shared_bench.part)
     render_image_set(rig, part, tmp_path / "images", options=RenderOptions(noise=1, patch_budget=500))

@@ -120,7 +120,7 @@ def adjust_rig(
     scene: With the lights and postures of the observations.
     register: Whether the part's place is fitted, too; else it lies where its file has it.
 
-    None, with a warning, if the images do not determine it.
+    None if neither camera nor lights were calibrated, and, with a warning, if the images do not determine the rig.
     Raises InputError: The covariance cannot be read
     """
     run = run or RunContext()
@@ -128,6 +128,8 @@ def adjust_rig(
     groups = tuple(replace(g, prior=PART_PRIORS.get(g.kind, g.prior)) for g in parameters.groups)
     parameters = replace(parameters, groups=groups)
     deviations = calibrated_deviations(rig, scene, parameters)
+    if not deviations.any():
+        return None
     free = [g for g in parameters.groups if g.kind in ("exposure", "black", "gain")]
     if register:
         free += parameters.part_groups(scene.freedoms)
@@ -159,9 +161,8 @@ def _greatest_z(parameters: Parameters, deviations: Float64, theta: Float64) -> 
             bodies.setdefault(group.light, []).extend(range(group.first, group.where.stop))
     found = 0.0
     for at in bodies.values():
-        spread = np.linalg.norm(deviations[at], axis=1)
-        known = [i for i, s in zip(at, spread, strict=True) if s > 0.0]
-        unit = np.linalg.norm(deviations[known], axis=1)
+        unit = np.linalg.norm(deviations[at], axis=1)
+        known, unit = np.array(at)[unit > 0.0], unit[unit > 0.0]
         values, vectors = np.linalg.eigh((deviations[known] @ deviations[known].T) / np.outer(unit, unit))
         along = vectors.T @ (theta[known] / unit)
         open_ = values > 1e-9
