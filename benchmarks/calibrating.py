@@ -237,7 +237,7 @@ def inspect(folder: Path, seed: int, given: argparse.Namespace) -> None:
 
 def judge(name: str, rig: Path, part: Path, images: Path, *options: object) -> None:
     """Inspect a set and print what was found."""
-    out = images.parent / f"{images.name}-inspected{len(options)}"
+    out = images.parent / f"{images.name.replace('images', 'inspected')}{'-learned' if options else ''}"
     command = [
         sys.executable,
         "-m",

@@ -162,7 +162,7 @@ class Inspector:
             registered = register_set(self.rig, self.part, image_set, **how, cache=self.cache, run=self.run)
             return self.inspect_registered(registered, str(image_set.folder))
         except InputError:
-            self.cache.adjustment = adjustment  # a set that is refused says nothing about the rig
+            self.cache.restore_adjustment(adjustment)  # a set that is refused says nothing about the rig
             raise
 
     def inspect_registered(self, registered: RegisteredSet, where: str) -> InspectionResult:

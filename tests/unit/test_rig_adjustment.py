@@ -10,9 +10,11 @@ from verified import images_of, observed, parameters_of, rig_with, small_scene
 
 from lightopt.config import load_part, load_rig
 from lightopt.core.run_context import RunContext
+from lightopt.estimate.registration import Placement
 from lightopt.estimate.verification import adjust_rig
 from lightopt.images import read_image_set
 from lightopt.inspection import InspectOptions, inspect_set
+from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
 
 CENTRE_MM, CAMERA_MM = 0.5, 0.4  # standard deviations of the calibration
@@ -117,6 +119,15 @@ def test_inspection_adjusts_a_calibrated_rig(rig, shared_bench, tmp_path):
     alone = inspect_set(rig, part, images, options=InspectOptions(fusion=None, reference="self"))
     assert alone.adjustment is None
     assert "rig_adjustment" not in alone.as_dict()
+
+
+def test_a_refused_set_leaves_no_rig_behind(scene, rig):
+    cache, still = PredictionCache(), images_of(scene, np.zeros(parameters_of(scene).size))
+    seen = cache.adjusted(rig, scene, observed(scene, still, seed=1), register=True, run=RunContext())
+    cache.use_placement(seen, Placement())
+    cache.restore_adjustment(None)
+    assert cache.adjustment is None
+    assert cache.use_placement(scene, Placement())[0] is scene  # not the one with the rig of the refused set
 
 
 def test_defects_do_not_move_the_rig(scene, rig):

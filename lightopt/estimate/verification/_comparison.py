@@ -66,7 +66,7 @@ def compare_image(
     mean, noise, expected = _delivered(work, theta, image, predictions[posture])
     known = predictions[posture].clean & ~image.saturated & ~expected
     if good is not None:
-        other, own = good.images[number], work.predict(good.theta)[posture]
+        other, own = good.images[number], good.predictions[posture]
         predicted, more, _ = _delivered(work, good.theta, other, own)
         mean = mean + other.levels - predicted
         noise = np.hypot(noise, more)
@@ -205,8 +205,7 @@ class Spot:
 def find_spots(work: Work, fit: Fit, images: Sequence[Compared]) -> tuple[tuple[Spot, ...], bool]:
     """Spots in the images of a fit, and whether there were too many to be dust."""
     scores: dict[Posture, Float32] = {}
-    predictions = work.predict(fit.theta)
-    for posture, prediction in predictions.items():
+    for posture, prediction in fit.predictions.items():
         residuals = [one.deviation for one in images if one.image.source.posture == posture]
         if residuals:
             scores[posture] = _score(residuals, prediction)
@@ -219,7 +218,7 @@ def find_spots(work: Work, fit: Fit, images: Sequence[Compared]) -> tuple[tuple[
         beside = [max(abs(y - one.row), abs(x - one.column)) for p, y, x in explained if p == one.posture]
         if min(beside, default=np.inf) <= 2 * NEAR_BLOCKS:
             continue
-        world = predictions[one.posture].points[one.row, one.column].astype(np.float64)
+        world = fit.predictions[one.posture].points[one.row, one.column].astype(np.float64)
         own = view_from_part(work.coarse, one.posture)
         point = (world - own.translation) @ own.rotation
         # where the other postures show it
@@ -228,7 +227,7 @@ def find_spots(work: Work, fit: Fit, images: Sequence[Compared]) -> tuple[tuple[
             x, y, _ = project(work.parameters.view(work.coarse, p, fit.theta).camera, point[None])
             places["part"][p] = float(y[0]) - 0.5, float(x[0]) - 0.5
             places["lens"][p] = float(one.row), float(one.column)
-        again = {name: _seen_again(one, at, scores, predictions) for name, at in places.items()}
+        again = {name: _seen_again(one, at, scores, fit.predictions) for name, at in places.items()}
         where, name = "unknown", "part"
         if any(again.values()):
             share = {name: sum(seen) / max(len(seen), 1) for name, seen in again.items()}

@@ -9,7 +9,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 from typing import Any
 
@@ -199,9 +199,9 @@ class Model:
             size = np.abs(slope[:, group.where]).max(axis=1)
             own = used & rows_of(group)
             # a tenth of all rows change more; those of other lights do not change
-            share = max(0.5, 1.0 - 0.1 * (len(p.lights) if group.light else 1))
+            below = max(0.5, 1.0 - 0.1 * (len(p.lights) if group.light else 1))
             if own.any() and math.isfinite(self._options.steepest):
-                used &= ~(size > self._options.steepest * np.quantile(size[own], share))
+                used &= ~(size > self._options.steepest * np.quantile(size[own], below))
         residual = np.where(used, (self.measured - np.where(used, mean, 0.0)) / noise, 0.0)
         return residual, np.where(used[:, None], slope, 0.0) / np.where(used, noise, 1.0)[:, None], used
 
@@ -324,6 +324,7 @@ def alternatives(evidence: Evidence, chosen: Sequence[Group], group: Group) -> t
 
 @dataclass(frozen=True)
 class Fit:
+    work: Work
     images: tuple[CoarseImage, ...]
     theta: Float64  # from the rig file, with what the rig file may be off, shape (K,)
     faults: Float64  # from the baseline, or from the rig file, shape (K,); covariance: Of these, (K, K)
@@ -332,6 +333,11 @@ class Fit:
     evidence: Evidence
     left: Agreement  # what they leave
     registered: bool = False  # whether the part was searched for
+
+    @cached_property
+    def predictions(self) -> Predictions:
+        """Images of the rig with these faults, rendered on first use."""
+        return self.work.predict(self.theta)
 
 
 def fit_faults(
@@ -394,7 +400,7 @@ def descend(work: Work, images: _Images, good: Fit | None, options: FitOptions, 
     black = work.scene.sensor.black_level
     known = np.isfinite(mean) & (evidence.weight > 0.0)
     left = agreement(model.measured[known] - black, mean[known] - black, noise[known])
-    return Fit(images, theta, faults, covariance, chosen, evidence, left)
+    return Fit(work, images, theta, faults, covariance, chosen, evidence, left)
 
 
 def _model(

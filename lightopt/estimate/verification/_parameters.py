@@ -135,19 +135,39 @@ class Parameters:
         theta[self.group("part_turn").where] = (0.0, 0.0, placement.turn)
         return theta
 
+    def values(self, theta: Float64, kind: str, light: str = "") -> Float64:
+        """Those of a group, shape (1,) to (3,)."""
+        return theta[self.group(kind, light).where]
+
+    def moved(self, scene: Scene, theta: Float64) -> Scene:
+        """The scene with camera and lights moved; lights without parameters stay."""
+
+        def moved_light_of(light: PanelLight) -> PanelLight:
+            if light.name not in self.lights:
+                return light
+            shift, turn = (self.values(theta, kind, light.name) for kind in ("panel_shift", "panel_turn"))
+            return moved_light(light, shift, turn)
+
+        camera = moved_camera(scene.camera, self.values(theta, "camera_shift"), self.values(theta, "camera_turn"))
+        return replace(scene, camera=camera, lights=tuple(map(moved_light_of, scene.lights)))
+
+    def lobe_factors(self, theta: Float64) -> tuple[float, float]:
+        """By which R_s and σ are multiplied."""
+        log_s, log_sigma = theta[self.nuisance[:2]]
+        return math.exp(log_s), math.exp(log_sigma)
+
+    def reflecting(self, scene: Scene, theta: Float64) -> Scene:
+        """The scene with R_s and σ of all its surfaces changed."""
+        r_s, sigma = self.lobe_factors(theta)
+        changed = [replace(one, R_s=one.R_s * r_s, sigma=one.sigma * sigma) for one in scene.reflectances]
+        return with_reflectances(scene, changed)
+
     def view(self, scene: Scene, posture: Posture, theta: Float64) -> PartView:
         """Camera and lights of the rig with these faults, in the frame of the part's mesh."""
-
-        def of(kind: str, light: str = "") -> Float64:
-            return theta[self.group(kind, light).where]
-
-        camera, lights = scene.camera, scene.lights
-        camera = moved_camera(camera, of("camera_shift"), of("camera_turn"))
-        lights = tuple(moved_light(p, of("panel_shift", p.name), of("panel_turn", p.name)) for p in lights)
-        view = view_from_part(replace(scene, camera=camera, lights=lights), posture)
+        view = view_from_part(self.moved(scene, theta), posture)
         # the part moved at posture (0, 0), x' = R·x + t, inverted
-        back = rotation_from_vector(of("part_turn")).T
-        shift = self.middle - back @ (self.middle + of("part_shift"))
+        back = rotation_from_vector(self.values(theta, "part_turn")).T
+        shift = self.middle - back @ (self.middle + self.values(theta, "part_shift"))
         lights = tuple(light.moved(back, shift) for light in view.lights)
         return replace(view, camera=view.camera.moved(back, shift), lights=lights)
 
@@ -293,11 +313,8 @@ class Work:
     def _render(self, theta: Float64, posture: Posture) -> CoarsePrediction:
         scene, threads = self.coarse, self.run.threads
         view = self.parameters.view(scene, posture, theta)
-        log_s, log_sigma, blur = theta[self.parameters.nuisance]
-        higher, wider = math.exp(log_s), math.exp(log_sigma)
-        changed = [replace(one, R_s=one.R_s * higher, sigma=one.sigma * wider) for one in scene.reflectances]
         world = replace(
-            with_reflectances(scene, changed),
+            self.parameters.reflecting(scene, theta),
             camera=view.camera.moved(view.rotation, view.translation),
             lights=tuple(light.moved(view.rotation, view.translation) for light in view.lights),
             defects=(),
@@ -306,7 +323,7 @@ class Work:
         images = render_posture(world, posture, caster=self.caster, threads=threads)
         masks = mask_pixels(world, posture, self.caster, threads=threads)
         hit = images.geometry.hit
-        width = math.sqrt(max(float(blur), 0.0)) / self.side
+        width = math.sqrt(max(float(theta[self.parameters.nuisance[-1]]), 0.0)) / self.side
         return CoarsePrediction(
             levels={i.light: blurred(i.level, width) if width else i.level for i in images.lights},
             hit=hit,

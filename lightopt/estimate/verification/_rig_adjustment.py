@@ -17,17 +17,8 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.estimate.registration import Observation
 from lightopt.estimate.verification._fit import FitOptions, descend, fit_faults
-from lightopt.estimate.verification._parameters import (
-    NUISANCE,
-    Parameters,
-    VerifyLimits,
-    Work,
-    calibrated_deviations,
-    moved_camera,
-    moved_light,
-)
-from lightopt.lights import PanelLight
-from lightopt.scene import Scene, with_reflectances
+from lightopt.estimate.verification._parameters import NUISANCE, Parameters, VerifyLimits, Work, calibrated_deviations
+from lightopt.scene import Scene
 
 MISFIT_SHARE = 0.002  # of the level, by which a calibrated rig's images may still be off
 BLOCKS = 5000  # of each posture: what single pixels leave open is little then against the noise of a defect's pixels
@@ -56,7 +47,7 @@ class RigAdjustment:
             )
         off = np.abs(self.theta[self.parameters.nuisance[:2]]) / list(NUISANCE.values())[:2]
         if off.max() > UNLIKELY_Z:
-            r_s, sigma = self._factors
+            r_s, sigma = self.parameters.lobe_factors(self.theta)
             found.append(
                 f"the images show R_s {r_s:.3g} times and sigma {sigma:.3g} times as large as the part file, which are "
                 "used: a part that is worn or hazy all over looks good; fit the reflectance again to a good part"
@@ -65,21 +56,13 @@ class RigAdjustment:
 
     def apply(self, scene: Scene) -> Scene:
         """The scene with its camera, lights and reflectance adjusted."""
-
-        def adjusted(light: PanelLight) -> PanelLight:
-            if light.name not in self.parameters.lights:
-                return light
-            moved = moved_light(light, self._of("panel_shift", light.name), self._of("panel_turn", light.name))
-            return replace(moved, gain=light.gain * self._gain(light.name))
-
-        camera = moved_camera(scene.camera, self._of("camera_shift"), self._of("camera_turn"))
-        r_s, sigma = self._factors
-        reflectances = [replace(one, R_s=one.R_s * r_s, sigma=one.sigma * sigma) for one in scene.reflectances]
-        lights = tuple(adjusted(light) for light in scene.lights)
-        return with_reflectances(replace(scene, camera=camera, lights=lights), reflectances)
+        moved = self.parameters.moved(self.parameters.reflecting(scene, self.theta), self.theta)
+        known = self.parameters.lights
+        lights = [replace(x, gain=x.gain * self._gain(x.name)) if x.name in known else x for x in moved.lights]
+        return replace(moved, lights=tuple(lights))
 
     def as_dict(self) -> dict[str, Any]:
-        r_s, sigma = self._factors
+        r_s, sigma = self.parameters.lobe_factors(self.theta)
         return {
             "greatest_z": round(self.greatest_z, 3),
             "R_s_factor": round(r_s, 6),
@@ -92,20 +75,11 @@ class RigAdjustment:
         }
 
     def _motion(self, body: str, light: str = "") -> dict[str, list[float]]:
-        shift, turn = (self._of(f"{body}_{kind}", light) for kind in ("shift", "turn"))
+        shift, turn = (self.parameters.values(self.theta, f"{body}_{kind}", light) for kind in ("shift", "turn"))
         return {"shift_mm": shift.round(5).tolist(), "turn_deg": np.degrees(turn).round(6).tolist()}
 
-    def _of(self, kind: str, light: str = "") -> Float64:
-        return self.theta[self.parameters.group(kind, light).where]
-
     def _gain(self, light: str) -> float:
-        return math.exp(self._of("gain", light)[0])
-
-    @property
-    def _factors(self) -> tuple[float, float]:
-        # of R_s and sigma
-        r_s, sigma = np.exp(self.theta[self.parameters.nuisance[:2]])
-        return float(r_s), float(sigma)
+        return math.exp(self.parameters.values(self.theta, "gain", light)[0])
 
 
 def adjust_rig(
@@ -123,7 +97,7 @@ def adjust_rig(
     None if neither camera nor lights were calibrated, and, with a warning, if the images do not determine the rig.
     Raises InputError: The covariance cannot be read
     """
-    run = run or RunContext()
+    run = (run or RunContext()).within("adjusting the rig")
     parameters = Parameters.of(scene, VerifyLimits())
     groups = tuple(replace(g, prior=PART_PRIORS.get(g.kind, g.prior)) for g in parameters.groups)
     parameters = replace(parameters, groups=groups)
@@ -165,6 +139,6 @@ def _greatest_z(parameters: Parameters, deviations: Float64, theta: Float64) -> 
         known, unit = np.array(at)[unit > 0.0], unit[unit > 0.0]
         values, vectors = np.linalg.eigh((deviations[known] @ deviations[known].T) / np.outer(unit, unit))
         along = vectors.T @ (theta[known] / unit)
-        open_ = values > 1e-9
-        found = max(found, float(np.sqrt(np.sum(np.square(along[open_]) / values[open_]))))
+        left_open = values > 1e-9
+        found = max(found, float(np.sqrt(np.sum(np.square(along[left_open]) / values[left_open]))))
     return found

@@ -140,8 +140,7 @@ def verify_observations(
     predictions = work.predict(plain)
     compare = partial(_comparison.compare_image, work, fit, good)
     before = [compare(number, plain, predictions) for number in range(len(images))]
-    found = work.predict(theta)
-    after = [compare(number, theta, found) for number in range(len(images))]
+    after = [compare(number, theta, fit.predictions) for number in range(len(images))]
     spots, many = _comparison.find_spots(work, fit, after)
     blur = p.nuisance[-1]
     blur_error = float(np.sqrt(fit.covariance[blur, blur]))

@@ -64,6 +64,11 @@ class PredictionCache:
             self.adjustment = adjust_rig(rig, scene, observations, register=register, run=run)
         return scene if self.adjustment is None else self.adjustment.apply(scene)
 
+    def restore_adjustment(self, adjustment: RigAdjustment | None) -> None:
+        """Take back the rig of a set that was refused, with what was predicted for that rig."""
+        if self.adjustment is not adjustment:
+            self.adjustment, self.placement = adjustment, None
+
     def use_placement(self, scene: Scene, placement: Placement) -> tuple[Scene, Placement]:
         """The scene and placement to predict with: those of the previous part, if that lay in the same place.
 
