@@ -273,9 +273,13 @@ def light_at(
     caster: RayCaster,
     *,
     sigmas: Sequence[float] = (),
+    beside: Float64 | None = None,
     threads: int | None = None,
 ) -> tuple[Float64, Float64]:
     """Diffuse and specular light of each pixel under the light of each image, per unit of R_d and R_s.
+
+    beside: Diffuse light of these pixels at a view that hardly differs, shape (images, n). What they saw of each light
+        there is taken: no shadow rays are cast.
 
     These, and σ, are those of the scene's first reflectance; where they change, those of regions change with them by
     the same factors. A first R_d or R_s of almost nothing counts as `LEAST_R_D` or `LEAST_R_S`.
@@ -297,6 +301,7 @@ def light_at(
     light = np.zeros((1 + len(sigmas), len(pixels.images), len(columns)))
     names = list(dict.fromkeys(image.light for image in pixels.images))
     panels = {panel.name: panel for panel in view.lights}
+    number_of = {image.light: i for i, image in enumerate(pixels.images)}
 
     groups = rendering.channel_groups([panels[name] for name in names])
     threads = threads or available_processors()
@@ -304,9 +309,13 @@ def light_at(
 
     def shade(number: int) -> None:
         group = [panels[names[i]] for i in groups[number]]
-        verdicts = rendering.visibility_of_lights(some, group, caster, moving=True, threads=1)
-        whole = verdicts == rendering.WHOLE
-        found = np.stack([np.where(whole | (verdicts == rendering.UNLIT), 0.0, np.nan)] * (1 + len(sigmas)))
+        if beside is None:
+            verdicts = rendering.visibility_of_lights(some, group, caster, moving=True, threads=1)
+            whole, known = verdicts == rendering.WHOLE, verdicts != rendering.LEFT_OUT
+        else:
+            before = np.stack([beside[number_of[panel.name], hits.ray // pixels.rays] for panel in group])
+            whole, known = before > 0.0, np.isfinite(before)
+        found = np.stack([np.where(known, 0.0, np.nan)] * (1 + len(sigmas)))
         seen = np.flatnonzero(whole.any(axis=0))
         layers = _layers(surface.take(seen), group, caster, scene.reflectances, sigmas, threads_of_group)
         for place, level in enumerate(layers):

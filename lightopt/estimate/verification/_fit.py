@@ -31,6 +31,8 @@ BLOCKS = 1500  # of each posture, if there are not too many images
 CLEAR = 4.0  # blocks that the model has this many standard deviations of a pixel below saturation are used
 CELLS = 24  # of neighbouring blocks, along the width of an image
 BLUR_PX = 1.5  # blur for the difference
+# derivatives serve rigs whose images differ by less than this, and whose lobes by this share
+ALIKE_BLOCKS, ALIKE_SHARE = 0.05, 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,34 +104,74 @@ class Model:
         self._count = np.array([float(i.count) for i in images])[on]
         self._corrected = False
         self._correction = np.zeros(len(on))
+        self._kept: list[tuple[Float64, Float64]] = []  # changes per parameter, and where they were found
 
     def levels(self, theta: Float64) -> Float64:
-        """Grey level of each row at exposure 1, its specular part, and the level with a lobe wider by SIGMA_STEP.
+        """Grey level of each row at exposure 1, shape (n,): means over the blocks.
 
-        Means over the blocks, shape (3, n); 0 off the part, NaN where only some of a panel is seen.
+        0 off the part, NaN where only some of a panel is seen.
         """
         # the mean of a cubic over the centres of n pixels is that of its values at two points
         off = math.sqrt((1.0 - 1.0 / self._work.side**2) / 12.0)
-        some = [self._levels_at(theta, x, y) for x, y in dict.fromkeys(product((-off, off), repeat=2))]
-        blur = theta[self.parameters.nuisance[-1]] * self._blur
-        return np.mean(some, axis=0) + np.stack([blur, np.zeros_like(blur), blur])
+        some = [self._light_at(theta, (x, y))[0][0] for x, y in dict.fromkeys(product((-off, off), repeat=2))]
+        return np.mean(some, axis=0) + theta[self.parameters.nuisance[-1]] * self._blur
 
-    def _levels_at(self, theta: Float64, x: float = 0.0, y: float = 0.0) -> Float64:
-        # as `levels`, at a point so far off the middle of each block [block], without the blur
-        own = self.scene.reflectance
-        scale_s, scale_sigma = np.exp(theta[self.parameters.nuisance[:2]])
-        sigmas = (own.sigma * scale_sigma, own.sigma * scale_sigma * (1.0 + SIGMA_STEP))
+    def _light_at(
+        self,
+        theta: Float64,
+        place: tuple[float, float] = (0.0, 0.0),
+        *,
+        widths: Sequence[float] = (1.0,),
+        beside: Sequence[Float64] | None = None,
+    ) -> tuple[Float64, Float64, list[Float64]]:
+        # At a point so far off the middle of each block [block]: the grey level without the blur, and its specular
+        # part, of lobes that are so many times as wide, shape (widths, n); of each posture what `beside` stands for,
+        # the light of rigs that hardly differ.
+        own, (factor_s, factor_sigma) = self.scene.reflectance, self.parameters.lobe_factors(theta)
+        sigmas = [own.sigma * factor_sigma * width for width in widths]
         caster, threads = self._work.caster, self._work.run.threads
-        out: list[Float64] = []
-        for pixels in self._sets:
+        levels, speculars, seen = [np.zeros((len(widths), 0))], [np.zeros((len(widths), 0))], list[Float64]()
+        for number, pixels in enumerate(self._sets):
             view = self.parameters.view(self.scene, pixels.posture, theta)
             column, row = view.camera.axis_px
-            view = replace(view, camera=replace(view.camera, principal_point=(column - x, row - y)))
-            diffuse, specular = registration.light_at(self.scene, pixels, view, caster, sigmas=sigmas, threads=threads)
-            diffuse = max(own.R_d, registration.LEAST_R_D) * diffuse.ravel()
-            specular = max(own.R_s, registration.LEAST_R_S) * scale_s * specular.reshape(2, -1)
-            out.append(np.stack([diffuse + specular[0], specular[0], diffuse + specular[1]]))
-        return np.concatenate([np.zeros((3, 0)), *out], axis=1)
+            view = replace(view, camera=replace(view.camera, principal_point=(column - place[0], row - place[1])))
+            known = None if beside is None else beside[number]
+            diffuse, specular = registration.light_at(
+                self.scene, pixels, view, caster, sigmas=sigmas, beside=known, threads=threads
+            )
+            seen.append(diffuse)
+            specular = max(own.R_s, registration.LEAST_R_S) * factor_s * specular.reshape(len(widths), -1)
+            levels.append(max(own.R_d, registration.LEAST_R_D) * diffuse.ravel() + specular)
+            speculars.append(specular)
+        return np.concatenate(levels, axis=1), np.concatenate(speculars, axis=1), seen
+
+    def _changes(self, theta: Float64) -> Float64:
+        # of the grey level per parameter that moves a body or changes the lobe or the blur, shape (n, K)
+        for there, kept in self._kept:
+            if self._work.alike(theta, there, blocks=ALIKE_BLOCKS, share=ALIKE_SHARE):
+                return kept
+        p = self.parameters
+        (level, wider), (specular, _), seen = self._light_at(theta, widths=(1.0, 1.0 + SIGMA_STEP))
+        changes = np.zeros((len(level), p.size))
+        # panels are moved all at once: each image is of one of them
+        moving = [group for group in p.groups if group.step > 0.0]
+        for kind in dict.fromkeys(group.kind for group in moving):
+            together = [group for group in moving if group.kind == kind]
+            for axis in range(together[0].size):
+                there = theta.copy()
+                there[[group.first + axis for group in together]] += together[0].step
+                change = (self._light_at(there, beside=seen)[0][0] - level) / together[0].step
+                for group in together:
+                    changes[:, group.first + axis] = np.where(self._rows_of(group), change, 0.0)
+        changes[:, p.nuisance] = np.stack([specular, (wider - level) / math.log1p(SIGMA_STEP), self._blur], axis=1)
+        self._kept = [(theta, changes)]
+        return changes
+
+    def _rows_of(self, group: Group) -> Bool:
+        # which a fault changes
+        if not group.light:
+            return np.ones(len(self._light), np.bool_)
+        return self._light == self.parameters.lights.index(group.light)
 
     def _unit(self, theta: Float64) -> Float64:
         # sensor levels per grey level
@@ -149,7 +191,7 @@ class Model:
 
     def predicted(self, theta: Float64) -> tuple[Float64, Float64]:
         """Level of each row with the correction by a baseline, and its noise [sensor level]."""
-        mean, _, noise = self._delivered(theta, self.levels(theta)[0])
+        mean, _, noise = self._delivered(theta, self.levels(theta))
         return mean, noise
 
     def correct(self, good: "Model", theta: Float64) -> None:
@@ -165,39 +207,23 @@ class Model:
         deviations; rows that count, shape (n,).
         """
         p, sensor = self.parameters, self.scene.sensor
-        level, specular, wider = self.levels(theta)
-        middle = self._levels_at(theta)[0]
+        level = self.levels(theta)
         mean, share, noise = self._delivered(theta, level)
         unit = share * self._unit(theta)  # sensor level delivered per grey level
-        slope = np.zeros((len(level), p.size))
-
-        def rows_of(group: Group) -> Bool:
-            return self._light == p.lights.index(group.light) if group.light else np.ones(len(level), np.bool_)
-
+        slope = unit[:, None] * self._changes(theta)
         for group in p.groups:
             if group.kind == "black":
                 slope[:, group.first] = share
             elif group.step == 0.0:
-                slope[:, group.first] = np.where(rows_of(group), unit * level, 0.0)
-        # panels are moved all at once: each image is of one of them
-        moving = [group for group in p.groups if group.step > 0.0]
-        for kind in dict.fromkeys(group.kind for group in moving):
-            together = [group for group in moving if group.kind == kind]
-            for axis in range(together[0].size):
-                there = theta.copy()
-                there[[group.first + axis for group in together]] += together[0].step
-                change = unit * (self._levels_at(there)[0] - middle) / together[0].step
-                for group in together:
-                    slope[:, group.first + axis] = np.where(rows_of(group), change, 0.0)
-        slope[:, p.nuisance[0]] = unit * specular
-        slope[:, p.nuisance[1]] = unit * (wider - level) / math.log1p(SIGMA_STEP)
-        slope[:, p.nuisance[2]] = unit * self._blur
+                slope[:, group.first] = np.where(self._rows_of(group), unit * level, 0.0)
         single = np.sqrt(sensor.noise_variance(np.maximum(mean - sensor.black_level, 0.0)))
         used = self._open & (mean + CLEAR * single < self._top)
         used &= np.isfinite(mean) & np.isfinite(slope).all(axis=1)
-        for group in moving:
+        for group in p.groups:
+            if group.step == 0.0:
+                continue
             size = np.abs(slope[:, group.where]).max(axis=1)
-            own = used & rows_of(group)
+            own = used & self._rows_of(group)
             # a tenth of all rows change more; those of other lights do not change
             below = max(0.5, 1.0 - 0.1 * (len(p.lights) if group.light else 1))
             if own.any() and math.isfinite(self._options.steepest):
@@ -213,6 +239,8 @@ HUBER, ROUNDS = 1.5, 5
 # another group explains as much if it leaves no more than this share of what the group explains, or this evidence
 SAME_SHARE, SAME_EVIDENCE = 0.05, 10.0
 STALE_BLOCKS = 0.5  # blocks are chosen anew, and images rendered, where the part's image has moved by more than this
+# a rig further away is approached in so many steps with this fraction of the blocks
+FEW_FROM_BLOCKS, FEW, FEW_STEPS = 1.0, 5, 3
 LEAST_ROWS = 300  # fewer blocks of all images determine nothing
 # an excess residual of more than this share of the level is not explained: the part may lie elsewhere
 UNEXPLAINED_SHARE = 0.15
@@ -385,22 +413,36 @@ def descend(work: Work, images: _Images, good: Fit | None, options: FitOptions, 
     while True:
         if report is not None:
             report(step / options.most_steps)
-        if step and work.moved_blocks(theta, at) > STALE_BLOCKS:
+        before = theta
+        evidence, chosen, faults, covariance, theta = _step(model, before, origin, options)
+        step += 1
+        if (np.abs(theta - before)[: len(limits)] / limits).max() < options.settled or step == options.most_steps:
+            break
+        moved = work.moved_blocks(theta, at)
+        if moved > STALE_BLOCKS:
+            if step == 1 and moved > FEW_FROM_BLOCKS:
+                few = _model(work, images, good, predictions, replace(options, blocks=options.blocks // FEW))
+                for _ in range(FEW_STEPS):
+                    before, theta = theta, _step(few, theta, origin, options)[-1]
+                    if work.moved_blocks(theta, before) <= STALE_BLOCKS:
+                        break
             at, predictions = theta, work.predict(theta)
             model = _model(work, images, good, predictions, options)
-        evidence = gather(model, theta, origin, options.deviations)
-        chosen = choose(evidence) if options.groups is None else options.groups
-        _, faults, covariance = evidence.solve(chosen)
-        before, theta = theta, origin + faults + evidence.deviation(faults)
-        change = np.abs(theta - before)[: len(limits)] / limits
-        step += 1
-        if change.max() < options.settled or step == options.most_steps:
-            break
     mean, noise = model.predicted(theta)
     black = work.scene.sensor.black_level
     known = np.isfinite(mean) & (evidence.weight > 0.0)
     left = agreement(model.measured[known] - black, mean[known] - black, noise[known])
     return Fit(work, images, theta, faults, covariance, chosen, evidence, left)
+
+
+def _step(
+    model: Model, theta: Float64, origin: Float64, options: FitOptions
+) -> tuple[Evidence, tuple[Group, ...], Float64, Float64, Float64]:
+    # the evidence at some parameters, the groups with faults, these and their covariance, and the parameters with them
+    evidence = gather(model, theta, origin, options.deviations)
+    chosen = choose(evidence) if options.groups is None else options.groups
+    _, faults, covariance = evidence.solve(chosen)
+    return evidence, chosen, faults, covariance, origin + faults + evidence.deviation(faults)
 
 
 def _model(

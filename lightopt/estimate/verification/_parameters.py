@@ -232,7 +232,7 @@ def _as_camera(scene: Scene, p: Parameters, rigs: list[tuple[PinholeCamera, Stag
 
 COARSE_WIDTH = 540  # about so many columns of a coarse image
 PANEL_MM = 10.0  # a panel that has moved by this is as bad as a part that has moved by a block
-# rigs that differ by less have the same images: in place [block], reflectance and blur [px²]
+# rigs that differ by less have the same images: in place [block], R_s and σ, and blur [px²]
 SAME_BLOCKS, SAME_SHARE, SAME_BLUR = 0.02, 0.005, 0.2
 
 
@@ -303,12 +303,16 @@ class Work:
     def predict(self, theta: Float64) -> Predictions:
         """Images of the rig with some faults; those that were rendered before if they hardly differ."""
         for there, kept in self._kept:
-            *lobe, blur = np.abs(theta - there)[self.parameters.nuisance]
-            if max(lobe) < SAME_SHARE and blur < SAME_BLUR and self.moved_blocks(theta, there) <= SAME_BLOCKS:
+            if self.alike(theta, there, blocks=SAME_BLOCKS, share=SAME_SHARE):
                 return kept
         found = {posture: self._render(theta, posture) for posture in self.scene.postures}
         self._kept.append((theta, found))
         return found
+
+    def alike(self, a: Float64, b: Float64, *, blocks: float, share: float) -> bool:
+        """Whether images of two rigs differ in place by less than this [block], their lobes by less than this share."""
+        *lobe, blur = np.abs(a - b)[self.parameters.nuisance]
+        return bool(max(lobe) < share and blur < SAME_BLUR) and self.moved_blocks(a, b) <= blocks
 
     def _render(self, theta: Float64, posture: Posture) -> CoarsePrediction:
         scene, threads = self.coarse, self.run.threads
