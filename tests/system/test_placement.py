@@ -15,7 +15,8 @@ from lightopt import build_scene, render
 from lightopt.config import PlacementConfig
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, PoseFrame, part_file_placement, place_part, register
-from lightopt.estimate.registration._placement import NAMES, view_of_placed
+from lightopt.estimate.registration._placement import NAMES, light_at, view_of_placed
+from lightopt.estimate.registration._refinement import RefinementProblem, choose_pixels, start_parameters
 from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, Stage, project, view_from_part
@@ -96,6 +97,38 @@ def test_poses_are_placements(scene: Scene) -> None:
     draws = np.random.default_rng(1).multivariate_normal(pose, covariance, 4000)
     drawn = np.array([[getattr(place, name) for name in NAMES] for place in map(frame.placement, draws)])
     np.testing.assert_allclose(found.errors, drawn.std(axis=0), rtol=0.06)
+
+
+def test_pixels_keep_what_they_see_of_the_lights_while_the_part_moves(tmp_path, shared_bench) -> None:
+    """A pixel lost at a shadow's edge would be a jump of the cost, at which the search for its minimum ends."""
+    step = [[0, 0], [20, 0], [20, 4], [9, 4], [9, 14], [0, 14]]  # a shaft that throws shadows on its flange
+    trimesh.creation.revolve(step, sections=120).export(tmp_path / "shaft.stl")
+    text = shared_bench.part.read_text(encoding="utf-8").replace("knob.stl", "shaft.stl")
+    (tmp_path / "shaft.yaml").write_text(text, encoding="utf-8")
+    scene = build_scene(shared_bench.rig, tmp_path / "shaft.yaml", postures=(Posture(0.0, 0.0),))
+    caster, frame = cast_rays_at(scene), PoseFrame.of(scene)
+    images = captured(scene, exposures=(1.0,))
+    inner, _ = choose_pixels(scene, images, Placement(), outline=False)
+    start = start_parameters(scene, frame, Placement())
+    problem = RefinementProblem(scene, frame, inner, [], start, caster=caster)
+    used = np.isfinite(problem.residuals(start))
+    lost, changed = 0, 0
+    for shift in ((0.9, 0.0), (-0.9, 0.0), (0.0, 0.9), (0.0, -0.9)):
+        moved = start.copy()
+        moved[:2] = np.array(shift) * frame.pixel
+        np.testing.assert_array_equal(np.isfinite(problem.residuals(moved)), used)
+        # what is seen of the lights is searched for, or known: the same light where neither sees less
+        view = view_of_placed(scene, inner[0].posture, frame.placement(moved[:3]))
+        nominal, _ = light_at(scene, inner[0], view_of_placed(scene, inner[0].posture, Placement()), caster)
+        searched, _ = light_at(scene, inner[0], view, caster)
+        known, _ = light_at(scene, inner[0], view, caster, beside=nominal)
+        both = (searched > 0.0) & (nominal > 0.0)
+        np.testing.assert_array_equal(known[both], searched[both])
+        np.testing.assert_array_equal(np.isnan(known), np.isnan(nominal))
+        lost += np.count_nonzero(np.isnan(searched.ravel()) & used)
+        changed += np.count_nonzero(known[~np.isnan(known)] > 0.0)
+    assert lost > 10
+    assert changed > 1000
 
 
 @pytest.mark.slow
