@@ -4,6 +4,7 @@ Defects are accepted one by one, the one of the highest score first. What an acc
 the images before the next one is sought, so that a strong defect leaves no others around it.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
@@ -57,7 +58,10 @@ class ExplainedDefect:
 
 @dataclass
 class _Candidates:
-    """Hypotheses that stand out, n of them: index of the entry, size, pose, pixel of the middle, Z and score."""
+    """Hypotheses that stand out, n of them: index of the entry, size, pose, pixel of the middle, Z and score.
+
+    In the order of entry, size and row.
+    """
 
     entry: Int32
     size: Int32
@@ -272,16 +276,20 @@ def _take_out(
 
 
 def _rate_again(entries: Sequence[_Entry], candidates: _Candidates, box: tuple[int, int, int, int]) -> None:
-    for number, entry in enumerate(entries):
+    # those that an explained box changes: of each entry and size those of some rows, which lie together
+    groups = candidates.entry * len(SIZES) + candidates.size
+    begins = np.searchsorted(groups, np.arange(len(entries) * len(SIZES) + 1))
+    for number, (begin, end) in enumerate(itertools.pairwise(begins)):
+        entry = entries[number // len(SIZES)]
         t = entry.templates
         (top, bottom), (left, right) = (
             ((first - corner) // t.ratio - t.border, (last - corner) // t.ratio + t.border)
             for first, last, corner in zip(box[::2], box[1::2], t.corner, strict=True)
         )
-        near = (candidates.entry == number) & (candidates.score >= LEAST_SCORE)
-        near &= (candidates.row >= top) & (candidates.row <= bottom)
-        near &= (candidates.column >= left) & (candidates.column <= right)
-        which = np.flatnonzero(near)
+        first, last = begin + np.searchsorted(candidates.row[begin:end], [top, bottom + 1])
+        column = candidates.column[first:last]
+        near = (candidates.score[first:last] >= LEAST_SCORE) & (column >= left) & (column <= right)
+        which = first + np.flatnonzero(near)
         if len(which):
             some = candidates.take(which)
             entry.rate(some)
