@@ -67,10 +67,14 @@ def load_batch(path: Path | str, misfits: Misfits | None = None) -> BatchConfig:
 
 
 def input_files(config: RigConfig | PartConfig) -> dict[str, Path]:
-    """Files that a rig or part file names and every command reads: data sheet, pictures, tables, mesh."""
+    """Files that a rig or part file names: data sheet, pictures, tables, mesh; a calibration's covariance if there."""
     files: dict[str, Path] = {}
     if isinstance(config, RigConfig) and config.camera.sensor.data_sheet is not None:
         files["data sheet"] = config.source.resolve(config.camera.sensor.data_sheet)
+    if isinstance(config, RigConfig) and config.calibration is not None:
+        covariance = config.source.resolve(config.calibration.covariance)
+        if covariance.is_file():  # most commands do without
+            files["covariance"] = covariance
     files |= {
         f"{'table' if keys[-1] == 'table' else 'picture'} {name}": config.source.resolve(name)
         for keys, name in referenced_files(config)

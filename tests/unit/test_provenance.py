@@ -364,3 +364,14 @@ def test_a_calibration_of_other_code_is_refused(cli, bench, other_code, tmp_path
     (made / "calibration.json").write_text(json.dumps(document), encoding="utf-8")
     with pytest.raises(InputError, match="not a calibration that lightopt wrote"):
         read_calibration(made)
+
+
+def test_results_depend_on_the_covariance_of_a_calibrated_rig(bench):
+    bench.rig.write_text(f"{bench.rig.read_text()}\ncalibration: {{covariance: rig.npz}}\n", encoding="utf-8")
+    covariance = bench.rig.with_name("rig.npz")
+    assert "covariance" not in input_hashes(load_rig(bench.rig), None)  # most commands do without
+    seen = set()
+    for variance in (1.0, 2.0):
+        np.savez(covariance, names=["focal length [px]"], covariance=[[variance]])
+        seen.add(input_hashes(load_rig(bench.rig), None)["covariance"]["sha256"])
+    assert len(seen) == 2
