@@ -93,7 +93,10 @@ def mirrored_panel(image: NDArray[Any], sensor: Sensor, centre: Float64, radius_
     if burnt >= SATURATED_PIXELS:
         raise InputError(f"{where}: {burnt} of {area} pixels of the highlight are saturated: expose it shorter")
     if np.sum(areas > SECOND * area) > 1:
-        raise InputError(f"{where}: more than one highlight: is another light on, or does the ball mirror something?")
+        raise InputError(
+            f"{where}: more than one highlight: is another light on, or does the ball mirror something? On the virtual "
+            "bench, set points: auto of the panels: a ball shows the points of a grid one by one"
+        )
     level = np.asarray(ndimage.gaussian_filter(level, SMOOTHING))
     depth = np.asarray(ndimage.distance_transform_edt(mask)) - np.asarray(ndimage.distance_transform_edt(~mask))
     # of an edge blurred by a Gaussian two standard deviations are between 16 and 84 %
