@@ -29,11 +29,6 @@ STAGE_DRIVERS = {"shot": ShotDialogue, "gsc": GscDialogue, "grbl": GrblDialogue,
 CAMERA_DRIVERS: dict[str, Callable[[CameraSettings], CameraSdk]] = {"aravis": AravisSdk, "genicam": GenicamSdk}
 
 
-def check_stage(driver: str, axes: Sequence[Axis]) -> None:
-    """Check axes and speeds against what the driver of a stage can do; nothing is opened. Raises an InputError."""
-    STAGE_DRIVERS[driver].check_axes(axes)
-
-
 def open_stage(
     driver: str,
     *,
@@ -46,8 +41,8 @@ def open_stage(
     clock: Clock | None = None,  # source of time, for tests
 ) -> Stage:
     """Open a stage; nothing moves. InputError for wrong axes or port, HardwareError when it does not answer."""
-    check_stage(driver, axes)
     kind = STAGE_DRIVERS[driver]
+    kind.check_axes(axes)
     rate = kind.BAUD if baud is None else baud
     link = SerialLink(port, device=f"stage ({driver})", baud=rate, rtscts=kind.RTSCTS, timeout_s=timeout_s, log=log)
     try:

@@ -15,7 +15,6 @@ import tempfile
 import threading
 import time
 import zlib
-from abc import abstractmethod
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -101,8 +100,12 @@ def screen_levels(picture: Float64, settings: PictureSettings) -> UInt8:
     return np.ascontiguousarray(np.fliplr(turned) if settings.mirrored else turned)
 
 
-class DisplayController(LightController):
-    """A display; the base of its drivers."""
+class ScreenController(LightController):
+    """A display: a full-screen window on a monitor, or a simulated screen at the port of the settings."""
+
+    NAME = "screen"
+    BAUD = 115200  # of no meaning on the wire that it has
+    _process: ScreenProcess | None = None
 
     def __init__(self, link: Link, settings: LightSettings) -> None:
         super().__init__(link, settings)
@@ -111,10 +114,6 @@ class DisplayController(LightController):
         self._lit: dict[int, int] = {}
         self._shown: dict[int, int] | None = None  # levels of what is on the screen; None where that is unknown
 
-    @abstractmethod
-    def _show(self, levels: UInt8) -> None:
-        """Show levels of the screen's pixels, shape (height, width)."""
-
     def _send_level(self, channel: int, level: int) -> None:
         lit = {one: held for one, held in {**self._lit, channel: level}.items() if held}
         if not level:
@@ -122,7 +121,7 @@ class DisplayController(LightController):
         if self._shown != lit:
             levels = screen_levels(self._sum(lit), self._picture)
             self._shown = None
-            self._show(levels)
+            self._retry.run(lambda: self._show(levels))
             time.sleep(self._picture.settle_ms / 1e3)
             self._shown = lit
         self._lit = lit
@@ -143,14 +142,6 @@ class DisplayController(LightController):
             raise InputError(f"{self._link.device}: {need} the full radiance of the screen; {advice}")
         return total
 
-
-class ScreenController(DisplayController):
-    """A full-screen window on a monitor, or a simulated screen at the port of the settings."""
-
-    NAME = "screen"
-    BAUD = 115200  # of no meaning on the wire that it has
-    _process: ScreenProcess | None = None
-
     @classmethod
     def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightController:
         if settings.port:
@@ -170,9 +161,7 @@ class ScreenController(DisplayController):
         return controller
 
     def _show(self, levels: UInt8) -> None:
-        self._retry.run(lambda: self._show_once(levels))
-
-    def _show_once(self, levels: UInt8) -> None:
+        """Show levels of the screen's pixels, shape (height, width)."""
         link: SerialLink = self._link
         data = zlib.compress(levels.tobytes(), 1)
         head = f"SHOW {levels.shape[1]} {levels.shape[0]} {len(data)}".encode("ascii")
@@ -260,11 +249,11 @@ class CommandController(ScreenController):
             return super().open(settings, log)
         return cls(CommandLink(settings, log), settings)
 
-    def _show_once(self, levels: UInt8) -> None:
+    def _show(self, levels: UInt8) -> None:
         if isinstance(self._link, CommandLink):
             self._link.show(levels)
         else:
-            super()._show_once(levels)
+            super()._show(levels)
 
 
 def program_path(program: str, folder: Path) -> str | None:
