@@ -130,7 +130,7 @@ class SensorConfig(Frozen):
             try:
                 sheet = load_file(info.context["folder"] / file, SensorSheetConfig, "lightopt-sensor/1")
             except InputError as error:
-                wrong.append((("data_sheet",), file, complaint("; ".join(error.messages))))
+                wrong.append((("data_sheet",), "; ".join(error.messages)))
         own = fields.with_complaints(value, handler, wrong)
         if sheet is None:
             return own

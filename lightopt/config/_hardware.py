@@ -194,9 +194,9 @@ class ControllerConfig(Frozen):
     @classmethod
     def misfits(cls, raw: Mapping[str, Any]) -> Iterator[Complaint]:
         """As of every configuration; a display with a virtual port needs neither monitor nor command."""
-        for loc, found, error in super().misfits(raw):
-            if error.type == "complaint" or loc not in (("monitor",), ("command",)) or raw.get("port") != "virtual":
-                yield loc, found, error
+        for loc, error in super().misfits(raw):
+            if isinstance(error, str) or loc not in (("monitor",), ("command",)) or raw.get("port") != "virtual":
+                yield loc, error
 
     @field_validator("channels", "top_level")
     @classmethod
@@ -343,8 +343,7 @@ def misfits(
     for key, of in (("port", _port), ("monitor", _monitor)):
         yield from _same(key, {path: (entry, of(entry)) for path, entry in devices.items()})
     if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
-        reason = "the rig's camera has no exposure_us; add to it the exposure time [µs] that counts as exposure 1"
-        yield ("camera",), device, complaint(reason)
+        yield ("camera",), "the rig's camera has no exposure_us; add the exposure time [µs] that counts as exposure 1"
 
 
 def _display_misfits(
@@ -362,10 +361,9 @@ def _display_misfits(
             continue
         where = ("lights", name, "controller")
         if light.kind != "display":
-            yield where, controller, complaint(f"{controller} is a display, and this light is a {light.kind}")
+            yield where, f"{controller} is a display, and this light is a {light.kind}"
         elif shown.setdefault(controller, light).entry != light.entry:
-            other = shown[controller].entry_name
-            yield where, controller, complaint(f"{controller} is the display {other}; each display needs its own")
+            yield where, f"{controller} is the display {shown[controller].entry_name}; each display needs its own"
     for controller, light in shown.items():
         picture = fields.mapping(fields.mapping(controllers[controller]).get("picture"))
         width, height = (light.size_mm or (1.0, 1.0))[:: -1 if picture.get("turn_deg") in (90, 270) else 1]
@@ -376,40 +374,38 @@ def _display_misfits(
         if max(sides) > MOST_SQUARE * min(sides):
             pixel = f"{sides[0]:.4g} × {sides[1]:.4g} mm; expected square: correct this, turn_deg, or the size_mm"
             reason = f"on the {width:g} × {height:g} mm of {light.entry_name} a pixel would have {pixel}"
-            yield ("controllers", controller, "picture", "resolution_px"), list(pixels), complaint(reason)
+            yield ("controllers", controller, "picture", "resolution_px"), reason
 
 
 def _names(channels: Mapping[str, object], lights: Sequence[str]) -> Iterator[Complaint]:
     for name in lights:
         if name not in channels:
             entry = f"{name}: {{controller: ..., channel: ..., level: ...}}"
-            reason = f'the light "{name}" of the rig has no channel; add {entry}'
-            yield ("lights",), dict(channels), complaint(reason)
-    for name, channel in channels.items():
+            yield ("lights",), f'the light "{name}" of the rig has no channel; add {entry}'
+    for name in channels:
         if name not in lights:
             meant = did_you_mean(name, lights) or f"; its lights are {', '.join(lights)}"
-            yield ("lights", name), channel, complaint(f'the rig has no light "{name}"{meant}')
+            yield ("lights", name), f'the rig has no light "{name}"{meant}'
 
 
 def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, object]) -> Iterator[Complaint]:
     """What is wrong with where one light is plugged in."""
     number, level, most = (_whole(channel.get(key)) for key in ("channel", "level", "max_level"))
     if level is not None and most is not None and level > most:
-        yield ("lights", name, "level"), level, complaint(f"expected at most max_level, {most}, found {level}")
+        yield ("lights", name, "level"), f"expected at most max_level, {most}, found {level}"
     wanted = channel.get("controller")
     if not isinstance(wanted, str):
         return
     if wanted not in controllers:
-        reason = f'no controller is called "{wanted}"; there is {", ".join(controllers) or "none"}'
-        yield ("lights", name, "controller"), wanted, complaint(reason)
+        there = ", ".join(controllers) or "none"
+        yield ("lights", name, "controller"), f'no controller is called "{wanted}"; there is {there}'
         return
     controller = fields.mapping(controllers[wanted])
     limited = (("channel", number, "channels"), ("level", level, "top_level"), ("max_level", most, "top_level"))
     for key, value, limit in limited:
         highest = _whole(controller.get(limit, ControllerConfig.model_fields[limit].default))
         if value is not None and highest is not None and value > highest:
-            reason = f"expected at most {highest}, the {limit} of {wanted}, found {value}"
-            yield ("lights", name, key), value, complaint(reason)
+            yield ("lights", name, key), f"expected at most {highest}, the {limit} of {wanted}, found {value}"
 
 
 def _same(key: str, places: Mapping[tuple[str, ...], tuple[object, Hashable | None]]) -> Iterator[Complaint]:
@@ -417,8 +413,7 @@ def _same(key: str, places: Mapping[tuple[str, ...], tuple[object, Hashable | No
     paths = list(places)
     for i, first in fields.repeated(what for _, what in places.values()):
         found = fields.mapping(places[paths[i]][0])[key]
-        reason = f'{key} "{found}" is already that of {".".join(paths[first])}; each has its own'
-        yield (*paths[i], key), found, complaint(reason)
+        yield (*paths[i], key), f'{key} "{found}" is already that of {".".join(paths[first])}; each has its own'
 
 
 def _place(entry: object) -> tuple[str, int] | None:

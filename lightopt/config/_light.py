@@ -60,28 +60,27 @@ def _wrong_shapes(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complain
     numbers = {key: value for key, value in raw.items() if isinstance(value, (int, float))}
     if numbers.get("rows", 1) * numbers.get("columns", 1) > MOST_CHANNELS:
         key = "rows" if "rows" in numbers else "columns"
-        yield (key,), raw[key], fields.complaint(f"expected at most {MOST_CHANNELS} LEDs in all")
+        yield (key,), f"expected at most {MOST_CHANNELS} LEDs in all"
     if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
-        yield ("inner_radius_mm",), raw["inner_radius_mm"], fields.complaint("expected less than outer_radius_mm")
+        yield ("inner_radius_mm",), "expected less than outer_radius_mm"
     size = [side for side in fields.entries(raw.get("size_mm")) if isinstance(side, (int, float))]
     hole = numbers.get("camera_hole_mm", 0.0)
     widest = {"dome": numbers.get("radius_mm"), "flat_dome": min(size, default=None)}.get(kind)
     if widest is not None and "camera_hole_mm" in numbers and hole >= widest:
-        yield ("camera_hole_mm",), hole, fields.complaint(f"expected less than {widest:g}")
+        yield ("camera_hole_mm",), f"expected less than {widest:g}"
     elif kind == "dome" and widest is not None and widest > 0.0:
         upper, lower = math.degrees(math.acos(0.5 * max(0.0, hole) / widest)), numbers.get("lower_elevation_deg", 0.0)
         if lower >= upper:
-            reason = f"expected less than {upper:.4g}, where the hole is"
-            yield ("lower_elevation_deg",), lower, fields.complaint(reason)
+            yield ("lower_elevation_deg",), f"expected less than {upper:.4g}, where the hole is"
     if "slot_mm" in numbers and numbers["slot_mm"] >= 2.0 * numbers.get("radius_mm", 1e9):
-        yield ("slot_mm",), raw["slot_mm"], fields.complaint("expected less than the tunnel's diameter")
+        yield ("slot_mm",), "expected less than the tunnel's diameter"
     counts = numbers.get("columns", 0), numbers.get("rows", 0)
     if "led_mm" in numbers and any(numbers["led_mm"] * n > side for side, n in zip(size, counts, strict=False)):
-        yield ("led_mm",), raw["led_mm"], fields.complaint("the LEDs overlap; expected at most size_mm by their number")
+        yield ("led_mm",), "the LEDs overlap; expected at most size_mm by their number"
     for key in ("distance_mm", "distance_range_mm"):
         nearest = next(iter(fields.entries(raw.get(key))), raw.get(key))
         if nearest == 0 and kind not in _AROUND_PART:
-            yield (key,), raw[key], fields.complaint(f"a light of kind {kind} cannot stand at the origin")
+            yield (key,), f"a light of kind {kind} cannot stand at the origin"
 
 
 class LightSourceConfig(fields.Frozen):
@@ -324,7 +323,7 @@ def auto_sums(lights: Sequence[object], shared: LightSourceConfig | None) -> Ite
         both = {key: getattr(shared, key) if value is None else value for key, value in own.items()}
         if both == {"points": "auto", "normalisation": "sum"}:
             key = "normalisation" if own["normalisation"] is not None else "points"
-            yield (i, key), own[key], fields.complaint(_AUTO_SUM)
+            yield (i, key), _AUTO_SUM
 
 
 def expanded(lights: Sequence[LightConfig]) -> tuple[LightConfig, ...]:
@@ -373,31 +372,31 @@ def programme_misfits(programme: object, lights: Sequence[LightConfig]) -> Itera
         name, weights = fields.value_of(image, "name"), fields.mapping(fields.value_of(image, "lights"))
         clash = {light.lower(): light for light in known}.get(str(name).lower())
         if clash is not None and set(weights) != {clash}:
-            reason = f'"{clash}" is a light of the rig, and this image is not of that light alone; choose another name'
-            yield (i, "name"), name, fields.complaint(reason)
+            alone = f'"{clash}" is a light of the rig, and this image is not of that light alone'
+            yield (i, "name"), f"{alone}; choose another name"
         for light in weights:
-            if light not in known:
-                reason = f'no light "{light}"; the rig has {", ".join(known)}'
-                yield (i, "lights", light), weights[light], fields.complaint(reason)
-                continue
-            if any(getattr(known[light], key) is not None for key in RANGE_KEYS):
-                reason = f'"{light}" has a range, and lights of a programme are fixed; leave the range out'
-                yield (i, "lights", light), weights[light], fields.complaint(reason)
-            others = [one for one in weights if one in known and known[one].entry != known[light].entry]
-            if known[light].pattern is not None and others:
-                reason = f'"{light}" is of a display with stripes, which images show without other lights; leave it or'
-                yield (i, "lights", light), weights[light], fields.complaint(f"{reason} {', '.join(others)} out")
-            if known[light].direct_level is not None and others:
-                reason = f'"{light}" has a direct_level, and images show it without other lights; leave it or'
-                yield (i, "lights", light), weights[light], fields.complaint(f"{reason} {', '.join(others)} out")
-            if known[light].kind == "panel" and len(weights) > 1:
-                reason = f'"{light}" is a panel, which images show alone; write kind: bar, which has an area, or split'
-                yield (i, "lights", light), weights[light], fields.complaint(f"{reason} the image")
-        exposures = [
-            str(_fraction(one)).removesuffix(".0") for one in fields.entries(fields.value_of(image, "exposures"))
-        ]
-        if any(fields.repeated(exposures)):
-            yield (i, "exposures"), exposures, fields.complaint("the same exposure was given twice")
+            yield from (((i, "lights", light), problem) for problem in _image_problems(light, [*weights], known))
+        exposures = fields.entries(fields.value_of(image, "exposures"))
+        if any(fields.repeated(str(_fraction(one)).removesuffix(".0") for one in exposures)):
+            yield (i, "exposures"), "the same exposure was given twice"
+
+
+def _image_problems(light: str, together: Sequence[str], known: Mapping[str, LightConfig]) -> Iterator[str]:
+    """What is wrong with a light in an image of several."""
+    if light not in known:
+        yield f'no light "{light}"; the rig has {", ".join(known)}'
+        return
+    own = known[light]
+    others = [one for one in together if one in known and known[one].entry != own.entry]
+    without = f"without other lights; leave it or {', '.join(others)} out"
+    if any(getattr(own, key) is not None for key in RANGE_KEYS):
+        yield f'"{light}" has a range, and lights of a programme are fixed; leave the range out'
+    if own.pattern is not None and others:
+        yield f'"{light}" is of a display with stripes, which images show {without}'
+    if own.direct_level is not None and others:
+        yield f'"{light}" has a direct_level, and images show it {without}'
+    if own.kind == "panel" and len(together) > 1:
+        yield f'"{light}" is a panel, which images show alone; write kind: bar, which has an area, or split the image'
 
 
 def programme_lights(

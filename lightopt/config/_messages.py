@@ -37,7 +37,7 @@ def model_problems(model: type[BaseModel], errors: Sequence[ErrorDetails], docum
         keys, kind = tuple(error["loc"]), error["type"]
         if keys and keys[-1] == "[key]":  # so pydantic calls what is wrong with the key of a mapping
             keys = keys[:-1]
-        if error["input"] is INVALID:
+        if error["input"] is INVALID or tuple(error["loc"]) in document.invalid:
             continue
         if kind in _EXPECTED and any(path[: len(keys)] == keys for path in document.invalid):
             continue  # a list with an invalid value in it

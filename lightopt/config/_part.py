@@ -385,8 +385,8 @@ class PartConfig(fields.FileConfig):
         postures = fields.entries(value)
         angles = [tuple(fields.value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
         valid = [pair if all(type(angle) in (int, float) for angle in pair) else None for pair in angles]
-        twice = ((i, complaint(f"the same posture as postures[{first}]")) for i, first in fields.repeated(valid))
-        return fields.with_complaints(value, handler, (((i,), postures[i], error) for i, error in twice))
+        twice = (((i,), f"the same posture as postures[{first}]") for i, first in fields.repeated(valid))
+        return fields.with_complaints(value, handler, twice)
 
     @field_validator("regions", "defects", "defect_catalogue", mode="wrap")
     @classmethod

@@ -96,7 +96,7 @@ class RigConfig(fields.FileConfig):
         if "light_source" in info.data and shared is None:
             panels = (i for i, light in enumerate(lights) if (fields.value_of(light, "kind") or "panel") == "panel")
             reason = 'missing key "light_source": the panel that all panel lights share'
-            complaints += [((i,), lights[i], fields.complaint(reason)) for i in panels]
+            complaints += [((i,), reason) for i in panels]
         # each channel becomes a light, unless that has been done
         found = fields.with_complaints(value, handler, complaints)
         return found if any(light.channel for light in found) else _light.expanded(found)
