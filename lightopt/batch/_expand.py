@@ -237,7 +237,6 @@ def _option_words(batch: BatchConfig, job: JobConfig, form: CommandForm) -> tupl
 
 
 def _option_misfits(form: CommandForm, name: str, value: object, folder: Path) -> Iterator[str]:
-    """What is wrong with an option of a job."""
     option = form.options.get(name)
     if option is None:
         plain = name.replace("_", "-")

@@ -389,7 +389,6 @@ def _names(channels: Mapping[str, object], lights: Sequence[str]) -> Iterator[Co
 
 
 def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, object]) -> Iterator[Complaint]:
-    """What is wrong with where one light is plugged in."""
     number, level, most = (_whole(channel.get(key)) for key in ("channel", "level", "max_level"))
     if level is not None and most is not None and level > most:
         yield ("lights", name, "level"), f"expected at most max_level, {most}, found {level}"

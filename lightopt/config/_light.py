@@ -251,7 +251,6 @@ class LightConfig(fields.Frozen):
 
     @property
     def entry_name(self) -> str:
-        """Name of its entry in the file."""
         return self._entry_name or self.name
 
     @property

@@ -61,7 +61,6 @@ class MeshConfig(Frozen):
 
     @property
     def of_step(self) -> bool:
-        """Whether the file is STEP, of which triangles are made as it is read."""
         return PurePath(self.file).suffix.lower() in _STEP
 
     @field_validator("units")

@@ -78,7 +78,6 @@ class PatternConfig(fields.Frozen):
 
     @property
     def images(self) -> int:
-        """Images in all."""
         if self.files is not None:
             return len(self.files)
         return self.steps * len(self.directions) * max(1, len(self.periods_mm))

@@ -114,7 +114,6 @@ class RigConfig(fields.FileConfig):
         return of_command if own is None else own
 
     def without_programme(self) -> "RigConfig":
-        """The rig with an image of each light alone."""
         alone = self.model_copy(update={"lights": self.channels, "programme": None})
         alone._channels = ()
         alone._source = replace(self._source, entries=tuple(light.entry for light in self.channels))

@@ -230,7 +230,6 @@ def _other_unit(key: str, known: str) -> str:
 
 
 def _suggestions(model: type[BaseModel], errors: Sequence[ErrorDetails]) -> dict[Keys, str]:
-    """Known key that is probably meant, by the path of the unknown key."""
     meant: dict[Keys, str] = {}
     for error in errors:
         loc = tuple(error["loc"])

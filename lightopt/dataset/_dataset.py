@@ -145,7 +145,6 @@ def _result(folder: Path, found: Mapping[str, Any], *, resumed: int) -> DatasetR
 
 
 def _make_pose(setup: Setup, out: DatasetFolder, draw: PoseDraw, limits: PostureLimits) -> dict[str, Any]:
-    """Render and write a pose and its samples; returns its record."""
     pose = render_pose(setup, draw)
 
     def make(number: int) -> tuple[dict[str, Any], list[str], SampleImages | None]:

@@ -29,8 +29,6 @@ _END = int | float | None  # of an interval; None where the fit does not determi
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetOptions:
-    """What a dataset has."""
-
     images: int  # number of samples, each of one image per light
     seed: int = 0  # of all random numbers
     exposure: float = 1.0  # relative exposure of lights to which the rig's programme gives none

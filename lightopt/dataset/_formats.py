@@ -43,7 +43,6 @@ def yolo_name(image: str) -> str | None:
 
 
 def is_visible(defect: Record, view: str) -> bool:
-    """Whether a defect can be found in the images of a view."""
     return defect["visibility"][view]["visible"]
 
 

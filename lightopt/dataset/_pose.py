@@ -33,8 +33,6 @@ Levels = UInt8 | NDArray[np.uint16]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LabelledDefect:
-    """A defect in the images of a sample."""
-
     placed: PlacedDefect
     pixels: Index  # that show any of it, raveled indices, ascending, shape (k,)
     # in all images together (:data:`STACK`), under each light, and in the fused image where there is one
@@ -140,7 +138,6 @@ def posture_limits(setup: Setup, posture: Posture) -> PostureLimits:
 
 
 def sample_images(pose: PoseImages, draw: SampleDraw, limits: PostureLimits) -> SampleImages:
-    """The images of one sample, and its defects."""
     fusion = pose.setup.options.fusion
     kinds: list[CatalogueEntry] = []
     placed: list[PlacedDefect] = []
@@ -167,8 +164,6 @@ def sample_images(pose: PoseImages, draw: SampleDraw, limits: PostureLimits) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """What defects change."""
-
     placed: Sequence[PlacedDefect]  # the defects
     shown: Index  # numbers among the pose's pixels of those that show any of them, shape (s,)
     share: Float64  # of each such pixel that each defect takes, shape (defects, s)

@@ -168,7 +168,6 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], 
 
 
 def _is_whole_png(path: Path) -> bool:
-    """Whether the file ends as every PNG ends."""
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - len(_END_CHUNK)))
         return file.read(len(_END_CHUNK)) == _END_CHUNK

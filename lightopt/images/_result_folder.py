@@ -91,7 +91,6 @@ class ResultFolder:
         return path
 
     def write_text(self, name: str, text: str) -> Path:
-        """Write a text file of the result, whole or not at all."""
         path = self.place(name)
         write_text_atomic(path, text)
         return path

@@ -241,7 +241,6 @@ def build_stage(rig: RigConfig) -> Stage:
 
 
 def build_sensor(camera: CameraConfig) -> Sensor:
-    """The sensor of a rig's camera."""
     own = camera.sensor
     noise, electrons = own.read_noise_levels, own.electrons_per_level
     if own.dark_current_e_per_s > 0 and electrons is not None and camera.exposure_us is not None:

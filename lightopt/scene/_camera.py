@@ -30,7 +30,6 @@ class Distortion:
 
     @property
     def is_zero(self) -> bool:
-        """Whether the lens draws straight lines straight."""
         return not any((self.k1, self.k2, self.p1, self.p2, self.k3))
 
 
@@ -290,8 +289,6 @@ _WINDOW_MARGIN_PX = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Framing:
-    """Where a part lies in the image."""
-
     # bounding box of the part's vertices in the image [px]; NaN where part of it is behind the camera
     left: float
     top: float
@@ -306,14 +303,12 @@ class Framing:
 
     @property
     def outside(self) -> bool:
-        """Whether no part of the bounding box is in the image."""
         width, height = self.right - self.left, self.bottom - self.top
         left, top, right, bottom = self.excess
         return self.farthest <= 0.0 or left >= width or right >= width or top >= height or bottom >= height
 
     @property
     def inside(self) -> bool:
-        """Whether the whole bounding box is in the image."""
         return self.nearest > 0.0 and max(self.excess) == 0.0
 
 

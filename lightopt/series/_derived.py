@@ -144,8 +144,6 @@ def _dot(a: Float64, b: Float64) -> Float64:
 
 @dataclass(frozen=True, kw_only=True)
 class DerivedImages:
-    """Images derived from those of a light in a posture."""
-
     light: str
     posture: Posture
     channels: Channels  # by name, shape (H, W) each; NaN where unknown

@@ -130,7 +130,6 @@ def compare_files(
 def _load_image(
     role: str, path: Path, saturation: float | None, black: float | None, problems: list[str]
 ) -> LoadedFile | None:
-    """Read an image; where that fails, add the problem."""
     with collected(problems):
         if not path.is_file():
             raise InputError(f"{role} file is missing: {path}")
@@ -204,7 +203,6 @@ def compare_tables(a: Path, b: Path, thresholds: ComparisonThresholds) -> FileCo
 
 
 def _load_arrays(role: str, path: Path, reasons: list[str]) -> dict[str, NDArray[Any]]:
-    """Read the arrays; where that fails, add the reason."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}

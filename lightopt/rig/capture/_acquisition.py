@@ -324,7 +324,6 @@ class AcquisitionEngine:
         return frame
 
     def _remaining_on_s(self) -> float | None:
-        """How long the light may stay lit [s]; None where nothing limits it."""
         return None if self._lit is None else self.devices.remaining_on_s(self._lit[0])
 
     def _wait_until(self, moment: float) -> None:

@@ -204,7 +204,6 @@ class BackgroundWriter:
         return True
 
     def wait(self) -> None:
-        """Wait until all is on disk; the first error is raised here."""
         self.wait_for_image()
         self._wait_for_linears(0)
 

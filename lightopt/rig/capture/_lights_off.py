@@ -157,7 +157,6 @@ def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunCo
 
 
 def _wiring(lights: LightsOnly) -> Wiring:
-    """Controllers and lights of a rig, without its stage."""
     if lights.rig is not None:
         wiring = wiring_of(lights.rig)
         return replace(wiring, hardware=wiring.hardware.model_copy(update={"stage": None}))

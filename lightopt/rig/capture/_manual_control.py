@@ -124,7 +124,6 @@ def snap(
 
 
 def _status(name: str, query: Callable[[], str], problem: LightoptError | None = None) -> DeviceStatus:
-    """State of a device; `problem` is why it could not be opened."""
     try:
         if problem is not None:
             raise problem

@@ -56,7 +56,6 @@ class Devices:
 
     @property
     def camera(self) -> devices.Camera:
-        """The camera; opened only where images are taken."""
         assert self._camera is not None
         return self._camera
 

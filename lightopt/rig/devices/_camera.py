@@ -17,8 +17,6 @@ _NEAR = 0x1000  # numbers so near to the end and the beginning of the count are 
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame as the camera delivered it."""
-
     levels: features.Levels  # right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above
     exposure_us: float  # exposure time [µs] as read back for this frame
     number: int | None  # the camera's own; None where it has none

@@ -161,7 +161,6 @@ class ScreenController(LightController):
         return controller
 
     def _show(self, levels: UInt8) -> None:
-        """Show levels of the screen's pixels, shape (height, width)."""
         link: SerialLink = self._link
         data = zlib.compress(levels.tobytes(), 1)
         head = f"SHOW {levels.shape[1]} {levels.shape[0]} {len(data)}".encode("ascii")

@@ -41,7 +41,6 @@ class Axis:
         return step * round(self.units_of(angle_deg) / step)
 
     def problems(self, angle_deg: float) -> list[str]:
-        """Messages about what is wrong with an angle [°]; empty where it is allowed."""
         low, high = self.range_deg
         slack = _ROUNDING * max(1.0, abs(low), abs(high))
         if low - slack <= angle_deg <= high + slack:

@@ -85,7 +85,6 @@ class _SigmakokiFirmware(StageFirmware):
         return ",".join([*places, "K" if self._accepted else "X", limit, "B" if busy else "R"])
 
     def _plan(self, kind: str, words: str) -> bool:
-        """Take the words of A: or M:, and keep them for G:."""
         match = re.fullmatch(r"([12W])((?:[+-]P\d+)+)", words)
         if match is None:
             return False
