@@ -2,14 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    field_validator,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from lightopt.config import _fields as fields
 from lightopt.config._fields import LIST, Frozen, complaint, expecting
@@ -123,7 +116,7 @@ class SensorConfig(Frozen):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _with_sheet(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    def _with_sheet(cls, value: object, handler: fields.Handler, info: ValidationInfo) -> Any:
         file = fields.value_of(value, "data_sheet")
         sheet, wrong = None, list[fields.Complaint]()
         if isinstance(file, str) and info.context:
@@ -211,7 +204,7 @@ class CameraConfig(Frozen):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _placed(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
+    def _placed(cls, value: object, handler: fields.Handler) -> Any:
         return with_pose(value, handler, point="position_mm", what="the camera", also=("roll_deg",))
 
     @field_validator("focal_length_mm")

@@ -42,6 +42,7 @@ def points_problem(points: int | str) -> str | None:
     return f"expected a square (1, 4, 9, 16, …) or auto, found {points}{near}"
 
 
+Handler = ValidatorFunctionWrapHandler
 # what is wrong: the path of keys in a value, and the message, or the error where it has a kind of its own
 Complaint = tuple[tuple[str | int, ...], str | PydanticCustomError]
 

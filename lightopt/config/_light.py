@@ -11,7 +11,6 @@ from pydantic import (
     PrivateAttr,
     SerializerFunctionWrapHandler,
     ValidationInfo,
-    ValidatorFunctionWrapHandler,
     field_serializer,
     field_validator,
     model_serializer,
@@ -271,7 +270,7 @@ class LightConfig(fields.Frozen):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _placed(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
+    def _placed(cls, value: object, handler: fields.Handler) -> Any:
         raw = {key: one for key, one in fields.mapping(value).items() if one is not None}
         kind = raw.get("kind", "panel")
         if kind == "panel" or not isinstance(kind, str) or kind not in get_args(LightKind):

@@ -3,15 +3,7 @@
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    Field,
-    PrivateAttr,
-    ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    field_serializer,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, PrivateAttr, ValidationInfo, field_serializer, field_validator, model_validator
 
 from lightopt.config import _fields as fields, _light
 from lightopt.config._camera import CameraConfig
@@ -90,7 +82,7 @@ class RigConfig(fields.FileConfig):
 
     @field_validator("lights", mode="wrap")
     @classmethod
-    def _fit_together(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    def _fit_together(cls, value: object, handler: fields.Handler, info: ValidationInfo) -> Any:
         lights, shared = fields.entries(value), info.data.get("light_source")
         complaints = [*fields.same_names(lights, "lights", str.lower), *_light.auto_sums(lights, shared)]
         if "light_source" in info.data and shared is None:
@@ -129,7 +121,7 @@ class RigConfig(fields.FileConfig):
 
     @field_validator("programme", mode="wrap")
     @classmethod
-    def _of_its_lights(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    def _of_its_lights(cls, value: object, handler: fields.Handler, info: ValidationInfo) -> Any:
         lights = info.data.get("lights")
         return fields.with_complaints(value, handler, () if lights is None else _light.programme_misfits(value, lights))
 
@@ -140,6 +132,6 @@ class RigConfig(fields.FileConfig):
 
     @field_validator("hardware", mode="wrap")
     @classmethod
-    def _wired(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    def _wired(cls, value: object, handler: fields.Handler, info: ValidationInfo) -> Any:
         lights: tuple[_light.LightConfig, ...] | None = info.data.get("lights")
         return fields.with_complaints(value, handler, misfits(value, lights, info.data.get("camera")))

@@ -15,20 +15,9 @@ from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.provenance import file_sha256, provenance
 from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
-from lightopt.dataset import _draws
+from lightopt.dataset import _draws, _formats
 from lightopt.dataset._draws import FUSED, SPLITS, STACK, DatasetOptions, PoseDraw, Setup
 from lightopt.dataset._folder import MANIFEST, DatasetFolder
-from lightopt.dataset._formats import (
-    box_of,
-    datasheet,
-    image_name,
-    mask_name,
-    run_lengths,
-    union,
-    write_formats,
-    yolo_name,
-    yolo_text,
-)
 from lightopt.dataset._pose import PoseImages, PostureLimits, SampleImages, posture_limits, render_pose, sample_images
 from lightopt.images import write_bytes_atomic, write_exr, write_png
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
@@ -121,8 +110,8 @@ def make_dataset(
         run.warn(f"the part leaves the view in {where}; lower shift_mm of the ranges, or let the camera see more")
     if omitted := sum(record["omitted"] for record in records):
         run.warn(f"{counted(omitted, 'defect')} left out: no image shows all of it; use a catalogue of smaller ones")
-    files = write_formats(out, setup, samples)
-    out.write_text("datasheet.md", datasheet(setup, samples, omitted))
+    files = _formats.write_formats(out, setup, samples)
+    out.write_text("datasheet.md", _formats.datasheet(setup, samples, omitted))
     defects = [one for sample in samples for one in sample["defects"]]
     found = {
         "views": list(setup.views),
@@ -162,7 +151,7 @@ def _make_pose(setup: Setup, out: DatasetFolder, draw: PoseDraw, limits: Posture
             "particles": len(sample.dust),
             "omitted": images.omitted,
             "defects": defects,
-            "files": {view: image_name(view, number, defects, draw.split) for view in setup.views},
+            "files": {view: _formats.image_name(view, number, defects, draw.split) for view in setup.views},
         }
         return facts, _write_sample(setup, out, facts, images), images if setup.options.stacks else None
 
@@ -192,11 +181,11 @@ def _defects(pose: PoseImages, images: SampleImages) -> list[dict[str, Any]]:
     return [
         {
             **own,
-            "box_px": list(box_of(one.pixels, width)),
+            "box_px": list(_formats.box_of(one.pixels, width)),
             "visibility": {
                 name: {"z": round(each.z, 3), "visible": each.visible} for name, each in one.visibility.items()
             },
-            "mask": run_lengths(one.pixels, height, width),
+            "mask": _formats.run_lengths(one.pixels, height, width),
         }
         for own, one in zip(facts, images.defects, strict=True)
     ]
@@ -212,11 +201,11 @@ def _write_sample(setup: Setup, out: DatasetFolder, facts: Mapping[str, Any], im
         metadata = {"sample": facts["sample"], "view": view}
         write_png(out.path(image), picture, metadata=metadata)
         files.append(image)
-        if (mask := mask_name(image)) is not None:
-            write_png(out.path(mask), union(facts["defects"], view, setup.size), metadata=metadata)
+        if (mask := _formats.mask_name(image)) is not None:
+            write_png(out.path(mask), _formats.union(facts["defects"], view, setup.size), metadata=metadata)
             files.append(mask)
-        if (labels := yolo_name(image)) is not None:
-            out.write_text(labels, yolo_text(facts["defects"], view, setup.kinds, *setup.size))
+        if (labels := _formats.yolo_name(image)) is not None:
+            out.write_text(labels, _formats.yolo_text(facts["defects"], view, setup.kinds, *setup.size))
             files.append(labels)
     return files
 
