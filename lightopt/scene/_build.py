@@ -324,8 +324,7 @@ def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ..
             text = f"the part, {size} mm, lies wholly outside the camera's view of {view}; check units and placement"
             outside.append(f"{where}: in posture {posture} {text}")
         elif not framing.inside:
-            sides = zip(("left", "top", "right", "bottom"), framing.excess, strict=True)
-            over = [(side, excess, excess * framing.footprint[0]) for side, excess in sides if excess > 0.0]
+            over = [(side, -px, -px * framing.footprint[0]) for side, px in framing.margins.items() if px < 0.0]
             by = ", ".join(f"{excess:.3g} px ({mm:.3g} mm) at the {side}" for side, excess, mm in over)
             text = f"the part leaves the view by {by}" if by else f"the part, {size} mm, reaches behind the camera"
             warnings.append("; ".join([f"posture {posture}: {text}", *([] if by else hint)]))
