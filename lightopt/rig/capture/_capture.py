@@ -85,11 +85,8 @@ class CaptureSession:
 
     def todo(self) -> list[Posture]:
         records, darks = self._records, self._plan.dark_exposures
-
-        def is_complete(posture: Posture) -> bool:
-            return not records.todo(posture) and all(records.has_dark(posture, exposure) for exposure in darks)
-
-        return [posture for posture in self._plan.postures if not is_complete(posture)]
+        lack_dark = {p for p in self._plan.postures for exposure in darks if not records.has_dark(p, exposure)}
+        return [posture for posture in self._plan.postures if posture in lack_dark or records.todo(posture)]
 
     def execute(self, devices: Devices) -> None:
         self._devices = devices
@@ -326,13 +323,9 @@ def capture(
             else:
                 opened = connect_devices(rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, run=run)
             devices = safe.enter_context(opened)
-            expected, found = (
-                "{} × {} pixels of {} bits".format(*size, bits)
-                for size, bits in (
-                    (rig.camera.resolution_px, rig.camera.sensor.bit_depth),
-                    (devices.camera.resolution_px, devices.camera.bit_depth),
-                )
-            )
+            form = "{} × {} pixels of {} bits"
+            expected = form.format(*rig.camera.resolution_px, rig.camera.sensor.bit_depth)
+            found = form.format(*devices.camera.resolution_px, devices.camera.bit_depth)
             if found != expected:  # nothing is lit or moved yet
                 raise InputError(f"{rig.source.at('camera')}: the rig has {expected}, the camera delivers {found}")
             return devices
