@@ -76,14 +76,12 @@ def open_lights(
 
 def open_controller(wiring: Wiring, name: str, *, port: str, log: devices.SerialLog | None) -> devices.LightController:
     config = wiring.hardware.controllers[name]
-    picture: devices.PictureSettings | None = None
-    if config.picture is not None:
-        picture = devices.PictureSettings(**config.picture.model_dump(), pictures=wiring.pictures(name))
     settings = devices.LightSettings(
         name=name,
         port=port,
         **config.model_dump(exclude={"driver", "port", "picture"}),
-        picture=picture,
+        picture=config.picture,
+        pictures=wiring.pictures(name),
         folder=wiring.folder,
         max_levels={
             channel.channel: channel.max_level

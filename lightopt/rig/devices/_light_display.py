@@ -25,12 +25,13 @@ from typing import Any
 
 import numpy as np
 
+from lightopt.config import PictureConfig
 from lightopt.core.arrays import Float64, UInt8
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.interrupts import start_apart
 from lightopt.images import write_png
 from lightopt.rig.devices._device import RefusedError, ReplyError
-from lightopt.rig.devices._light import LightController, LightSettings, PictureSettings
+from lightopt.rig.devices._light import LightController, LightSettings
 from lightopt.rig.devices._serial_link import Link, SerialLink, SerialLog
 
 _START_S, _END_S = 30.0, 5.0
@@ -90,7 +91,7 @@ class ScreenProcess:
             self._process.wait()
 
 
-def screen_levels(picture: Float64, settings: PictureSettings) -> UInt8:
+def screen_levels(picture: Float64, settings: PictureConfig) -> UInt8:
     """Levels of the screen's own pixels that show a picture, row 0 at its own upper edge.
 
     picture: Shares of the full radiance as seen from the part, shape (rows, columns)
@@ -111,6 +112,7 @@ class ScreenController(LightController):
         super().__init__(link, settings)
         assert settings.picture is not None
         self._picture = settings.picture
+        self._pictures = settings.pictures
         self._lit: dict[int, int] = {}
         self._shown: dict[int, int] | None = None  # levels of what is on the screen; None where that is unknown
 
@@ -133,9 +135,9 @@ class ScreenController(LightController):
         width, height = self._picture.resolution_px
         total = np.zeros((width, height) if self._picture.turn_deg % 180 else (height, width))
         for channel, level in lit.items():
-            if channel not in self._picture.pictures:
+            if channel not in self._pictures:
                 raise InputError(f"{self._link.device}: no light of the rig is on channel {channel}; nothing was shown")
-            total += level / self.top_level * self._picture.pictures[channel]()
+            total += level / self.top_level * self._pictures[channel]()
         if total.max() > 1.0 + _ROUNDING:
             need = f"channels {', '.join(map(str, sorted(lit)))} together need {total.max():.3g} times"
             advice = "lower their levels, or the weights of the programme"
