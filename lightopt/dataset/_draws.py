@@ -62,10 +62,7 @@ class Factors:
 
 
 def factors_of(ranges: RangesConfig, rig: RigConfig, part: PartConfig) -> Factors:
-    """The limits of factors: by the intervals of a fit and of a calibrated rig where there are some, else the ranges'.
-
-    Raises InputError: the fit is none, or an interval of it is none
-    """
+    """Limits by the intervals of a fit and of a calibrated rig, else the ranges'; InputError for a wrong fit."""
     fit = {} if ranges.fit is None else _read_fit(ranges.source.resolve(ranges.fit))
     values, fitted_gains = fit.get("values") or {}, fit.get("gains") or {}
     own = part.reflectance

@@ -212,11 +212,7 @@ def union(defects: Sequence[Record], view: str, size: tuple[int, int]) -> UInt8:
 
 
 def box_of(pixels: Index, width: int) -> tuple[int, int, int, int]:
-    """Left column, top row, columns and rows of the box around pixels.
-
-    pixels: Raveled indices, shape (k,)
-    width: Of the image
-    """
+    """Left column, top row, columns and rows of the box around pixels of raveled indices, shape (k,)."""
     row, column = np.divmod(pixels, width)
     left, top = int(column.min()), int(row.min())
     return left, top, int(column.max()) - left + 1, int(row.max()) - top + 1

@@ -49,10 +49,7 @@ def _write_image(
     *,
     overwrite: bool = True,
 ) -> str:
-    """Encode an image block by block, whole or not at all; returns the SHA-256 in hex.
-
-    `rows` are blocks from the top down, each (rows, W, C) in the spec's sample type.
-    """
+    """Encode an image from blocks of rows (rows, W, C), whole or not at all; returns the SHA-256 in hex."""
     # ASCII JSON with sorted keys: equal metadata are equal bytes, and PNG's Latin-1 text holds them
     text = json.dumps(dict(metadata), sort_keys=True, allow_nan=False, separators=(",", ":"))
     spec.attribute(_METADATA_KEY, text)

@@ -37,7 +37,6 @@ class ImageSetWriter:
         the way are found before any work.
 
     manifest: What is on disk so far.
-    resumed: Whether a previous run with an equal header is being continued.
     replaced: Number of files of the set of another run that were removed.
     Raises InputError: The folder cannot be written, holds the set of another run or files in the way (without `force`),
         or two images of the plan would share a file; with `force`, the folder holds captured images and the run makes
@@ -55,8 +54,7 @@ class ImageSetWriter:
         self._names.claim_images(plan)
         existing = None if force else resumable_manifest(self.folder, header)
         self.replaced = remove_set(self.folder, header) if force else 0
-        self.resumed = existing is not None
-        self._may_overwrite = force or self.resumed
+        self._may_overwrite = force or existing is not None
         for light, posture, exposure in plan:
             self._writable(names.png_name(light, posture, exposure))
             self._writable(names.exr_name(light, posture))

@@ -196,8 +196,6 @@ def import_photographs(
 ) -> ImportedSet:
     """Write rig.yaml, part.yaml and an image set of photographs, so that they are read like captured images.
 
-    folder: Of the photographs
-    table: CSV of the lights
     Raises InputError: Table, calibration, images, part or output folder are not as expected
     """
     run = run or RunContext()

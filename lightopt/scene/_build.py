@@ -152,10 +152,7 @@ def _brushing(own: ReflectanceConfig) -> geometry.Brushing | None:
 
 
 def build_camera(rig: RigConfig) -> cameras.PinholeCamera:
-    """The rig's camera, world frame.
-
-    Raises InputError: The lens model folds the image over
-    """
+    """The rig's camera, world frame; InputError where the lens model folds the image over."""
     c = rig.camera
     aspect = 1.0
     focus = c.focus_distance_mm or c.distance_mm
@@ -288,10 +285,7 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[geometry.TriangleMesh, Pl
 
 
 def chord_tolerance(part: PartConfig, footprint: float) -> float:
-    """How far triangles may be from the CAD surface of a STEP file [mm].
-
-    footprint: Side of a pixel's footprint at the origin [mm]
-    """
+    """How far triangles may be from the CAD surface of a STEP file, for the side of a pixel's footprint [mm]."""
     if part.mesh.chord_tolerance_mm is not None:
         return part.mesh.chord_tolerance_mm
     return min(CHORD_TOLERANCE_MM, CHORD_TOLERANCE_FOOTPRINTS * footprint)
@@ -379,11 +373,7 @@ def likely_units(longest: float, view: float, unit: str) -> tuple[str, ...]:
 
 
 def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | None:
-    """Units that the part's file is more probably in; None where the part fits the view, or no unit explains it.
-
-    longest: Its longest side as it is read now [mm]
-    view: The view's shorter side [mm]
-    """
+    """Units that the part's file is more probably in, as :func:`likely_units`; None where there are none."""
     # formats that carry their unit: GLB is in metres, STEP is converted to millimetres as it is read
     unit = part.mesh.units or ("m" if part.mesh.file.lower().endswith(".glb") else "mm")
     likely = likely_units(longest, view, unit)

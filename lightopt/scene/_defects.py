@@ -55,10 +55,7 @@ def place_defects(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[Place
 
 
 def build_catalogue(part: PartConfig) -> tuple[CatalogueEntry, ...]:
-    """The kinds of defect that a part's inspection is planned for: its own list, or the built-in one.
-
-    Raises InputError: For each haze whose σ no lobe can have
-    """
+    """Kinds of defect that an inspection is planned for: the part's or built-in; InputError for σ of no lobe."""
     if part.defect_catalogue is None:
         catalogue = BUILT_IN_CATALOGUE
         places = ["the built-in haze"] * len(catalogue)

@@ -159,9 +159,7 @@ class CaptureSession:
     def _finish(self, *, failed: bool, lights: str) -> bool:
         """Finish writing, whatever happens, while signals are held back; returns whether one came."""
         with EndSignals() as signals, signals.shielded():
-            if failed:
-                self._writer.cancel_linears()
-            if not self._writer.wait_idle(DISK_WARNING_S):
+            if not self._writer.wait_idle(DISK_WARNING_S, failed=failed):
                 self._run.warn(f"{lights}waiting until the disk has written the exposed images; Ctrl-C also waits")
             self._writer.close()
             if self._started is not None:

@@ -207,11 +207,10 @@ class BackgroundWriter:
         self.wait_for_image()
         self._wait_for_linears(0)
 
-    def cancel_linears(self) -> None:
-        self._linears.shutdown(wait=False, cancel_futures=True)
-
-    def wait_idle(self, longest_s: float) -> bool:
-        """Wait at most so long [s]; returns whether all is done."""
+    def wait_idle(self, longest_s: float, *, failed: bool) -> bool:
+        """Wait at most so long [s]; returns whether all is done. After a failure no further linear image begins."""
+        if failed:
+            self._linears.shutdown(wait=False, cancel_futures=True)
         last = [self._last] if self._last is not None else []
         return not wait([f for f in (*self._queued, *last) if not f.done()], longest_s).not_done
 

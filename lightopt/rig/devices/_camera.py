@@ -25,10 +25,7 @@ class Frame:
 
 
 class Camera(Protocol):
-    """A monochrome camera.
-
-    Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not deliver.
-    """
+    """A monochrome camera; every method raises a HardwareError when it does not deliver."""
 
     @property
     def triggered(self) -> bool: ...  # a frame begins at the call of grab (software trigger): none need be thrown away

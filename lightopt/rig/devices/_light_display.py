@@ -92,10 +92,7 @@ class ScreenProcess:
 
 
 def screen_levels(picture: Float64, settings: PictureConfig) -> UInt8:
-    """Levels of the screen's own pixels that show a picture, row 0 at its own upper edge.
-
-    picture: Shares of the full radiance as seen from the part, shape (rows, columns)
-    """
+    """Levels of the screen's pixels, row 0 at its own upper edge, for shares of full radiance as the part sees it."""
     levels = np.round(255.0 * np.clip(picture, 0.0, 1.0) ** (1.0 / settings.gamma)).astype(np.uint8)
     turned = np.rot90(levels, settings.turn_deg // 90)
     return np.ascontiguousarray(np.fliplr(turned) if settings.mirrored else turned)
