@@ -31,14 +31,15 @@ def paths_inside(folder: Path, names: Iterable[object]) -> Iterator[Path]:
                 yield path
 
 
-def remove_listed(folder: Path, names: Iterable[object]) -> None:
-    """Remove files by their names in a folder, and their own folders where nothing else is in them."""
+def remove_listed(folder: Path, names: Iterable[object]) -> int:
+    """Remove files by their names in a folder, and folders in it that this leaves empty; returns their number."""
+    removed, home = 0, folder.resolve()
     for path in paths_inside(folder, names):
-        if path.is_file():
-            remove_file(path)
-        if path.parent != folder.resolve():
-            with suppress(OSError):  # something else is in it, or it is gone
-                path.parent.rmdir()
+        removed += path.is_file() and remove_file(path)
+        with suppress(OSError):  # something else is in it, or it is gone
+            for parent in path.parents[: -len(home.parts)]:
+                parent.rmdir()
+    return removed
 
 
 class ResultFolder:

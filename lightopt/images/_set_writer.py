@@ -18,6 +18,7 @@ from lightopt.images import _manifest as names
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._image_files import Levels, write_exr, write_png
 from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_manifest
+from lightopt.images._result_folder import remove_listed
 
 _PATCHES_NAME = "patches.npz"
 
@@ -291,7 +292,7 @@ def remove_set(folder: Path, header: Manifest) -> int:
     if manifest.kind == "captured" and header.kind != "captured":
         why = f"holds captured images, which {header.kind} ones never replace"
         raise InputError(f"{folder}: {why}; choose another output folder")
-    return _remove_files(folder, manifest)
+    return remove_listed(folder, [name for name, _ in manifest.listed_files])
 
 
 def remove_image_set(folder: Path) -> int:
@@ -299,7 +300,7 @@ def remove_image_set(folder: Path) -> int:
     manifest = _readable_manifest(folder)
     if manifest is None or manifest.kind != "simulated":
         return 0
-    return _remove_files(folder, manifest) + remove_file(folder / names.MANIFEST_NAME)
+    return remove_listed(folder, [*(name for name, _ in manifest.listed_files), names.MANIFEST_NAME])
 
 
 def _readable_manifest(folder: Path) -> Manifest | None:
@@ -307,12 +308,3 @@ def _readable_manifest(folder: Path) -> Manifest | None:
         return read_manifest(folder / names.MANIFEST_NAME)
     except InputError:
         return None
-
-
-def _remove_files(folder: Path, manifest: Manifest) -> int:
-    paths = [folder / name for name in dict.fromkeys(name for name, _ in manifest.listed_files)]
-    removed = sum(map(remove_file, paths))
-    for parent in {path.parent for path in paths if path.parent != folder}:
-        with contextlib.suppress(OSError):  # something else is in it
-            parent.rmdir()
-    return removed
