@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo
 
 from lightopt import defects
 from lightopt.config import _fields as fields
@@ -66,19 +66,16 @@ class CatalogueEntryConfig(fields.Frozen):
     sigma_factor: _WidthFactor | None = None
     """Hazes: factor on sigma; not 1. R_s is divided by its square: the lobe reflects as much light as before."""
 
-    @field_validator("size_mm")
-    @classmethod
-    def _longer_first(cls, size: float | tuple[float, float], info: ValidationInfo) -> float | tuple[float, float]:
+    @fields.rule("size_mm")
+    def _longer_first(cls, size: float | tuple[float, float], info: ValidationInfo) -> Iterator[fields.Fault]:
         if isinstance(size, tuple) and size[0] < size[1]:
             reason = f"expected [length, width] with the length at least the width, found [{size[0]:g}, {size[1]:g}]"
-            raise fields.complaint(f"{reason}; direction_deg turns it")
+            yield f"{reason}; direction_deg turns it"
         if info.data.get("kind") == "scratch" and (not isinstance(size, tuple) or size[0] == size[1]):
-            raise fields.complaint("expected [length, width] of a scratch, the length above the width")
-        return size
+            yield "expected [length, width] of a scratch, the length above the width"
 
-    @field_validator("depth_mm")
-    @classmethod
-    def _steep(cls, depth: float | None, info: ValidationInfo) -> float | None:
+    @fields.rule("depth_mm")
+    def _steep(cls, depth: float | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         kind, size = info.data.get("kind"), info.data.get("size_mm")
         if depth is not None and size is not None and kind in defects.SHAPE_KINDS:
             width = _extents(size)[1]
@@ -86,8 +83,7 @@ class CatalogueEntryConfig(fields.Frozen):
             if slope_found > defects.MAX_SLOPE:
                 deepest = defects.depth_of_slope(kind, width, defects.MAX_SLOPE)
                 walls = f"has walls of {math.degrees(slope_found):.0f} degrees; expected at most {deepest:.3g} mm"
-                raise fields.complaint(f"a {kind} {width:g} mm wide and {depth:g} mm deep {walls}, which is 60 degrees")
-        return depth
+                yield f"a {kind} {width:g} mm wide and {depth:g} mm deep {walls}, which is 60 degrees"
 
     @classmethod
     def misfits(cls, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
@@ -114,17 +110,15 @@ class PlannedDefectConfig(CatalogueEntryConfig):
     slope_range: _Range = (1.0, 1.0)
     """Least and greatest slope of the walls, as multiples of slope_deg or depth_mm; that slope if absent."""
 
-    @field_validator("slope_range")
-    @classmethod
-    def _not_too_steep(cls, value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+    @fields.rule("slope_range")
+    def _not_too_steep(cls, value: tuple[float, float], info: ValidationInfo) -> Iterator[fields.Fault]:
         kind, size, slope, depth = (info.data.get(key) for key in ("kind", "size_mm", "slope_deg", "depth_mm"))
         if kind in defects.SHAPE_KINDS:
             steepest, most = value[1] * math.degrees(_slope(kind, size, slope, depth)), math.degrees(defects.MAX_SLOPE)
             if steepest > most + 1e-9:
-                raise fields.complaint(f"the steepest walls would be {steepest:.0f} degrees; expected at most {most:g}")
+                yield f"the steepest walls would be {steepest:.0f} degrees; expected at most {most:g}"
         elif kind is not None and value != (1.0, 1.0):
-            raise fields.complaint(f"a {kind} has no slope; remove this key")
-        return value
+            yield f"a {kind} has no slope; remove this key"
 
     @property
     def entry(self) -> defects.CatalogueEntry:

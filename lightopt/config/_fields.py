@@ -19,6 +19,7 @@ from pydantic import (
     ValidationInfo,
     ValidatorFunctionWrapHandler,
     WrapValidator,
+    field_validator,
     model_validator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -43,8 +44,8 @@ def points_problem(points: int | str) -> str | None:
 
 
 Handler = ValidatorFunctionWrapHandler
-# what is wrong: the path of keys in a value, and the message, or the error where it has a kind of its own
-Complaint = tuple[tuple[str | int, ...], str | PydanticCustomError]
+Fault = str | PydanticCustomError  # what is wrong: the message, or the error where it has a kind of its own
+Complaint = tuple[tuple[str | int, ...], Fault]  # the path of keys in a value, and what is wrong there
 
 
 class Variants(NamedTuple):
@@ -105,6 +106,24 @@ class FileConfig(Frozen):
 
 def complaint(reason: str) -> PydanticCustomError:
     return PydanticCustomError("complaint", "{reason}", {"reason": reason})
+
+
+def _error(fault: Fault) -> PydanticCustomError:
+    return complaint(fault) if isinstance(fault, str) else fault
+
+
+def rule(*keys: str) -> Callable[[Callable[[Any, Any, ValidationInfo], Iterator[Fault]]], Any]:
+    """Make a validator of keys from a class method that yields what is wrong with a value, given those before it."""
+
+    def validator(faults: Callable[[Any, Any, ValidationInfo], Iterator[Fault]]) -> Any:
+        def check(cls: Any, value: object, info: ValidationInfo) -> object:
+            for fault in faults(cls, value, info):
+                raise _error(fault)
+            return value
+
+        return field_validator(*keys)(classmethod(check))
+
+    return validator
 
 
 def absent(reason: str, *keys: str) -> PydanticCustomError:
@@ -181,8 +200,7 @@ def same_names(items: Sequence[object], where: str, key: Callable[[str], str] = 
 
 def with_complaints(value: object, handler: ValidatorFunctionWrapHandler, complaints: Iterable[Complaint]) -> Any:
     """Validate a value, and report complaints about it together with what the validation finds."""
-    errors = ((loc, complaint(error) if isinstance(error, str) else error) for loc, error in complaints)
-    more = [InitErrorDetails(type=error, loc=loc, input=None) for loc, error in errors]
+    more = [InitErrorDetails(type=_error(fault), loc=loc, input=None) for loc, fault in complaints]
     try:
         result = handler(value)
     except ValidationError as error:

@@ -5,7 +5,7 @@ import string
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
@@ -102,18 +102,16 @@ class TemplateConfig(Frozen):
     end: End | None = None
     """Bytes that end a reply; silence ends it if absent."""
 
-    @field_validator("off_reply", "read_reply")
-    @classmethod
-    def _of_its_command(cls, reply: str | None, info: ValidationInfo) -> str | None:
+    @fields.rule("off_reply", "read_reply")
+    def _of_its_command(cls, reply: str | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         command = str(info.field_name).removesuffix("_reply")
         if command not in info.data:
-            return reply
+            return
         if info.data[command] is None:
             if reply is not None:
-                raise complaint(f"there is no `{command}` that it could answer; add it, or leave this out")
+                yield f"there is no `{command}` that it could answer; add it, or leave this out"
         elif command == "read" and (reply is None or "level" not in re.compile(reply.encode("latin-1")).groupindex):
-            raise complaint("expected a regular expression with a group (?P<level>...) for the intensity")
-        return reply
+            yield "expected a regular expression with a group (?P<level>...) for the intensity"
 
 
 DISPLAY_DRIVERS = ("screen", "command")
@@ -198,14 +196,12 @@ class ControllerConfig(Frozen):
             if isinstance(error, str) or loc not in (("monitor",), ("command",)) or raw.get("port") != "virtual":
                 yield loc, error
 
-    @field_validator("channels", "top_level")
-    @classmethod
-    def _sayable(cls, number: int, info: ValidationInfo) -> int:
+    @fields.rule("channels", "top_level")
+    def _sayable(cls, number: int, info: ValidationInfo) -> Iterator[fields.Fault]:
         driver = str(info.data.get("driver"))
         most = _MOST.get(driver, {}).get(str(info.field_name))
         if most is not None and number > most:
-            raise complaint(f"expected at most {most}, the most that {driver} can express, found {number}")
-        return number
+            yield f"expected at most {most}, the most that {driver} can express, found {number}"
 
 
 class ChannelConfig(Frozen):
@@ -270,27 +266,23 @@ class StageDeviceConfig(Frozen):
     assume_referenced: bool = False
     """Whether a stage that cannot report whether it was homed may be moved without homing first."""
 
-    @field_validator("elevation", "rotation")
-    @classmethod
-    def _known(cls, axis: AxisConfig | None, info: ValidationInfo) -> AxisConfig | None:
+    @fields.rule("elevation", "rotation")
+    def _known(cls, axis: AxisConfig | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         driver = str(info.data.get("driver"))
         pattern, words = _AXES.get(driver, ("", ""))
         if axis is not None and words and re.fullmatch(pattern, axis.axis) is None:
-            raise complaint(f'expected an axis of {driver}, {words}, found axis "{axis.axis}"')
-        return axis
+            yield f'expected an axis of {driver}, {words}, found axis "{axis.axis}"'
 
-    @field_validator("rotation")
-    @classmethod
-    def _two(cls, axis: AxisConfig | None, info: ValidationInfo) -> AxisConfig | None:
+    @fields.rule("rotation")
+    def _two(cls, axis: AxisConfig | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         if "elevation" not in info.data:
-            return axis
+            return
         tilt = info.data["elevation"]
         if axis is None and tilt is None:
             missing = 'missing key "elevation" or "rotation": an axis that the stage has'
-            raise fields.absent(missing, "elevation", "rotation")
+            yield fields.absent(missing, "elevation", "rotation")
         if axis is not None and tilt is not None and axis.axis == tilt.axis:
-            raise complaint(f'axis "{axis.axis}" is already that of elevation; two axes have two names')
-        return axis
+            yield f'axis "{axis.axis}" is already that of elevation; two axes have two names'
 
 
 class TimingConfig(Frozen):

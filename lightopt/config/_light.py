@@ -12,7 +12,6 @@ from pydantic import (
     SerializerFunctionWrapHandler,
     ValidationInfo,
     field_serializer,
-    field_validator,
     model_serializer,
     model_validator,
 )
@@ -99,12 +98,10 @@ class LightSourceConfig(fields.Frozen):
     emission_exponent: _Exponent = 0.0
     """Exponent n of the panel's emission, cosⁿ of the angle to its axis; 0 is uniform."""
 
-    @field_validator("normalisation")
-    @classmethod
-    def _finite(cls, normalisation: str, info: ValidationInfo) -> str:
+    @fields.rule("normalisation")
+    def _finite(cls, normalisation: str, info: ValidationInfo) -> Iterator[fields.Fault]:
         if normalisation == "sum" and info.data.get("points") == "auto":
-            raise fields.complaint(_AUTO_SUM)
-        return normalisation
+            yield _AUTO_SUM
 
 
 class LightConfig(fields.Frozen):
@@ -287,29 +284,23 @@ class LightConfig(fields.Frozen):
             yield from _wrong_shapes(kind, raw)
             yield from pattern_misfits(kind, raw)
 
-    @field_validator("elevation_deg")
-    @classmethod
-    def _above_table(cls, elevation: float, info: ValidationInfo) -> float:
+    @fields.rule("elevation_deg")
+    def _above_table(cls, elevation: float, info: ValidationInfo) -> Iterator[fields.Fault]:
         if elevation <= 0.0 and info.data.get("kind") != "backlight":
-            raise fields.complaint(f"expected {fields.ABOVE_TABLE}, found {elevation:g}")
-        return elevation
+            yield f"expected {fields.ABOVE_TABLE}, found {elevation:g}"
 
-    @field_validator("distance_step_mm")
-    @classmethod
-    def _of_a_range(cls, step: float | None, info: ValidationInfo) -> float | None:
+    @fields.rule("distance_step_mm")
+    def _of_a_range(cls, step: float | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         if step is not None and info.data.get("distance_range_mm", step) is None:
-            raise fields.complaint("has no effect without distance_range_mm; leave it out, or add the range")
-        return step
+            yield "has no effect without distance_range_mm; leave it out, or add the range"
 
-    @field_validator("elevation_range_deg", "azimuth_range_deg", "distance_range_mm")
-    @classmethod
-    def _holds_the_light(cls, ends: tuple[float, float] | None, info: ValidationInfo) -> tuple[float, float] | None:
+    @fields.rule("elevation_range_deg", "azimuth_range_deg", "distance_range_mm")
+    def _holds_the_light(cls, ends: tuple[float, float] | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         angle = str(info.field_name).replace("_range", "")
         now = info.data.get(angle)
         if ends is not None and now is not None and not ends[0] <= now <= ends[1]:
             outside = f"outside [{ends[0]:g}, {ends[1]:g}]; widen the range or move the light into it"
-            raise fields.complaint(f"the light is at {angle} {now:g}, {outside}")
-        return ends
+            yield f"the light is at {angle} {now:g}, {outside}"
 
 
 def auto_sums(lights: Sequence[object], shared: LightSourceConfig | None) -> Iterator[fields.Complaint]:

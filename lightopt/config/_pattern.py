@@ -52,13 +52,11 @@ class PatternConfig(fields.Frozen):
             raise fields.complaint(f"a whole number of periods makes 360 degrees, found {360.0 / period:.4g} of them")
         return period
 
-    @field_validator("second_period_mm")
-    @classmethod
-    def _longer(cls, second: float | None, info: ValidationInfo) -> float | None:
+    @fields.rule("second_period_mm")
+    def _longer(cls, second: float | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         first = info.data.get("period_mm")
         if second is not None and first is not None and second <= first:
-            raise fields.complaint(f"expected more than period_mm, {first:g}")
-        return second
+            yield f"expected more than period_mm, {first:g}"
 
     @property
     def periods_mm(self) -> tuple[float, ...]:

@@ -43,7 +43,7 @@ def life(controller: LightController, shown: Callable[[], np.ndarray]) -> None:
     """What every display does: sums of lit channels, black without; no level is above the screen's."""
     all_off({"lcd": controller})
     assert (shown() == 0).all()
-    assert controller.identify().details["read_back"] == "no"
+    assert controller.identify()["read_back"] == "no"
     assert controller.set_level(1, 255) is None
     np.testing.assert_array_equal(shown(), np.round(255 * LEFT))
     controller.set_level(1, 102)
@@ -74,7 +74,7 @@ def bench() -> Iterator[BenchProcess]:
 def test_life_of_a_simulated_screen(bench, driver):
     controller = opened(driver, port=bench.ports[driver])
     identity = controller.identify()
-    assert (identity.driver, identity.port) == (driver, bench.ports[driver])
+    assert (identity["driver"], identity["port"]) == (driver, bench.ports[driver])
     life(controller, lambda: np.round(255.0 * np.array(bench.state()["pictures"][driver])))
     controller.set_level(1, 255)
     controller.close()
@@ -241,7 +241,7 @@ def window(tmp_path, monkeypatch) -> Callable[[], list[dict[str, Any]]]:
 def test_life_of_a_window(window):
     controller = opened("screen", monitor=2, timeout_s=20.0)
     assert window() == [{"levels": [0] * 48}]  # black before anything is asked of it
-    assert controller.identify().port == "monitor 2"
+    assert controller.identify()["port"] == "monitor 2"
     life(controller, lambda: np.array(window()[-1]["levels"]).reshape(6, 8))
     controller.set_level(1, 255)
     controller.close()

@@ -129,8 +129,8 @@ def _status(name: str, query: Callable[[], str], problem: LightoptError | None =
 
 def _controller_state(devices: Devices, name: str) -> str:
     config = devices.wiring.hardware.controllers[name]
-    details = devices.controllers[name].identify().details
-    return ", ".join([f"{config.driver} on {controller_place(config)}", *map(" ".join, details.items())])
+    _, _, *details = devices.controllers[name].identify().items()  # after driver and port
+    return ", ".join([f"{config.driver} on {controller_place(config)}", *map(" ".join, details)])
 
 
 def controller_place(config: ControllerConfig) -> str:

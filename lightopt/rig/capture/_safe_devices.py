@@ -203,8 +203,8 @@ class Devices:
     def identities(self) -> dict[str, Any]:
         others = {"stage": self.stage, "camera": self._camera}
         return {
-            "lights": {name: device.identify().as_dict() for name, device in self.controllers.items()},
-            **{name: device and device.identify().as_dict() for name, device in others.items()},
+            "lights": {name: device.identify() for name, device in self.controllers.items()},
+            **{name: device and device.identify() for name, device in others.items()},
         }
 
     def _make_safe(self, *, failed: bool) -> tuple[list[str], str | None]:

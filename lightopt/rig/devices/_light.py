@@ -13,7 +13,7 @@ from typing import Any, ClassVar, TypeVar
 from lightopt.config import PictureConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
-from lightopt.rig.devices._device import Identity, RefusedError, Retry
+from lightopt.rig.devices._device import RefusedError, Retry
 from lightopt.rig.devices._serial_link import Link, SerialLink, SerialLog
 
 T = TypeVar("T")
@@ -128,9 +128,9 @@ class LightController(ABC):
             link.close()
             raise
 
-    def identify(self) -> Identity:
+    def identify(self) -> dict[str, str]:
         details = {**self._query_identity(), "read_back": "yes" if self._reads else "no"}
-        return Identity(self.NAME, self._link.port, details)
+        return {"driver": self.NAME, "port": self._link.port, **details}
 
     def set_level(self, channel: int, level: int) -> int | None:
         """Light a channel at an intensity in 1 … top_level, or darken it with 0; returns the intensity read back.

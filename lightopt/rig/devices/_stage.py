@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from lightopt.core.errors import HardwareError, refuse
 from lightopt.core.transforms import Posture
-from lightopt.rig.devices._device import Identity, ReplyError, Retry
+from lightopt.rig.devices._device import ReplyError, Retry
 from lightopt.rig.devices._serial_link import SerialLink
 
 _ROUNDING = 1e-9  # relative; angles that differ by less are the same
@@ -165,9 +165,9 @@ class Stage:
         self._homed = False
         self._lost: str | None = None
 
-    def identify(self) -> Identity:
+    def identify(self) -> dict[str, str]:
         with self._link.lock:
-            return Identity(driver=self._driver, port=self._link.port, details=self._dialogue.identify())
+            return {"driver": self._driver, "port": self._link.port, **self._dialogue.identify()}
 
     def state(self) -> StageState:
         with self._link.lock:
