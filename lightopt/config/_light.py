@@ -220,14 +220,6 @@ class LightConfig(fields.Frozen):
         """Exposures that the programme gives this image; None for those of the command."""
         return self._exposures
 
-    def mixed(
-        self, name: str, lights: Sequence[tuple["LightConfig", float]], exposures: tuple[float, ...] | None
-    ) -> "LightConfig":
-        """An image of several lights with weights, as a light of its own that stands where this one does."""
-        image = self.model_copy(update={"name": name})
-        image._mixture, image._exposures = tuple(lights), exposures
-        return image
-
     @model_serializer(mode="wrap")
     def _with_mixture(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         # what depends on the image depends on its weights
@@ -391,11 +383,10 @@ def _image_problems(light: str, together: Sequence[str], known: Mapping[str, Lig
 def programme_lights(
     programme: Sequence[ProgrammeImageConfig], lights: Sequence[LightConfig]
 ) -> tuple[LightConfig, ...]:
-    """Each image of a programme as a light."""
-    known: Mapping[str, LightConfig] = {light.name: light for light in lights}
-    return tuple(
-        known[next(iter(image.lights))].mixed(
-            image.name, [(known[name], weight) for name, weight in image.lights.items()], image.exposures
-        )
-        for image in programme
-    )
+    """Each image of a programme as a light of its own, which stands where its first light does."""
+    known, images = {light.name: light for light in lights}, list[LightConfig]()
+    for image in programme:
+        mixture = tuple((known[name], weight) for name, weight in image.lights.items())
+        images.append(mixture[0][0].model_copy(update={"name": image.name}))
+        images[-1]._mixture, images[-1]._exposures = mixture, image.exposures
+    return tuple(images)
