@@ -69,15 +69,12 @@ def phase_noise(amplitude: Float64, noise: Float64 | float, images: int) -> Floa
 
 def phase_gradient(phase: Float64) -> tuple[Float64, Float64]:
     """Change of the phase per pixel to the right and down [rad/px], shape (H, W) each; steps of 2π do not count."""
-    found: list[Float64] = []
-    for axis in (1, 0):
-        steps = _wrapped(np.diff(phase, axis=axis))
-        ends = [(0, 0), (0, 0)]
-        # mean of the steps on both sides; NaN at the image's edge
-        ends[axis] = (1, 1)
-        sides = np.pad(steps, ends, constant_values=np.nan)
-        found.append(0.5 * (sides[:, 1:] + sides[:, :-1]) if axis == 1 else 0.5 * (sides[1:] + sides[:-1]))
-    return found[0], found[1]
+    across, along = (_wrapped(np.diff(phase, axis=axis)) for axis in (1, 0))
+    right, down = np.full(phase.shape, np.nan), np.full(phase.shape, np.nan)
+    # mean of the steps on both sides; NaN at the image's edge
+    right[:, 1:-1] = 0.5 * (across[:, 1:] + across[:, :-1])
+    down[1:-1] = 0.5 * (along[1:] + along[:-1])
+    return right, down
 
 
 def absolute_place(phase: Float64, second_phase: Float64, periods: tuple[float, float], size: float) -> Float64:

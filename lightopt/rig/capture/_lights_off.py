@@ -12,7 +12,8 @@ from lightopt.core.errors import HardwareError, InputError, LightoptError, error
 from lightopt.core.run_context import RunContext
 from lightopt.rig import devices
 from lightopt.rig.capture._signals import EndSignals
-from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, start_lights, wiring_of
+from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, simulated_controllers, wiring_of
+from lightopt.rig.simulated import BenchProcess
 
 NONE_OF_THE_RIG = "none that the rig names"
 
@@ -129,7 +130,7 @@ def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunCo
         for virtual in (False, True):  # what is real does not wait for what is not
             group = [name for name in names if (names[name].port == VIRTUAL) is virtual]
             if virtual and group:
-                ports.update(stack.enter_context(start_lights(wiring)).ports)
+                ports.update(stack.enter_context(BenchProcess(simulated_controllers(wiring))).ports)
             done = open_lights(
                 wiring, group, ports=ports, log=log, darken=True, opened=lambda c: stack.callback(c.close)
             )
