@@ -61,7 +61,7 @@ class DatasetFolder:
 
     def record(self, number: int) -> dict[str, Any] | None:
         """What is known of a pose; None where any of its files is missing."""
-        found = _read(self.folder / record_name(number))
+        found = read_listing(self.folder / record_name(number))
         return found if found is not None and self._has_files(found) else None
 
     def _has_files(self, document: Mapping[str, Any]) -> bool:
@@ -95,7 +95,7 @@ class DatasetFolder:
         names = _entries(old, "files")
         records = sorted((self.folder / "poses").glob("pose-*.json"))
         for record in records:
-            names += _entries(_read(record) or {}, "files")
+            names += _entries(read_listing(record) or {}, "files")
         # and of poses that a stopped run did not complete
         views = [f"{view}/{own}/**/{_NUMBER}*" for view in _entries(old, "views") for own in _OF_SAMPLES]
         for pattern in (*views, f"poses/pose-{_NUMBER}.exr", f"stacks/pose-{_NUMBER}.h5"):
@@ -111,11 +111,3 @@ def _entries(document: Mapping[str, Any], key: str) -> list[Any]:
     # of a list in a file that may have been edited
     found = document.get(key)
     return list(found) if isinstance(found, list) else []
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None

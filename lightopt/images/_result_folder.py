@@ -12,13 +12,14 @@ from lightopt.images._atomic import make_folder, remove_file, write_text_atomic
 from lightopt.images._manifest import MANIFEST_NAME
 
 
-def read_listing(path: Path, kind: str) -> dict[str, Any] | None:
-    """The JSON object of a file whose format is a version of `kind`, such as ``lightopt-fit``; None for any other."""
+def read_listing(path: Path, kind: str = "") -> dict[str, Any] | None:
+    """The JSON object of a file, of a version of the format `kind` (``lightopt-fit``) if given; None for any other."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) and str(found.get("format", "")).startswith(f"{kind}/") else None
+    fits = isinstance(found, dict) and (not kind or str(found.get("format", "")).startswith(f"{kind}/"))
+    return found if fits else None
 
 
 def paths_inside(folder: Path, names: Iterable[object]) -> Iterator[Path]:
