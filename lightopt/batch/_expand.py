@@ -59,7 +59,6 @@ def expand(path: Path, form_of: FormOf, out: Path, *, threads: int) -> tuple[Tas
     """The tasks of a batch file, each after those that it needs; results go to ``out/JOB/RIG/PART``.
 
     form_of: The form of a command; None where there is none for a rig and a part
-    threads: Of each command
     Raises InputError: All that is wrong with the file, the files that it names and the options of its jobs
     """
     named = dict[str, tuple[_Input, ...]]()
@@ -237,7 +236,6 @@ def _option_words(batch: BatchConfig, job: JobConfig, form: CommandForm) -> tupl
 
 
 def _option_misfits(form: CommandForm, name: str, value: object, folder: Path) -> Iterator[str]:
-    """What is wrong with an option of a job."""
     option = form.options.get(name)
     if option is None:
         plain = name.replace("_", "-")

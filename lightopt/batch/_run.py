@@ -17,8 +17,6 @@ from lightopt.images import csv_text, make_folder, write_text_atomic
 
 @dataclass(frozen=True, kw_only=True)
 class BatchResult:
-    """What became of the tasks of a batch."""
-
     tasks: tuple[Task, ...]
     outcomes: Mapping[str, Outcome]  # by place; those of an interrupted batch lack some
     seconds: float

@@ -32,9 +32,9 @@ def status(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     loaded = load_rig(rig)
     with _open(loaded, serial_log, touch_lights=False, unreachable=unreachable) as devices:
         rows = list(device_statuses(devices, loaded, unreachable))
-    show_table(("device", "state"), [(row.name, row.text) for row in rows], numbers_from=2)
-    if failed := [row for row in rows if row.failed]:
-        raise HardwareError(*(f"{row.name}: {row.text}" for row in failed))
+    show_table(("device", "state"), [(name, text) for name, text, _ in rows], numbers_from=2)
+    if problems := [f"{name}: {text}" for name, text, failed in rows if failed]:
+        raise HardwareError(*problems)
 
 
 @bench.command(cls=HeadedCommand)

@@ -108,7 +108,7 @@ def _show_result(done: CaptureResult) -> None:
         echo(f"replaced the existing image set ({counted(done.replaced, 'file')})")
     there = done.images - done.taken
     were_there = f" ({there} of them existed already)" if there else ""
-    echo(f"{counted(done.images, 'image')}{were_there} in {done.timing.whole_s:.0f} s")
+    echo(f"{counted(done.images, 'image')}{were_there} in {done.seconds:.0f} s")
     if done.retries:
         echo(f"{counted(done.retries, 'command')} had to be sent again; the manifest lists them by image")
     echo(f"{done.folder / 'manifest.json'}")

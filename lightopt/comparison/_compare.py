@@ -12,7 +12,7 @@ import numpy as np
 from lightopt import design
 from lightopt.comparison import _results
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig, with_values
-from lightopt.core.errors import CheckFailed, InputError, counted, refuse
+from lightopt.core.errors import CheckFailed, InputError, collected, counted, refuse
 from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
 from lightopt.images import ResultFolder, make_folder, write_text_atomic
@@ -190,14 +190,10 @@ def _loaded(paths: Sequence[Path]) -> dict[str, RigConfig]:
     problems: list[str] = []
     loaded: dict[str, RigConfig] = {}
     for path in paths:
-        try:
-            rig = load_rig(path)
-        except InputError as error:
-            problems += error.messages
-            continue
-        if path.stem in loaded:
-            problems.append(f"{path}: another rig file is named {path.name}, too; give each a name of its own")
-        loaded[path.stem] = rig
+        with collected(problems):
+            if path.stem in loaded:
+                problems.append(f"{path}: another rig file is named {path.name}, too; give each a name of its own")
+            loaded[path.stem] = load_rig(path)
     if len(paths) < 2:
         problems.append(f"expected two lighting systems or more to compare, found {len(paths)}")
     refuse(problems)

@@ -111,7 +111,6 @@ def _tolerance_dict(one: design.WidestTolerance | None) -> dict[str, Any] | None
 
 
 def comparison_csv(comparison: LightingComparison) -> str:
-    """The systems as a table, the best first."""
     kinds = list(dict.fromkeys(kind for one in comparison.systems for kind in one.defects))
     size = [f"size_{axis}_mm" for axis in "xyz"]
     widest = ["mounting_tolerance_deg", "pose_tolerance_deg"]

@@ -89,13 +89,11 @@ def _misfits(jobs: Sequence[object]) -> Iterator[fields.Complaint]:
             if name in names:
                 graph[names[i]].append(str(name))
             elif isinstance(name, str):
-                yield (i, *keys), name, fields.complaint(f'no job "{name}"; the jobs are {", ".join(names)}')
+                yield (i, *keys), f'no job "{name}"; the jobs are {", ".join(names)}'
         if fields.value_of(job, "images") is not None and fields.value_of(job, "images_from") is not None:
-            reason = "given together with images_from; expected only one of them"
-            yield (i, "images"), fields.value_of(job, "images"), fields.complaint(reason)
+            yield (i, "images"), "given together with images_from; expected only one of them"
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         cycle = list(reversed(error.args[1]))
-        reason = f"the jobs wait for each other: {' needs '.join(cycle)}"
-        yield (names.index(cycle[0]),), jobs[names.index(cycle[0])], fields.complaint(reason)
+        yield (names.index(cycle[0]),), f"the jobs wait for each other: {' needs '.join(cycle)}"

@@ -1,18 +1,12 @@
 """The camera in a rig file: its geometry, its sensor, and the device behind it."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    field_validator,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from lightopt.config import _fields as fields
-from lightopt.config._fields import LIST, Frozen, complaint, expecting
+from lightopt.config._fields import LIST, Frozen, expecting
 from lightopt.config._pose import CameraPoseConfig, with_pose
 from lightopt.config._yaml_file import load_file
 from lightopt.core.errors import InputError
@@ -123,14 +117,14 @@ class SensorConfig(Frozen):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _with_sheet(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    def _with_sheet(cls, value: object, handler: fields.Handler, info: ValidationInfo) -> Any:
         file = fields.value_of(value, "data_sheet")
         sheet, wrong = None, list[fields.Complaint]()
         if isinstance(file, str) and info.context:
             try:
                 sheet = load_file(info.context["folder"] / file, SensorSheetConfig, "lightopt-sensor/1")
             except InputError as error:
-                wrong.append((("data_sheet",), file, complaint("; ".join(error.messages))))
+                wrong.append((("data_sheet",), "; ".join(error.messages)))
         own = fields.with_complaints(value, handler, wrong)
         if sheet is None:
             return own
@@ -147,23 +141,19 @@ class SensorConfig(Frozen):
         }
         return own.model_copy(update={key: number for key, number in found.items() if key not in own.model_fields_set})
 
-    @field_validator("saturation_level")
-    @classmethod
-    def _within_full_scale(cls, level: int | None, info: ValidationInfo) -> int | None:
+    @fields.rule("saturation_level")
+    def _within_full_scale(cls, level: int | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         bits = info.data.get("bit_depth")
         if level is not None and bits is not None and level > 2**bits - 1:
-            raise complaint(f"expected at most {2**bits - 1}, the full scale of {bits} bits, found {level}")
-        return level
+            yield f"expected at most {2**bits - 1}, the full scale of {bits} bits, found {level}"
 
-    @field_validator("black_level")
-    @classmethod
-    def _below_saturation(cls, black: float, info: ValidationInfo) -> float:
+    @fields.rule("black_level")
+    def _below_saturation(cls, black: float, info: ValidationInfo) -> Iterator[fields.Fault]:
         if "bit_depth" not in info.data or "saturation_level" not in info.data:
-            return black
+            return
         top = info.data["saturation_level"] or 2 ** info.data["bit_depth"] - 1
         if black >= top:
-            raise complaint(f"expected less than the saturation level, {top}, found {black:g}")
-        return black
+            yield f"expected less than the saturation level, {top}, found {black:g}"
 
 
 class CameraConfig(Frozen):
@@ -211,26 +201,22 @@ class CameraConfig(Frozen):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _placed(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
+    def _placed(cls, value: object, handler: fields.Handler) -> Any:
         return with_pose(value, handler, point="position_mm", what="the camera", also=("roll_deg",))
 
-    @field_validator("focal_length_mm")
-    @classmethod
-    def _in_front(cls, focal: float | None, info: ValidationInfo) -> float | None:
+    @fields.rule("focal_length_mm")
+    def _in_front(cls, focal: float | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         distance = info.data.get("distance_mm")
         if focal is not None and distance is not None and focal >= distance:
-            raise complaint(f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there")
-        return focal
+            yield f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there"
 
-    @field_validator("focus_distance_mm", "wavelength_nm")
-    @classmethod
-    def _of_a_lens(cls, value: float | None, info: ValidationInfo) -> float | None:
+    @fields.rule("focus_distance_mm", "wavelength_nm")
+    def _of_a_lens(cls, value: float | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         if value is not None and info.data.get("aperture", 0.0) is None:
-            raise complaint("only a lens with an aperture has this; give aperture (its f-number), too")
+            yield "only a lens with an aperture has this; give aperture (its f-number), too"
         focal = info.data.get("focal_length_mm")
         if value is not None and info.field_name == "focus_distance_mm" and focal is not None and value <= focal:
-            raise complaint(f"expected more than focal_length_mm, {focal:g}, found {value:g}: it cannot focus there")
-        return value
+            yield f"expected more than focal_length_mm, {focal:g}, found {value:g}: it cannot focus there"
 
 
 _OF_MACHINE_CAMERAS = ("port", "pixel_format", "offset_px", "gain", "trigger", "fixed_exposure_us")
@@ -276,9 +262,7 @@ class CameraDeviceConfig(Frozen):
     packet_delay_ns: _Nanoseconds | None = None
     """aravis: pause between a camera's packets [ns]; as it is if absent."""
 
-    @field_validator("port")
-    @classmethod
-    def _not_simulated(cls, port: str | None, info: ValidationInfo) -> str | None:
+    @fields.rule("port")
+    def _not_simulated(cls, port: str | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         if port == "virtual" and info.data.get("driver") == "genicam":
-            raise complaint("only driver: aravis has a simulated camera (or driver: virtual)")
-        return port
+            yield "only driver: aravis has a simulated camera (or driver: virtual)"

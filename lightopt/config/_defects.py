@@ -4,18 +4,10 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo
 
+from lightopt import defects
 from lightopt.config import _fields as fields
-from lightopt.defects import (
-    MAX_SLOPE,
-    SHAPE_KINDS,
-    CatalogueEntry,
-    DefectKind,
-    DefectShape,
-    depth_of_slope,
-    slope_of_depth,
-)
 
 _Extent = Annotated[float, Field(ge=1e-3, le=1e3)]
 _Size = Annotated[
@@ -53,7 +45,7 @@ class CatalogueEntryConfig(fields.Frozen):
     variants = fields.Variants(
         "kind",
         {
-            **dict.fromkeys(SHAPE_KINDS, ((), ("slope_deg", "depth_mm"))),
+            **dict.fromkeys(defects.SHAPE_KINDS, ((), ("slope_deg", "depth_mm"))),
             "stain": (("R_d_factor",), ()),
             "haze": (("sigma_factor",), ()),
         },
@@ -61,7 +53,7 @@ class CatalogueEntryConfig(fields.Frozen):
 
     name: fields.Text
     """Name of the defect, for people; no two in the list are the same."""
-    kind: DefectKind
+    kind: defects.DefectKind
     """scratch (a groove), dent, bump, pit (a steep cone), blister (flat-topped), stain (R_d) or haze (sigma)."""
     size_mm: _Size
     """Diameter, or [length, width] with the length along the direction, at least the width [mm]. A scratch has both."""
@@ -74,44 +66,40 @@ class CatalogueEntryConfig(fields.Frozen):
     sigma_factor: _WidthFactor | None = None
     """Hazes: factor on sigma; not 1. R_s is divided by its square: the lobe reflects as much light as before."""
 
-    @field_validator("size_mm")
-    @classmethod
-    def _longer_first(cls, size: float | tuple[float, float], info: ValidationInfo) -> float | tuple[float, float]:
+    @fields.rule("size_mm")
+    def _longer_first(cls, size: float | tuple[float, float], info: ValidationInfo) -> Iterator[fields.Fault]:
         if isinstance(size, tuple) and size[0] < size[1]:
             reason = f"expected [length, width] with the length at least the width, found [{size[0]:g}, {size[1]:g}]"
-            raise fields.complaint(f"{reason}; direction_deg turns it")
+            yield f"{reason}; direction_deg turns it"
         if info.data.get("kind") == "scratch" and (not isinstance(size, tuple) or size[0] == size[1]):
-            raise fields.complaint("expected [length, width] of a scratch, the length above the width")
-        return size
+            yield "expected [length, width] of a scratch, the length above the width"
 
-    @field_validator("depth_mm")
-    @classmethod
-    def _steep(cls, depth: float | None, info: ValidationInfo) -> float | None:
+    @fields.rule("depth_mm")
+    def _steep(cls, depth: float | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         kind, size = info.data.get("kind"), info.data.get("size_mm")
-        if depth is not None and size is not None and kind in SHAPE_KINDS:
+        if depth is not None and size is not None and kind in defects.SHAPE_KINDS:
             width = _extents(size)[1]
-            slope_found = slope_of_depth(kind, width, depth)
-            if slope_found > MAX_SLOPE:
-                most = f"expected at most {depth_of_slope(kind, width, MAX_SLOPE):.3g} mm, which is 60 degrees"
-                walls = f"has walls of {math.degrees(slope_found):.0f} degrees"
-                raise fields.complaint(f"a {kind} {width:g} mm wide and {depth:g} mm deep {walls}; {most}")
-        return depth
+            slope_found = defects.slope_of_depth(kind, width, depth)
+            if slope_found > defects.MAX_SLOPE:
+                deepest = defects.depth_of_slope(kind, width, defects.MAX_SLOPE)
+                walls = f"has walls of {math.degrees(slope_found):.0f} degrees; expected at most {deepest:.3g} mm"
+                yield f"a {kind} {width:g} mm wide and {depth:g} mm deep {walls}, which is 60 degrees"
 
     @classmethod
     def misfits(cls, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
         """As of every configuration; shapes have a slope or a depth."""
         yield from super().misfits(raw)
-        if raw.get("kind") in SHAPE_KINDS:
+        if raw.get("kind") in defects.SHAPE_KINDS:
             yield from fields.one_of_misfits(("slope_deg", "depth_mm"), raw)
 
     @property
-    def shape(self) -> DefectShape:
+    def shape(self) -> defects.DefectShape:
         """The defect without its place, in mm and radians."""
         length, width = _extents(self.size_mm)
         slope = _slope(self.kind, self.size_mm, self.slope_deg, self.depth_mm)
         factors = {"R_d_factor": self.R_d_factor, "sigma_factor": self.sigma_factor}
         given = {name: factor for name, factor in factors.items() if factor is not None}
-        return DefectShape(kind=self.kind, length=length, width=width, slope=slope, **given)
+        return defects.DefectShape(kind=self.kind, length=length, width=width, slope=slope, **given)
 
 
 class PlannedDefectConfig(CatalogueEntryConfig):
@@ -122,22 +110,20 @@ class PlannedDefectConfig(CatalogueEntryConfig):
     slope_range: _Range = (1.0, 1.0)
     """Least and greatest slope of the walls, as multiples of slope_deg or depth_mm; that slope if absent."""
 
-    @field_validator("slope_range")
-    @classmethod
-    def _not_too_steep(cls, value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+    @fields.rule("slope_range")
+    def _not_too_steep(cls, value: tuple[float, float], info: ValidationInfo) -> Iterator[fields.Fault]:
         kind, size, slope, depth = (info.data.get(key) for key in ("kind", "size_mm", "slope_deg", "depth_mm"))
-        if kind in SHAPE_KINDS:
-            steepest, most = value[1] * math.degrees(_slope(kind, size, slope, depth)), math.degrees(MAX_SLOPE)
+        if kind in defects.SHAPE_KINDS:
+            steepest, most = value[1] * math.degrees(_slope(kind, size, slope, depth)), math.degrees(defects.MAX_SLOPE)
             if steepest > most + 1e-9:
-                raise fields.complaint(f"the steepest walls would be {steepest:.0f} degrees; expected at most {most:g}")
+                yield f"the steepest walls would be {steepest:.0f} degrees; expected at most {most:g}"
         elif kind is not None and value != (1.0, 1.0):
-            raise fields.complaint(f"a {kind} has no slope; remove this key")
-        return value
+            yield f"a {kind} has no slope; remove this key"
 
     @property
-    def entry(self) -> CatalogueEntry:
+    def entry(self) -> defects.CatalogueEntry:
         """The kind of defect, in mm and radians."""
-        return CatalogueEntry(self.name, self.shape, sizes=self.size_range, slopes=self.slope_range)
+        return defects.CatalogueEntry(self.name, self.shape, sizes=self.size_range, slopes=self.slope_range)
 
 
 class DefectConfig(CatalogueEntryConfig):
@@ -160,9 +146,9 @@ def _extents(size: float | tuple[float, float]) -> tuple[float, float]:
 
 
 def _slope(
-    kind: DefectKind, size: float | tuple[float, float] | None, slope_deg: float | None, depth_mm: float | None
+    kind: defects.DefectKind, size: float | tuple[float, float] | None, slope_deg: float | None, depth_mm: float | None
 ) -> float:
     # steepest slope [rad] by the keys that are there, else 0
     if depth_mm is not None and size is not None:
-        return slope_of_depth(kind, _extents(size)[1], depth_mm)
+        return defects.slope_of_depth(kind, _extents(size)[1], depth_mm)
     return math.radians(slope_deg or 0.0)

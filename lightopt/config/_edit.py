@@ -22,7 +22,6 @@ _SCHEMA = re.compile(r"^(#\s*yaml-language-server:.*\$schema=)(\S+)", re.MULTILI
 def with_values(text: str, values: Mapping[Keys, str | None]) -> str:
     """The text of a YAML file with some values replaced, removed, or added to mappings that are there.
 
-    text: A YAML document that :func:`lightopt.config.load_rig` or ``load_part`` has accepted
     values: New text of each value by its path of keys, as it is to stand in the file; None removes key and value
     Raises InputError: The mapping around a key is not in the file, or is an alias that stands for a mapping somewhere
         else
@@ -66,8 +65,7 @@ def with_values(text: str, values: Mapping[Keys, str | None]) -> str:
 def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, replace: bool = False) -> str:
     """The text of a YAML file with a list of its own added at the end, or in the place of the one that is there.
 
-    text: A YAML document; with no such key unless that is to be replaced
-    key: Of the list, at the top of the file
+    key: Of the list, at the top of the file, which has no such key unless that is to be replaced
     entries: Text of each entry, as it is to stand in the file
     comment: To stand above the list; of one line or several
     replace: Whether a list of this key is replaced, with the comments of its entries; the one beside the key stays

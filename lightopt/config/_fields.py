@@ -19,6 +19,7 @@ from pydantic import (
     ValidationInfo,
     ValidatorFunctionWrapHandler,
     WrapValidator,
+    field_validator,
     model_validator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -42,7 +43,9 @@ def points_problem(points: int | str) -> str | None:
     return f"expected a square (1, 4, 9, 16, …) or auto, found {points}{near}"
 
 
-Complaint = tuple[tuple[str | int, ...], object, PydanticCustomError]
+Handler = ValidatorFunctionWrapHandler
+Fault = str | PydanticCustomError  # what is wrong: the message, or the error where it has a kind of its own
+Complaint = tuple[tuple[str | int, ...], Fault]  # the path of keys in a value, and what is wrong there
 
 
 class Variants(NamedTuple):
@@ -84,11 +87,11 @@ class Frozen(BaseModel):
         for key in kinds[kind][0]:
             if raw.get(key) is None:
                 meaning = " ".join(str(cls.model_fields[key].description).split())
-                yield (key,), raw, absent(f'missing key "{key}": {meaning} {by.capitalize()} {kind} needs it', key)
+                yield (key,), absent(f'missing key "{key}": {meaning} {by.capitalize()} {kind} needs it', key)
         for key, value in raw.items():
             owners = [name for name, keys in kinds.items() if key in keys[0] + keys[1]]
             if owners and kind not in owners and value not in (None, usual.get(key)):
-                yield (key,), value, complaint(f"{by} {kind} has no such key; it belongs to {', '.join(owners)}")
+                yield (key,), f"{by} {kind} has no such key; it belongs to {', '.join(owners)}"
 
 
 class FileConfig(Frozen):
@@ -105,6 +108,24 @@ def complaint(reason: str) -> PydanticCustomError:
     return PydanticCustomError("complaint", "{reason}", {"reason": reason})
 
 
+def _error(fault: Fault) -> PydanticCustomError:
+    return complaint(fault) if isinstance(fault, str) else fault
+
+
+def rule(*keys: str) -> Callable[[Callable[[Any, Any, ValidationInfo], Iterator[Fault]]], Any]:
+    """Make a validator of keys from a class method that yields what is wrong with a value, given those before it."""
+
+    def validator(faults: Callable[[Any, Any, ValidationInfo], Iterator[Fault]]) -> Any:
+        def check(cls: Any, value: object, info: ValidationInfo) -> object:
+            for fault in faults(cls, value, info):
+                raise _error(fault)
+            return value
+
+        return field_validator(*keys)(classmethod(check))
+
+    return validator
+
+
 def absent(reason: str, *keys: str) -> PydanticCustomError:
     """Error that one of these keys is missing from the mapping around the field."""
     return PydanticCustomError("absent", "{reason}", {"reason": reason, "keys": keys})
@@ -116,9 +137,9 @@ def one_of_misfits(keys: Sequence[str], raw: Mapping[str, Any]) -> "Iterator[Com
     if keys and not given:
         names = [f'"{key}"' for key in keys]
         missing = f"missing key {', '.join(names[:-1])} or {names[-1]}: expected one of them"
-        yield (keys[0],), raw, absent(missing, *keys)
+        yield (keys[0],), absent(missing, *keys)
     if len(given) > 1:
-        yield (given[-1],), raw[given[-1]], complaint(f"given together with {given[0]}; expected only one of them")
+        yield (given[-1],), f"given together with {given[0]}; expected only one of them"
 
 
 def expecting(what: str) -> WrapValidator:
@@ -174,12 +195,12 @@ def same_names(items: Sequence[object], where: str, key: Callable[[str], str] = 
     names = [name if isinstance(name := value_of(item, "name"), str) else None for item in items]
     for i, first in repeated(None if name is None else key(name) for name in names):
         why = "" if names[i] == names[first] else " (upper and lower case are not distinguished)"
-        yield (i, "name"), names[i], complaint(f'the name "{names[i]}" is already that of {where}[{first}]{why}')
+        yield (i, "name"), f'the name "{names[i]}" is already that of {where}[{first}]{why}'
 
 
 def with_complaints(value: object, handler: ValidatorFunctionWrapHandler, complaints: Iterable[Complaint]) -> Any:
     """Validate a value, and report complaints about it together with what the validation finds."""
-    more = [InitErrorDetails(type=error, loc=loc, input=found) for loc, found, error in complaints]
+    more = [InitErrorDetails(type=_error(fault), loc=loc, input=None) for loc, fault in complaints]
     try:
         result = handler(value)
     except ValidationError as error:

@@ -5,7 +5,7 @@ import string
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
@@ -102,18 +102,16 @@ class TemplateConfig(Frozen):
     end: End | None = None
     """Bytes that end a reply; silence ends it if absent."""
 
-    @field_validator("off_reply", "read_reply")
-    @classmethod
-    def _of_its_command(cls, reply: str | None, info: ValidationInfo) -> str | None:
+    @fields.rule("off_reply", "read_reply")
+    def _of_its_command(cls, reply: str | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         command = str(info.field_name).removesuffix("_reply")
         if command not in info.data:
-            return reply
+            return
         if info.data[command] is None:
             if reply is not None:
-                raise complaint(f"there is no `{command}` that it could answer; add it, or leave this out")
+                yield f"there is no `{command}` that it could answer; add it, or leave this out"
         elif command == "read" and (reply is None or "level" not in re.compile(reply.encode("latin-1")).groupindex):
-            raise complaint("expected a regular expression with a group (?P<level>...) for the intensity")
-        return reply
+            yield "expected a regular expression with a group (?P<level>...) for the intensity"
 
 
 DISPLAY_DRIVERS = ("screen", "command")
@@ -194,18 +192,16 @@ class ControllerConfig(Frozen):
     @classmethod
     def misfits(cls, raw: Mapping[str, Any]) -> Iterator[Complaint]:
         """As of every configuration; a display with a virtual port needs neither monitor nor command."""
-        for loc, found, error in super().misfits(raw):
-            if error.type == "complaint" or loc not in (("monitor",), ("command",)) or raw.get("port") != "virtual":
-                yield loc, found, error
+        for loc, error in super().misfits(raw):
+            if isinstance(error, str) or loc not in (("monitor",), ("command",)) or raw.get("port") != "virtual":
+                yield loc, error
 
-    @field_validator("channels", "top_level")
-    @classmethod
-    def _sayable(cls, number: int, info: ValidationInfo) -> int:
+    @fields.rule("channels", "top_level")
+    def _sayable(cls, number: int, info: ValidationInfo) -> Iterator[fields.Fault]:
         driver = str(info.data.get("driver"))
         most = _MOST.get(driver, {}).get(str(info.field_name))
         if most is not None and number > most:
-            raise complaint(f"expected at most {most}, the most that {driver} can express, found {number}")
-        return number
+            yield f"expected at most {most}, the most that {driver} can express, found {number}"
 
 
 class ChannelConfig(Frozen):
@@ -270,27 +266,23 @@ class StageDeviceConfig(Frozen):
     assume_referenced: bool = False
     """Whether a stage that cannot report whether it was homed may be moved without homing first."""
 
-    @field_validator("elevation", "rotation")
-    @classmethod
-    def _known(cls, axis: AxisConfig | None, info: ValidationInfo) -> AxisConfig | None:
+    @fields.rule("elevation", "rotation")
+    def _known(cls, axis: AxisConfig | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         driver = str(info.data.get("driver"))
         pattern, words = _AXES.get(driver, ("", ""))
         if axis is not None and words and re.fullmatch(pattern, axis.axis) is None:
-            raise complaint(f'expected an axis of {driver}, {words}, found axis "{axis.axis}"')
-        return axis
+            yield f'expected an axis of {driver}, {words}, found axis "{axis.axis}"'
 
-    @field_validator("rotation")
-    @classmethod
-    def _two(cls, axis: AxisConfig | None, info: ValidationInfo) -> AxisConfig | None:
+    @fields.rule("rotation")
+    def _two(cls, axis: AxisConfig | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         if "elevation" not in info.data:
-            return axis
+            return
         tilt = info.data["elevation"]
         if axis is None and tilt is None:
             missing = 'missing key "elevation" or "rotation": an axis that the stage has'
-            raise fields.absent(missing, "elevation", "rotation")
+            yield fields.absent(missing, "elevation", "rotation")
         if axis is not None and tilt is not None and axis.axis == tilt.axis:
-            raise complaint(f'axis "{axis.axis}" is already that of elevation; two axes have two names')
-        return axis
+            yield f'axis "{axis.axis}" is already that of elevation; two axes have two names'
 
 
 class TimingConfig(Frozen):
@@ -343,8 +335,7 @@ def misfits(
     for key, of in (("port", _port), ("monitor", _monitor)):
         yield from _same(key, {path: (entry, of(entry)) for path, entry in devices.items()})
     if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
-        reason = "the rig's camera has no exposure_us; add to it the exposure time [µs] that counts as exposure 1"
-        yield ("camera",), device, complaint(reason)
+        yield ("camera",), "the rig's camera has no exposure_us; add the exposure time [µs] that counts as exposure 1"
 
 
 def _display_misfits(
@@ -362,10 +353,9 @@ def _display_misfits(
             continue
         where = ("lights", name, "controller")
         if light.kind != "display":
-            yield where, controller, complaint(f"{controller} is a display, and this light is a {light.kind}")
+            yield where, f"{controller} is a display, and this light is a {light.kind}"
         elif shown.setdefault(controller, light).entry != light.entry:
-            other = shown[controller].entry_name
-            yield where, controller, complaint(f"{controller} is the display {other}; each display needs its own")
+            yield where, f"{controller} is the display {shown[controller].entry_name}; each display needs its own"
     for controller, light in shown.items():
         picture = fields.mapping(fields.mapping(controllers[controller]).get("picture"))
         width, height = (light.size_mm or (1.0, 1.0))[:: -1 if picture.get("turn_deg") in (90, 270) else 1]
@@ -376,40 +366,37 @@ def _display_misfits(
         if max(sides) > MOST_SQUARE * min(sides):
             pixel = f"{sides[0]:.4g} × {sides[1]:.4g} mm; expected square: correct this, turn_deg, or the size_mm"
             reason = f"on the {width:g} × {height:g} mm of {light.entry_name} a pixel would have {pixel}"
-            yield ("controllers", controller, "picture", "resolution_px"), list(pixels), complaint(reason)
+            yield ("controllers", controller, "picture", "resolution_px"), reason
 
 
 def _names(channels: Mapping[str, object], lights: Sequence[str]) -> Iterator[Complaint]:
     for name in lights:
         if name not in channels:
             entry = f"{name}: {{controller: ..., channel: ..., level: ...}}"
-            reason = f'the light "{name}" of the rig has no channel; add {entry}'
-            yield ("lights",), dict(channels), complaint(reason)
-    for name, channel in channels.items():
+            yield ("lights",), f'the light "{name}" of the rig has no channel; add {entry}'
+    for name in channels:
         if name not in lights:
             meant = did_you_mean(name, lights) or f"; its lights are {', '.join(lights)}"
-            yield ("lights", name), channel, complaint(f'the rig has no light "{name}"{meant}')
+            yield ("lights", name), f'the rig has no light "{name}"{meant}'
 
 
 def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, object]) -> Iterator[Complaint]:
-    """What is wrong with where one light is plugged in."""
     number, level, most = (_whole(channel.get(key)) for key in ("channel", "level", "max_level"))
     if level is not None and most is not None and level > most:
-        yield ("lights", name, "level"), level, complaint(f"expected at most max_level, {most}, found {level}")
+        yield ("lights", name, "level"), f"expected at most max_level, {most}, found {level}"
     wanted = channel.get("controller")
     if not isinstance(wanted, str):
         return
     if wanted not in controllers:
-        reason = f'no controller is called "{wanted}"; there is {", ".join(controllers) or "none"}'
-        yield ("lights", name, "controller"), wanted, complaint(reason)
+        there = ", ".join(controllers) or "none"
+        yield ("lights", name, "controller"), f'no controller is called "{wanted}"; there is {there}'
         return
     controller = fields.mapping(controllers[wanted])
     limited = (("channel", number, "channels"), ("level", level, "top_level"), ("max_level", most, "top_level"))
     for key, value, limit in limited:
         highest = _whole(controller.get(limit, ControllerConfig.model_fields[limit].default))
         if value is not None and highest is not None and value > highest:
-            reason = f"expected at most {highest}, the {limit} of {wanted}, found {value}"
-            yield ("lights", name, key), value, complaint(reason)
+            yield ("lights", name, key), f"expected at most {highest}, the {limit} of {wanted}, found {value}"
 
 
 def _same(key: str, places: Mapping[tuple[str, ...], tuple[object, Hashable | None]]) -> Iterator[Complaint]:
@@ -417,8 +404,7 @@ def _same(key: str, places: Mapping[tuple[str, ...], tuple[object, Hashable | No
     paths = list(places)
     for i, first in fields.repeated(what for _, what in places.values()):
         found = fields.mapping(places[paths[i]][0])[key]
-        reason = f'{key} "{found}" is already that of {".".join(paths[first])}; each has its own'
-        yield (*paths[i], key), found, complaint(reason)
+        yield (*paths[i], key), f'{key} "{found}" is already that of {".".join(paths[first])}; each has its own'
 
 
 def _place(entry: object) -> tuple[str, int] | None:

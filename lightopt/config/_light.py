@@ -11,9 +11,7 @@ from pydantic import (
     PrivateAttr,
     SerializerFunctionWrapHandler,
     ValidationInfo,
-    ValidatorFunctionWrapHandler,
     field_serializer,
-    field_validator,
     model_serializer,
     model_validator,
 )
@@ -60,28 +58,27 @@ def _wrong_shapes(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complain
     numbers = {key: value for key, value in raw.items() if isinstance(value, (int, float))}
     if numbers.get("rows", 1) * numbers.get("columns", 1) > MOST_CHANNELS:
         key = "rows" if "rows" in numbers else "columns"
-        yield (key,), raw[key], fields.complaint(f"expected at most {MOST_CHANNELS} LEDs in all")
+        yield (key,), f"expected at most {MOST_CHANNELS} LEDs in all"
     if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
-        yield ("inner_radius_mm",), raw["inner_radius_mm"], fields.complaint("expected less than outer_radius_mm")
+        yield ("inner_radius_mm",), "expected less than outer_radius_mm"
     size = [side for side in fields.entries(raw.get("size_mm")) if isinstance(side, (int, float))]
     hole = numbers.get("camera_hole_mm", 0.0)
     widest = {"dome": numbers.get("radius_mm"), "flat_dome": min(size, default=None)}.get(kind)
     if widest is not None and "camera_hole_mm" in numbers and hole >= widest:
-        yield ("camera_hole_mm",), hole, fields.complaint(f"expected less than {widest:g}")
+        yield ("camera_hole_mm",), f"expected less than {widest:g}"
     elif kind == "dome" and widest is not None and widest > 0.0:
         upper, lower = math.degrees(math.acos(0.5 * max(0.0, hole) / widest)), numbers.get("lower_elevation_deg", 0.0)
         if lower >= upper:
-            reason = f"expected less than {upper:.4g}, where the hole is"
-            yield ("lower_elevation_deg",), lower, fields.complaint(reason)
+            yield ("lower_elevation_deg",), f"expected less than {upper:.4g}, where the hole is"
     if "slot_mm" in numbers and numbers["slot_mm"] >= 2.0 * numbers.get("radius_mm", 1e9):
-        yield ("slot_mm",), raw["slot_mm"], fields.complaint("expected less than the tunnel's diameter")
+        yield ("slot_mm",), "expected less than the tunnel's diameter"
     counts = numbers.get("columns", 0), numbers.get("rows", 0)
     if "led_mm" in numbers and any(numbers["led_mm"] * n > side for side, n in zip(size, counts, strict=False)):
-        yield ("led_mm",), raw["led_mm"], fields.complaint("the LEDs overlap; expected at most size_mm by their number")
+        yield ("led_mm",), "the LEDs overlap; expected at most size_mm by their number"
     for key in ("distance_mm", "distance_range_mm"):
         nearest = next(iter(fields.entries(raw.get(key))), raw.get(key))
         if nearest == 0 and kind not in _AROUND_PART:
-            yield (key,), raw[key], fields.complaint(f"a light of kind {kind} cannot stand at the origin")
+            yield (key,), f"a light of kind {kind} cannot stand at the origin"
 
 
 class LightSourceConfig(fields.Frozen):
@@ -101,12 +98,10 @@ class LightSourceConfig(fields.Frozen):
     emission_exponent: _Exponent = 0.0
     """Exponent n of the panel's emission, cosⁿ of the angle to its axis; 0 is uniform."""
 
-    @field_validator("normalisation")
-    @classmethod
-    def _finite(cls, normalisation: str, info: ValidationInfo) -> str:
+    @fields.rule("normalisation")
+    def _finite(cls, normalisation: str, info: ValidationInfo) -> Iterator[fields.Fault]:
         if normalisation == "sum" and info.data.get("points") == "auto":
-            raise fields.complaint(_AUTO_SUM)
-        return normalisation
+            yield _AUTO_SUM
 
 
 class LightConfig(fields.Frozen):
@@ -225,14 +220,6 @@ class LightConfig(fields.Frozen):
         """Exposures that the programme gives this image; None for those of the command."""
         return self._exposures
 
-    def mixed(
-        self, name: str, lights: Sequence[tuple["LightConfig", float]], exposures: tuple[float, ...] | None
-    ) -> "LightConfig":
-        """An image of several lights with weights, as a light of its own that stands where this one does."""
-        image = self.model_copy(update={"name": name})
-        image._mixture, image._exposures = tuple(lights), exposures
-        return image
-
     @model_serializer(mode="wrap")
     def _with_mixture(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         # what depends on the image depends on its weights
@@ -252,7 +239,6 @@ class LightConfig(fields.Frozen):
 
     @property
     def entry_name(self) -> str:
-        """Name of its entry in the file."""
         return self._entry_name or self.name
 
     @property
@@ -273,7 +259,7 @@ class LightConfig(fields.Frozen):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _placed(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
+    def _placed(cls, value: object, handler: fields.Handler) -> Any:
         raw = {key: one for key, one in fields.mapping(value).items() if one is not None}
         kind = raw.get("kind", "panel")
         if kind == "panel" or not isinstance(kind, str) or kind not in get_args(LightKind):
@@ -290,29 +276,23 @@ class LightConfig(fields.Frozen):
             yield from _wrong_shapes(kind, raw)
             yield from pattern_misfits(kind, raw)
 
-    @field_validator("elevation_deg")
-    @classmethod
-    def _above_table(cls, elevation: float, info: ValidationInfo) -> float:
+    @fields.rule("elevation_deg")
+    def _above_table(cls, elevation: float, info: ValidationInfo) -> Iterator[fields.Fault]:
         if elevation <= 0.0 and info.data.get("kind") != "backlight":
-            raise fields.complaint(f"expected {fields.ABOVE_TABLE}, found {elevation:g}")
-        return elevation
+            yield f"expected {fields.ABOVE_TABLE}, found {elevation:g}"
 
-    @field_validator("distance_step_mm")
-    @classmethod
-    def _of_a_range(cls, step: float | None, info: ValidationInfo) -> float | None:
+    @fields.rule("distance_step_mm")
+    def _of_a_range(cls, step: float | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         if step is not None and info.data.get("distance_range_mm", step) is None:
-            raise fields.complaint("has no effect without distance_range_mm; leave it out, or add the range")
-        return step
+            yield "has no effect without distance_range_mm; leave it out, or add the range"
 
-    @field_validator("elevation_range_deg", "azimuth_range_deg", "distance_range_mm")
-    @classmethod
-    def _holds_the_light(cls, ends: tuple[float, float] | None, info: ValidationInfo) -> tuple[float, float] | None:
+    @fields.rule("elevation_range_deg", "azimuth_range_deg", "distance_range_mm")
+    def _holds_the_light(cls, ends: tuple[float, float] | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         angle = str(info.field_name).replace("_range", "")
         now = info.data.get(angle)
         if ends is not None and now is not None and not ends[0] <= now <= ends[1]:
             outside = f"outside [{ends[0]:g}, {ends[1]:g}]; widen the range or move the light into it"
-            raise fields.complaint(f"the light is at {angle} {now:g}, {outside}")
-        return ends
+            yield f"the light is at {angle} {now:g}, {outside}"
 
 
 def auto_sums(lights: Sequence[object], shared: LightSourceConfig | None) -> Iterator[fields.Complaint]:
@@ -324,7 +304,7 @@ def auto_sums(lights: Sequence[object], shared: LightSourceConfig | None) -> Ite
         both = {key: getattr(shared, key) if value is None else value for key, value in own.items()}
         if both == {"points": "auto", "normalisation": "sum"}:
             key = "normalisation" if own["normalisation"] is not None else "points"
-            yield (i, key), own[key], fields.complaint(_AUTO_SUM)
+            yield (i, key), _AUTO_SUM
 
 
 def expanded(lights: Sequence[LightConfig]) -> tuple[LightConfig, ...]:
@@ -373,41 +353,40 @@ def programme_misfits(programme: object, lights: Sequence[LightConfig]) -> Itera
         name, weights = fields.value_of(image, "name"), fields.mapping(fields.value_of(image, "lights"))
         clash = {light.lower(): light for light in known}.get(str(name).lower())
         if clash is not None and set(weights) != {clash}:
-            reason = f'"{clash}" is a light of the rig, and this image is not of that light alone; choose another name'
-            yield (i, "name"), name, fields.complaint(reason)
+            alone = f'"{clash}" is a light of the rig, and this image is not of that light alone'
+            yield (i, "name"), f"{alone}; choose another name"
         for light in weights:
-            if light not in known:
-                reason = f'no light "{light}"; the rig has {", ".join(known)}'
-                yield (i, "lights", light), weights[light], fields.complaint(reason)
-                continue
-            if any(getattr(known[light], key) is not None for key in RANGE_KEYS):
-                reason = f'"{light}" has a range, and lights of a programme are fixed; leave the range out'
-                yield (i, "lights", light), weights[light], fields.complaint(reason)
-            others = [one for one in weights if one in known and known[one].entry != known[light].entry]
-            if known[light].pattern is not None and others:
-                reason = f'"{light}" is of a display with stripes, which images show without other lights; leave it or'
-                yield (i, "lights", light), weights[light], fields.complaint(f"{reason} {', '.join(others)} out")
-            if known[light].direct_level is not None and others:
-                reason = f'"{light}" has a direct_level, and images show it without other lights; leave it or'
-                yield (i, "lights", light), weights[light], fields.complaint(f"{reason} {', '.join(others)} out")
-            if known[light].kind == "panel" and len(weights) > 1:
-                reason = f'"{light}" is a panel, which images show alone; write kind: bar, which has an area, or split'
-                yield (i, "lights", light), weights[light], fields.complaint(f"{reason} the image")
-        exposures = [
-            str(_fraction(one)).removesuffix(".0") for one in fields.entries(fields.value_of(image, "exposures"))
-        ]
-        if any(fields.repeated(exposures)):
-            yield (i, "exposures"), exposures, fields.complaint("the same exposure was given twice")
+            yield from (((i, "lights", light), problem) for problem in _image_problems(light, [*weights], known))
+        exposures = fields.entries(fields.value_of(image, "exposures"))
+        if any(fields.repeated(str(_fraction(one)).removesuffix(".0") for one in exposures)):
+            yield (i, "exposures"), "the same exposure was given twice"
+
+
+def _image_problems(light: str, together: Sequence[str], known: Mapping[str, LightConfig]) -> Iterator[str]:
+    """What is wrong with a light in an image of several."""
+    if light not in known:
+        yield f'no light "{light}"; the rig has {", ".join(known)}'
+        return
+    own = known[light]
+    others = [one for one in together if one in known and known[one].entry != own.entry]
+    without = f"without other lights; leave it or {', '.join(others)} out"
+    if any(getattr(own, key) is not None for key in RANGE_KEYS):
+        yield f'"{light}" has a range, and lights of a programme are fixed; leave the range out'
+    if own.pattern is not None and others:
+        yield f'"{light}" is of a display with stripes, which images show {without}'
+    if own.direct_level is not None and others:
+        yield f'"{light}" has a direct_level, and images show it {without}'
+    if own.kind == "panel" and len(together) > 1:
+        yield f'"{light}" is a panel, which images show alone; write kind: bar, which has an area, or split the image'
 
 
 def programme_lights(
     programme: Sequence[ProgrammeImageConfig], lights: Sequence[LightConfig]
 ) -> tuple[LightConfig, ...]:
-    """Each image of a programme as a light."""
-    known: Mapping[str, LightConfig] = {light.name: light for light in lights}
-    return tuple(
-        known[next(iter(image.lights))].mixed(
-            image.name, [(known[name], weight) for name, weight in image.lights.items()], image.exposures
-        )
-        for image in programme
-    )
+    """Each image of a programme as a light of its own, which stands where its first light does."""
+    known, images = {light.name: light for light in lights}, list[LightConfig]()
+    for image in programme:
+        mixture = tuple((known[name], weight) for name, weight in image.lights.items())
+        images.append(mixture[0][0].model_copy(update={"name": image.name}))
+        images[-1]._mixture, images[-1]._exposures = mixture, image.exposures
+    return tuple(images)

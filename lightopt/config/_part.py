@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from pathlib import PurePath
 from typing import Annotated, Any, Literal
@@ -61,37 +61,32 @@ class MeshConfig(Frozen):
 
     @property
     def of_step(self) -> bool:
-        """Whether the file is STEP, of which triangles are made as it is read."""
         return PurePath(self.file).suffix.lower() in _STEP
 
-    @field_validator("units")
-    @classmethod
-    def _as_the_format_has_it(cls, units: str | None, info: ValidationInfo) -> str | None:
+    @fields.rule("units")
+    def _as_the_format_has_it(cls, units: str | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         if "file" not in info.data:
-            return units
+            return
         file: str = info.data["file"]
         suffix = PurePath(file).suffix.lower()
         if suffix in _UNITLESS and units is None:
             unit = f"give the unit that {PurePath(file).name} was exported in (um, mm, cm, m, inch or ft)"
-            raise fields.absent(f'missing key "units": {suffix} files carry no unit; {unit}', "units")
+            yield fields.absent(f'missing key "units": {suffix} files carry no unit; {unit}', "units")
         if suffix == ".glb" and units not in (None, "m"):
-            raise complaint(f"expected m or nothing (.glb is in metres by its specification), found {units}")
+            yield f"expected m or nothing (.glb is in metres by its specification), found {units}"
         if suffix in _STEP and units is not None and info.context is not None:
             declared: set[str] = set()
             with contextlib.suppress(OSError):
                 declared = set(map(unit_name, step_units_mm((info.context["folder"] / file).read_bytes())))
             if units not in declared:
                 unit = f"the file is in {' and '.join(sorted(declared))}" if declared else "no unit is found in it"
-                raise complaint(f"found {units}, but {unit}; STEP carries its own unit, remove this key")
-        return units
+                yield f"found {units}, but {unit}; STEP carries its own unit, remove this key"
 
-    @field_validator("chord_tolerance_mm")
-    @classmethod
-    def _of_step(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
+    @fields.rule("chord_tolerance_mm")
+    def _of_step(cls, tolerance: float | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         suffix = PurePath(str(info.data.get("file", ""))).suffix.lower()
         if tolerance is not None and suffix and suffix not in _STEP:
-            raise complaint(f"{suffix} files have their triangles already; it belongs to STEP; remove this key")
-        return tolerance
+            yield f"{suffix} files have their triangles already; it belongs to STEP; remove this key"
 
 
 class PlacementConfig(Frozen):
@@ -221,12 +216,10 @@ class ReflectanceConfig(Frozen):
     """Level of a white diffuse surface that faces a light of gain 1 at the origin [levels of full_scale]. It says which
     share of light the part reflects, for light from the part to itself; such that the part reflects 65 % if absent."""
 
-    @field_validator("oren_nayar_roughness")
-    @classmethod
-    def _instead_of_an_exponent(cls, value: float | None, info: ValidationInfo) -> float | None:
+    @fields.rule("oren_nayar_roughness")
+    def _instead_of_an_exponent(cls, value: float | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         if value is not None and info.data.get("diffuse_exponent") is not None:
-            raise complaint("the diffuse component has one form: diffuse_exponent is given, too")
-        return value
+            yield "the diffuse component has one form: diffuse_exponent is given, too"
 
     @field_validator("refractive_index")
     @classmethod
@@ -249,28 +242,24 @@ class ReflectanceConfig(Frozen):
         """Width of the lobe across the brushing [rad]; half of ggx's α; None where the surface is not brushed."""
         return 0.5 * self.alpha_across if self.alpha_across is not None else self.sigma_across_rad
 
-    @field_validator("R_s_wide", "sigma_wide_rad", "sigma_across_rad", "alpha_across")
-    @classmethod
-    def _against_the_narrow(cls, value: float | None, info: ValidationInfo) -> float | None:
+    @fields.rule("R_s_wide", "sigma_wide_rad", "sigma_across_rad", "alpha_across")
+    def _against_the_narrow(cls, value: float | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         narrow, most = _NARROW[str(info.field_name)]
         of = info.data.get(narrow)
         if value is None or of is None:
-            return value
+            return
         if most is None and value > of:
-            raise complaint(f"expected at most {narrow}, {of:g}, found {value:g}")
+            yield f"expected at most {narrow}, {of:g}, found {value:g}"
         if most is not None and not of < value <= most * of:
             up_to = "" if math.isinf(most) else f", up to {most:g} times as much"
-            raise complaint(f"expected more than {narrow}, {of:g}{up_to}, found {value:g}")
-        return value
+            yield f"expected more than {narrow}, {of:g}{up_to}, found {value:g}"
 
-    @field_validator("brushing")
-    @classmethod
-    def _with_a_width(cls, value: BrushingConfig | None, info: ValidationInfo) -> BrushingConfig | None:
+    @fields.rule("brushing")
+    def _with_a_width(cls, value: BrushingConfig | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         key = "alpha_across" if info.data.get("model") == "ggx" else "sigma_across_rad"
         if key in info.data and (value is None) != (info.data[key] is None):
             missing = "brushing" if value is None else key
-            raise fields.absent(f'missing key "{missing}": brushed surfaces have {key} and brushing', missing)
-        return value
+            yield fields.absent(f'missing key "{missing}": brushed surfaces have {key} and brushing', missing)
 
 
 _Colour = Annotated[str, Field(pattern=r"^#[0-9A-Fa-f]{6}$"), expecting('a colour such as "#97FFB5", in quotes')]
@@ -287,13 +276,11 @@ class BoxConfig(Frozen):
     high: fields.Coordinates
     """Its highest X, Y and Z, in the mesh file's coordinates [mm]."""
 
-    @field_validator("high")
-    @classmethod
-    def _above(cls, high: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+    @fields.rule("high")
+    def _above(cls, high: tuple[float, ...], info: ValidationInfo) -> Iterator[fields.Fault]:
         low = info.data.get("low")
         if low is not None and any(a >= b for a, b in zip(low, high, strict=True)):
-            raise complaint(f"expected three numbers above those of low, {list(low)}, found {list(high)}")
-        return high
+            yield f"expected three numbers above those of low, {list(low)}, found {list(high)}"
 
 
 class MaskConfig(Frozen):
@@ -385,8 +372,8 @@ class PartConfig(fields.FileConfig):
         postures = fields.entries(value)
         angles = [tuple(fields.value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
         valid = [pair if all(type(angle) in (int, float) for angle in pair) else None for pair in angles]
-        twice = ((i, complaint(f"the same posture as postures[{first}]")) for i, first in fields.repeated(valid))
-        return fields.with_complaints(value, handler, (((i,), postures[i], error) for i, error in twice))
+        twice = (((i,), f"the same posture as postures[{first}]") for i, first in fields.repeated(valid))
+        return fields.with_complaints(value, handler, twice)
 
     @field_validator("regions", "defects", "defect_catalogue", mode="wrap")
     @classmethod

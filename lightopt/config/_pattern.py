@@ -52,13 +52,11 @@ class PatternConfig(fields.Frozen):
             raise fields.complaint(f"a whole number of periods makes 360 degrees, found {360.0 / period:.4g} of them")
         return period
 
-    @field_validator("second_period_mm")
-    @classmethod
-    def _longer(cls, second: float | None, info: ValidationInfo) -> float | None:
+    @fields.rule("second_period_mm")
+    def _longer(cls, second: float | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         first = info.data.get("period_mm")
         if second is not None and first is not None and second <= first:
-            raise fields.complaint(f"expected more than period_mm, {first:g}")
-        return second
+            yield f"expected more than period_mm, {first:g}"
 
     @property
     def periods_mm(self) -> tuple[float, ...]:
@@ -78,7 +76,6 @@ class PatternConfig(fields.Frozen):
 
     @property
     def images(self) -> int:
-        """Images in all."""
         if self.files is not None:
             return len(self.files)
         return self.steps * len(self.directions) * max(1, len(self.periods_mm))
@@ -91,18 +88,18 @@ def pattern_misfits(kind: str, light: Mapping[str, Any]) -> Iterator[fields.Comp
     pattern = {key: value for key, value in fields.mapping(light["pattern"]).items() if value is not None}
     of_dome, shape = kind == "dome", pattern.get("kind", "sine")
     if of_dome and shape in ("bars", "bitmap"):
-        yield ("pattern", "kind"), shape, fields.complaint("a dome shows stripes of kind sine only")
+        yield ("pattern", "kind"), "a dome shows stripes of kind sine only"
     needed = "period_deg" if of_dome else "period_mm"
     if needed not in pattern and shape in ("sine", "bars"):
         reason = f'missing key "{needed}", which a pattern of kind {shape} of a {kind} needs'
-        yield ("pattern", needed), pattern, fields.absent(reason, needed)
+        yield ("pattern", needed), fields.absent(reason, needed)
     for key in ("period_mm", "second_period_mm") if of_dome else ("period_deg",):
         if key in pattern and shape == "sine":
             other = "period_deg, the period seen from its centre" if of_dome else "period_mm"
-            yield ("pattern", key), pattern[key], fields.complaint(f"a {kind} has {other}; leave this out")
+            yield ("pattern", key), f"a {kind} has {other}; leave this out"
     for key in ("segments", "leak"):
         if of_dome and light.get(key) is not None:
-            yield (key,), light[key], fields.complaint("a dome with a pattern has no segments and no leak")
+            yield (key,), "a dome with a pattern has no segments and no leak"
     size = [side for side in fields.entries(light.get("size_mm")) if isinstance(side, (int, float))]
     lengths = [one for key in ("period_mm", "second_period_mm") if isinstance(one := pattern.get(key), (int, float))]
     if len(lengths) == 2 and 0 < lengths[0] < lengths[1] and len(size) == 2:
@@ -110,4 +107,4 @@ def pattern_misfits(kind: str, light: Mapping[str, Any]) -> Iterator[fields.Comp
         if unambiguous < max(size) + lengths[0]:
             reason = f"the phases repeat after {unambiguous:.4g} mm; expected at least the display's longer side and a"
             reason += f" period, {max(size) + lengths[0]:g} mm: a longer second period, or one closer to period_mm"
-            yield ("pattern", "second_period_mm"), lengths[1], fields.complaint(reason)
+            yield ("pattern", "second_period_mm"), reason

@@ -100,14 +100,11 @@ def with_pose(
     if raw.get("pose") is None:
         return handler(value)
     complaints: list[fields.Complaint] = [
-        ((key,), raw[key], complaint("given together with pose; expected only one of them"))
-        for key in (*POSE_REPLACES, *also)
-        if key in raw
+        ((key,), "given together with pose; expected only one of them") for key in (*POSE_REPLACES, *also) if key in raw
     ]
-    found = fields.mapping(raw["pose"]).get(point)
-    standing = standing_at(found)
+    standing = standing_at(fields.mapping(raw["pose"]).get(point))
     if standing and standing["elevation_deg"] <= 0.0:
-        complaints.append((("pose", point), found, complaint(f"{what} is not above the table: expected a z above 0")))
+        complaints.append((("pose", point), f"{what} is not above the table: expected a z above 0"))
         standing = {}
     filled = {"distance_mm": 1.0, "elevation_deg": 90.0, "azimuth_deg": 0.0} | standing
     return fields.with_complaints({**raw, **{k: v for k, v in filled.items() if k not in raw}}, handler, complaints)

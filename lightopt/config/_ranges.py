@@ -1,11 +1,12 @@
 """What a dataset randomises, and within which limits."""
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo
 
 from lightopt.config import _fields as fields
-from lightopt.config._fields import LIST, Frozen, complaint, expecting
+from lightopt.config._fields import LIST, Frozen, expecting
 
 _Reach = Annotated[float, Field(ge=0, le=100), expecting("a length from 0 to 100 (mm)")]
 _Angle = Annotated[float, Field(ge=0, le=10), expecting("an angle from 0 to 10 (degrees)")]
@@ -54,13 +55,11 @@ class SplitConfig(Frozen):
     test: _Share = Field(default=0.2, validate_default=True)
     """For the test; the three shares add up to 1."""
 
-    @field_validator("test")
-    @classmethod
-    def _whole(cls, test: float, info: ValidationInfo) -> float:
+    @fields.rule("test")
+    def _whole(cls, test: float, info: ValidationInfo) -> Iterator[fields.Fault]:
         total = test + info.data.get("train", 0.0) + info.data.get("val", 0.0)
         if len(info.data) == 2 and abs(total - 1.0) > 1e-6:
-            raise complaint(f"expected shares train, val and test that add up to 1, found {total:g}")
-        return test
+            yield f"expected shares train, val and test that add up to 1, found {total:g}"
 
 
 class RangesConfig(fields.FileConfig):

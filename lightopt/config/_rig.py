@@ -3,15 +3,7 @@
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    Field,
-    PrivateAttr,
-    ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    field_serializer,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, PrivateAttr, ValidationInfo, field_serializer, field_validator, model_validator
 
 from lightopt.config import _fields as fields, _light
 from lightopt.config._camera import CameraConfig
@@ -90,13 +82,13 @@ class RigConfig(fields.FileConfig):
 
     @field_validator("lights", mode="wrap")
     @classmethod
-    def _fit_together(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    def _fit_together(cls, value: object, handler: fields.Handler, info: ValidationInfo) -> Any:
         lights, shared = fields.entries(value), info.data.get("light_source")
         complaints = [*fields.same_names(lights, "lights", str.lower), *_light.auto_sums(lights, shared)]
         if "light_source" in info.data and shared is None:
             panels = (i for i, light in enumerate(lights) if (fields.value_of(light, "kind") or "panel") == "panel")
             reason = 'missing key "light_source": the panel that all panel lights share'
-            complaints += [((i,), lights[i], fields.complaint(reason)) for i in panels]
+            complaints += [((i,), reason) for i in panels]
         # each channel becomes a light, unless that has been done
         found = fields.with_complaints(value, handler, complaints)
         return found if any(light.channel for light in found) else _light.expanded(found)
@@ -114,7 +106,6 @@ class RigConfig(fields.FileConfig):
         return of_command if own is None else own
 
     def without_programme(self) -> "RigConfig":
-        """The rig with an image of each light alone."""
         alone = self.model_copy(update={"lights": self.channels, "programme": None})
         alone._channels = ()
         alone._source = replace(self._source, entries=tuple(light.entry for light in self.channels))
@@ -130,7 +121,7 @@ class RigConfig(fields.FileConfig):
 
     @field_validator("programme", mode="wrap")
     @classmethod
-    def _of_its_lights(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    def _of_its_lights(cls, value: object, handler: fields.Handler, info: ValidationInfo) -> Any:
         lights = info.data.get("lights")
         return fields.with_complaints(value, handler, () if lights is None else _light.programme_misfits(value, lights))
 
@@ -141,6 +132,6 @@ class RigConfig(fields.FileConfig):
 
     @field_validator("hardware", mode="wrap")
     @classmethod
-    def _wired(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    def _wired(cls, value: object, handler: fields.Handler, info: ValidationInfo) -> Any:
         lights: tuple[_light.LightConfig, ...] | None = info.data.get("lights")
         return fields.with_complaints(value, handler, misfits(value, lights, info.data.get("camera")))

@@ -9,40 +9,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RangesConfig, RigConfig, input_hashes
 from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.provenance import file_sha256, provenance
 from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
-from lightopt.dataset._draws import SPLITS, DatasetOptions, Factors, PoseDraw, draw_poses, draw_sample, factors_of
+from lightopt.dataset import _draws, _formats
+from lightopt.dataset._draws import FUSED, SPLITS, STACK, DatasetOptions, PoseDraw, Setup
 from lightopt.dataset._folder import MANIFEST, DatasetFolder
-from lightopt.dataset._formats import (
-    box_of,
-    datasheet,
-    image_name,
-    mask_name,
-    run_lengths,
-    union,
-    write_formats,
-    yolo_name,
-    yolo_text,
-)
-from lightopt.dataset._pose import (
-    FUSED,
-    STACK,
-    PoseImages,
-    PostureLimits,
-    SampleImages,
-    posture_limits,
-    render_pose,
-    sample_images,
-)
-from lightopt.defects import CatalogueEntry
+from lightopt.dataset._pose import PoseImages, PostureLimits, SampleImages, posture_limits, render_pose, sample_images
 from lightopt.images import write_bytes_atomic, write_exr, write_png
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
-from lightopt.scene import Scene, build_catalogue, build_scene, defect_facts, frame_part
+from lightopt.scene import build_catalogue, defect_facts, frame_part
 
 TAKEN = (FUSED, STACK, "poses", "stacks")  # names that no light may have
 
@@ -84,31 +63,28 @@ def make_dataset(
     """
     run = run or RunContext()
     ranges = ranges or RangesConfig(format="lightopt-ranges/1")
-    lights = tuple(light.name for light in rig.lights)
-    views = (*lights, *([FUSED] if options.fusion else []))
     problems = options.problems()
     problems += [
-        f"{rig.source.at('lights', i)}: a dataset has a folder {name}; give the light another name"
-        for i, name in enumerate(lights)
-        if name.lower() in TAKEN
+        f"{rig.source.at('lights', i)}: a dataset has a folder {light.name}; give the light another name"
+        for i, light in enumerate(rig.lights)
+        if light.name.lower() in TAKEN
     ]
     refuse(problems)
     if options.stacks:
         require_h5py()
-    factors, catalogue = factors_of(ranges, rig, part), build_catalogue(part)
+    setup = Setup(rig, part, options, ranges, _draws.factors_of(ranges, rig, part), build_catalogue(part), run.threads)
     inputs: dict[str, Any] = dict(input_hashes(rig, part))
     if ranges.fit is not None:
         inputs["fit"] = {"sha256": file_sha256(ranges.source.resolve(ranges.fit))}
     made_from = provenance(inputs, {**asdict(options), "ranges": ranges.model_dump(mode="json")})
-    out = DatasetFolder(
-        folder, made_from, names=[*views, "poses", "stacks", "samples.csv", "datasheet.md"], force=force
-    )
+    names = [*setup.views, "poses", "stacks", "samples.csv", "datasheet.md"]
+    out = DatasetFolder(folder, made_from, names=names, force=force)
     if (complete := out.complete) is not None:
         return _result(folder, complete, resumed=int(complete["poses"]))
-    scene = build_scene(rig, part, defects=False, bounces=part.inspection.bounces)
+    scene = setup.scene
     refuse_unusable_scene(scene, rig, part, cast_rays_at(scene))
     run.warn(*scene.warnings)
-    poses = draw_poses(options, ranges, factors, scene.postures)
+    poses = _draws.draw_poses(setup)
     splits = Counter(pose.split for pose in poses)
     remedy = "more samples, or fewer samples per pose, help"
     if empty := [name for name in SPLITS if getattr(ranges.split, name) > 0.0 and not splits[name]]:
@@ -116,10 +92,7 @@ def make_dataset(
     shown = {pose.posture for pose in poses}
     if unshown := [str(posture) for posture in scene.postures if posture not in shown]:
         run.warn(f"no sample is in posture {', '.join(unshown)}; {remedy}")
-    out.begin(views)
-    kinds = list(dict.fromkeys(entry.shape.kind for entry in catalogue))
-    size = scene.camera.width, scene.camera.height
-    work = _Work(rig, scene, catalogue, options, ranges, factors, views, kinds, size, out)
+    out.begin(setup.views)
     limits: dict[Any, PostureLimits] = {}
     before = {pose.number: record for pose in poses if (record := out.record(pose.number)) is not None}
     records: list[dict[str, Any]] = []
@@ -127,8 +100,8 @@ def make_dataset(
     for pose in poses:
         if (record := before.get(pose.number)) is None:
             if pose.posture not in limits:
-                limits[pose.posture] = posture_limits(rig, scene, pose.posture, catalogue, options, run.threads)
-            record = work.make_pose(pose, limits[pose.posture], run.threads)
+                limits[pose.posture] = posture_limits(setup, pose.posture)
+            record = _make_pose(setup, out, pose, limits[pose.posture])
         records.append(record)
         stage((pose.number + 1) / len(poses))
     samples = [sample for record in records for sample in record["samples"]]
@@ -137,13 +110,13 @@ def make_dataset(
         run.warn(f"the part leaves the view in {where}; lower shift_mm of the ranges, or let the camera see more")
     if omitted := sum(record["omitted"] for record in records):
         run.warn(f"{counted(omitted, 'defect')} left out: no image shows all of it; use a catalogue of smaller ones")
-    files = write_formats(out, samples, views, kinds, size)
-    out.write_text("datasheet.md", datasheet(rig, part, options, ranges, factors, samples, views, omitted))
+    files = _formats.write_formats(out, setup, samples)
+    out.write_text("datasheet.md", _formats.datasheet(setup, samples, omitted))
     defects = [one for sample in samples for one in sample["defects"]]
     found = {
-        "views": list(views),
+        "views": list(setup.views),
         "samples": len(samples),
-        "images": len(samples) * len(lights),
+        "images": len(samples) * len(setup.lights),
         "poses": len(poses),
         "defects": len(defects),
         "visible": sum(one["visibility"][STACK]["visible"] for one in defects),
@@ -160,115 +133,81 @@ def _result(folder: Path, found: Mapping[str, Any], *, resumed: int) -> DatasetR
     return DatasetResult(resumed=resumed, files=files, **numbers)
 
 
-@dataclass(frozen=True, eq=False)
-class _Work:
-    rig: RigConfig
-    nominal: Scene
-    catalogue: tuple[CatalogueEntry, ...]
-    options: DatasetOptions
-    ranges: RangesConfig
-    factors: Factors
-    views: Sequence[str]
-    kinds: Sequence[str]
-    size: tuple[int, int]
-    out: DatasetFolder
+def _make_pose(setup: Setup, out: DatasetFolder, draw: PoseDraw, limits: PostureLimits) -> dict[str, Any]:
+    pose = render_pose(setup, draw)
 
-    def make_pose(self, draw: PoseDraw, limits: PostureLimits, threads: int | None) -> dict[str, Any]:
-        """Render and write a pose and its samples; returns its record."""
-        pose = render_pose(self.rig, self.nominal, draw, self.options, threads)
-
-        def make(number: int) -> tuple[dict[str, Any], list[str], SampleImages | None]:
-            lights = tuple(light.name for light in self.nominal.lights)
-            sample = draw_sample(number, self.options, self.ranges, self.factors, self.catalogue, lights)
-            images = sample_images(pose, sample, limits, self.options, where=f"sample {number}")
-            defects = self._defects(pose, images)
-            facts: dict[str, Any] = {
-                "sample": number,
-                "pose": draw.number,
-                "posture": draw.posture.as_dict(),
-                "split": draw.split,
-                "R_d_factor": round(sample.R_d, 6),
-                "R_s_factor": round(sample.R_s, 6),
-                "gain_factors": {name: round(gain, 6) for name, gain in zip(lights, sample.gains, strict=True)},
-                "particles": len(sample.dust),
-                "omitted": images.omitted,
-                "defects": defects,
-                "files": {view: image_name(view, number, defects, draw.split) for view in self.views},
-            }
-            return facts, self._write_sample(facts, images), images if self.options.stacks else None
-
-        found = in_threads(make, list(draw.samples), threads)
-        files = [f"poses/pose-{draw.number:06}.exr", *(name for _, names, _ in found for name in names)]
-        geometry = pose.actual.geometry
-        channels = {
-            **{f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")},
-            **{f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")},
-            **{f"{image.light}.Y": image.level for image in pose.view.prediction.images.lights},
+    def make(number: int) -> tuple[dict[str, Any], list[str], SampleImages | None]:
+        sample = _draws.draw_sample(setup, number)
+        images = sample_images(pose, sample, limits)
+        defects = _defects(pose, images)
+        facts: dict[str, Any] = {
+            "sample": number,
+            "pose": draw.number,
+            "posture": draw.posture.as_dict(),
+            "split": draw.split,
+            "R_d_factor": round(sample.R_d, 6),
+            "R_s_factor": round(sample.R_s, 6),
+            "gain_factors": {name: round(gain, 6) for name, gain in zip(setup.lights, sample.gains, strict=True)},
+            "particles": len(sample.dust),
+            "omitted": images.omitted,
+            "defects": defects,
+            "files": {view: _formats.image_name(view, number, defects, draw.split) for view in setup.views},
         }
-        write_exr(self.out.path(files[0]), channels, metadata=draw.as_dict())
-        samples = [facts for facts, _, _ in found]
-        if self.options.stacks:
-            files.append(f"stacks/pose-{draw.number:06}.h5")
-            self._write_stack(files[-1], pose, samples, [images for _, _, images in found if images is not None])
-        omitted = sum(facts["omitted"] for facts in samples)
-        leaves = not frame_part(pose.pixels.view.camera, pose.scene.mesh).inside
-        record = {**draw.as_dict(), "leaves_view": leaves, "samples": samples, "omitted": omitted, "files": files}
-        self.out.write_record(draw.number, record)
-        return record
+        return facts, _write_sample(setup, out, facts, images), images if setup.options.stacks else None
 
-    def _defects(self, pose: PoseImages, images: SampleImages) -> list[dict[str, Any]]:
-        width, height = self.size
-        facts = defect_facts([one.placed for one in images.defects], pose.scene.placement)
-        return [
-            {
-                **own,
-                "box_px": list(box_of(one.pixels, width)),
-                "visibility": {
-                    name: {"z": round(each.z, 3), "visible": each.visible} for name, each in one.visibility.items()
-                },
-                "mask": run_lengths(one.pixels, height, width),
-            }
-            for own, one in zip(facts, images.defects, strict=True)
-        ]
+    found = in_threads(make, list(draw.samples), setup.threads)
+    files = [f"poses/pose-{draw.number:06}.exr", *(name for _, names, _ in found for name in names)]
+    geometry = pose.actual.geometry
+    channels = {
+        **{f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")},
+        **{f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")},
+        **{f"{image.light}.Y": image.level for image in pose.view.prediction.images.lights},
+    }
+    write_exr(out.path(files[0]), channels, metadata=draw.as_dict())
+    samples = [facts for facts, _, _ in found]
+    if setup.options.stacks:
+        files.append(f"stacks/pose-{draw.number:06}.h5")
+        _write_stack(out.path(files[-1]), pose, samples, [images for _, _, images in found if images is not None])
+    omitted = sum(facts["omitted"] for facts in samples)
+    leaves = not frame_part(pose.pixels.view.camera, pose.scene.mesh).inside
+    record = {**draw.as_dict(), "leaves_view": leaves, "samples": samples, "omitted": omitted, "files": files}
+    out.write_record(draw.number, record)
+    return record
 
-    def _write_sample(self, facts: Mapping[str, Any], images: SampleImages) -> list[str]:
-        files: list[str] = []
-        shift = max(0, int(self.nominal.sensor.bit_depth) - 8)  # readers of datasets expect 8 bits
-        pictures = [(levels >> shift).astype(np.uint8) for levels in images.levels]
-        pictures += [] if images.fused is None else [images.fused]
-        for view, picture in zip(self.views, pictures, strict=True):
-            image = facts["files"][view]
-            metadata = {"sample": facts["sample"], "view": view}
-            write_png(self.out.path(image), picture, metadata=metadata)
-            files.append(image)
-            if (mask := mask_name(image)) is not None:
-                write_png(self.out.path(mask), union(facts["defects"], view, self.size), metadata=metadata)
-                files.append(mask)
-            if (labels := yolo_name(image)) is not None:
-                self.out.write_text(labels, yolo_text(facts["defects"], view, self.kinds, *self.size))
-                files.append(labels)
-        return files
 
-    def _write_stack(
-        self, name: str, pose: PoseImages, samples: Sequence[dict[str, Any]], images: Sequence[SampleImages]
-    ) -> None:
-        width, height = self.size
-        labels = np.zeros((len(images), height, width), np.uint8)
-        for own, one in zip(labels, images, strict=True):
-            for number, defect in enumerate(one.defects, 1):
-                own.reshape(-1)[defect.pixels] = number
-        geometry = pose.actual.geometry
-        arrays = {
-            "levels": np.stack([np.stack(one.levels) for one in images]),
-            "defect": labels,
-            "nominal": pose.view.predicted,
-            "deviation": pose.deviation,
-            "normals": np.ascontiguousarray(np.moveaxis(geometry.normals, -1, 0)),
+def _defects(pose: PoseImages, images: SampleImages) -> list[dict[str, Any]]:
+    width, height = pose.setup.size
+    facts = defect_facts([one.placed for one in images.defects], pose.scene.placement)
+    return [
+        {
+            **own,
+            "box_px": list(_formats.box_of(one.pixels, width)),
+            "visibility": {
+                name: {"z": round(each.z, 3), "visible": each.visible} for name, each in one.visibility.items()
+            },
+            "mask": _formats.run_lengths(one.pixels, height, width),
         }
-        if self.options.fusion:
-            arrays["fused"] = np.stack([one.fused for one in images if one.fused is not None])
-        lights = [light.name for light in self.nominal.lights]
-        write_stack(self.out.path(name), arrays, lights=lights, facts=samples)
+        for own, one in zip(facts, images.defects, strict=True)
+    ]
+
+
+def _write_sample(setup: Setup, out: DatasetFolder, facts: Mapping[str, Any], images: SampleImages) -> list[str]:
+    files: list[str] = []
+    shift = max(0, int(setup.scene.sensor.bit_depth) - 8)  # readers of datasets expect 8 bits
+    pictures = [(levels >> shift).astype(np.uint8) for levels in images.levels]
+    pictures += [] if images.fused is None else [images.fused]
+    for view, picture in zip(setup.views, pictures, strict=True):
+        image = facts["files"][view]
+        metadata = {"sample": facts["sample"], "view": view}
+        write_png(out.path(image), picture, metadata=metadata)
+        files.append(image)
+        if (mask := _formats.mask_name(image)) is not None:
+            write_png(out.path(mask), _formats.union(facts["defects"], view, setup.size), metadata=metadata)
+            files.append(mask)
+        if (labels := _formats.yolo_name(image)) is not None:
+            out.write_text(labels, _formats.yolo_text(facts["defects"], view, setup.kinds, *setup.size))
+            files.append(labels)
+    return files
 
 
 def require_h5py() -> None:
@@ -282,19 +221,30 @@ def require_h5py() -> None:
         ) from None
 
 
-def write_stack(path: Path, arrays: Mapping[str, NDArray[Any]], *, lights: Sequence[str], facts: object) -> None:
-    """Write the arrays of a pose, whole or not at all, the same input the same bytes.
-
-    arrays: Compressed image by image
-    lights: Names of the lights, in the order of the arrays
-    facts: JSON-able facts of the samples
-    """
+def _write_stack(
+    path: Path, pose: PoseImages, samples: Sequence[dict[str, Any]], images: Sequence[SampleImages]
+) -> None:
+    """Write the arrays of a pose, compressed image by image, whole or not at all, the same input the same bytes."""
     import h5py  # pyright: ignore[reportMissingImports]
 
+    width, height = pose.setup.size
+    labels = np.zeros((len(images), height, width), np.uint8)
+    for own, one in zip(labels, images, strict=True):
+        for number, defect in enumerate(one.defects, 1):
+            own.reshape(-1)[defect.pixels] = number
+    arrays = {
+        "levels": np.stack([np.stack(one.levels) for one in images]),
+        "defect": labels,
+        "nominal": pose.view.predicted,
+        "deviation": pose.deviation,
+        "normals": np.ascontiguousarray(np.moveaxis(pose.actual.geometry.normals, -1, 0)),
+    }
+    if pose.setup.options.fusion:
+        arrays["fused"] = np.stack([one.fused for one in images if one.fused is not None])
     memory = io.BytesIO()
     with h5py.File(memory, "w") as file:
-        file.attrs["lights"] = list(lights)
-        file.attrs["samples"] = json.dumps(facts)
+        file.attrs["lights"] = list(pose.setup.lights)
+        file.attrs["samples"] = json.dumps(samples)
         for name, values in arrays.items():
             chunk = (*np.ones(values.ndim - 2, np.intp).tolist(), *values.shape[-2:])
             file.create_dataset(

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ from lightopt.core.transforms import Posture
 from lightopt.defects import DEFAULT_FALSE_ALARMS, CatalogueEntry, false_alarms_problem
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.inspection import FUSIONS, Fusion
-from lightopt.scene import Scene, with_reflectances
+from lightopt.scene import Scene, build_scene, with_reflectances
 
 SPLITS = ("train", "val", "test")
+STACK, FUSED = "stack", "fused"
 MOST_SAMPLES = 1_000_000
 LEAST_R_D = 1e-6  # a trace of diffuse light, far below what a camera detects: it is where a light reaches
 
@@ -27,8 +29,6 @@ _END = int | float | None  # of an interval; None where the fit does not determi
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetOptions:
-    """What a dataset has."""
-
     images: int  # number of samples, each of one image per light
     seed: int = 0  # of all random numbers
     exposure: float = 1.0  # relative exposure of lights to which the rig's programme gives none
@@ -62,10 +62,7 @@ class Factors:
 
 
 def factors_of(ranges: RangesConfig, rig: RigConfig, part: PartConfig) -> Factors:
-    """The limits of factors: by the intervals of a fit and of a calibrated rig where there are some, else the ranges'.
-
-    Raises InputError: the fit is none, or an interval of it is none
-    """
+    """Limits by the intervals of a fit and of a calibrated rig, else the ranges'; InputError for a wrong fit."""
     fit = {} if ranges.fit is None else _read_fit(ranges.source.resolve(ranges.fit))
     values, fitted_gains = fit.get("values") or {}, fit.get("gains") or {}
     own = part.reflectance
@@ -99,6 +96,43 @@ def factors_of(ranges: RangesConfig, rig: RigConfig, part: PartConfig) -> Factor
         sigma=limits(key, values.get(key), width, ranges.sigma),
         gains=gains,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What a dataset is made of."""
+
+    rig: RigConfig
+    part: PartConfig
+    options: DatasetOptions
+    ranges: RangesConfig
+    factors: Factors
+    catalogue: tuple[CatalogueEntry, ...]
+    threads: int | None = None
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The good part at rest."""
+        return build_scene(self.rig, self.part, defects=False, bounces=self.part.inspection.bounces)
+
+    @property
+    def lights(self) -> tuple[str, ...]:
+        return tuple(light.name for light in self.rig.lights)
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """Names of the images of a sample."""
+        return (*self.lights, *([FUSED] if self.options.fusion else []))
+
+    @property
+    def kinds(self) -> list[str]:
+        """Kinds of defects, in the order of their numbers."""
+        return list(dict.fromkeys(entry.shape.kind for entry in self.catalogue))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the images [px]."""
+        return self.scene.camera.width, self.scene.camera.height
 
 
 def _read_fit(path: Path) -> dict[str, Any]:
@@ -145,10 +179,9 @@ class PoseDraw:
         }
 
 
-def draw_poses(
-    options: DatasetOptions, ranges: RangesConfig, factors: Factors, postures: tuple[Posture, ...]
-) -> list[PoseDraw]:
+def draw_poses(setup: Setup) -> list[PoseDraw]:
     """The poses of a dataset: the postures take turns, and whole poses are divided into the splits."""
+    options, ranges, postures = setup.options, setup.ranges, setup.scene.postures
     each = ranges.samples_per_pose
     count = -(-options.images // each)
     ends = np.rint(np.cumsum([getattr(ranges.split, name) for name in SPLITS]) * count)
@@ -171,7 +204,7 @@ def draw_poses(
                     tilt_x=tilt_x * tilt,
                     tilt_y=tilt_y * tilt,
                 ),
-                sigma_factor=float(rng.uniform(*factors.sigma)),
+                sigma_factor=float(rng.uniform(*setup.factors.sigma)),
                 waviness_seed=int(rng.integers(1 << 31)),
                 samples=range(number * each, min((number + 1) * each, options.images)),
             )
@@ -197,21 +230,15 @@ class SampleDraw:
     rng: np.random.Generator
 
 
-def draw_sample(
-    number: int,
-    options: DatasetOptions,
-    ranges: RangesConfig,
-    factors: Factors,
-    catalogue: tuple[CatalogueEntry, ...],
-    lights: tuple[str, ...],
-) -> SampleDraw:
+def draw_sample(setup: Setup, number: int) -> SampleDraw:
     """The sample of a number: the same whatever other samples there are."""
-    rng = np.random.default_rng([options.seed, 2, number])
+    ranges, factors, catalogue = setup.ranges, setup.factors, setup.catalogue
+    rng = np.random.default_rng([setup.options.seed, 2, number])
     defective = rng.random() < ranges.defective
     count = int(rng.integers(ranges.defects[0], ranges.defects[1] + 1)) if defective else 0
     kinds = tuple(catalogue[int(rng.integers(len(catalogue)))].at(*rng.random(2).tolist()) for _ in range(count))
     brightness = rng.uniform(*factors.R_d), rng.uniform(*factors.R_s)
-    gains = tuple(float(rng.uniform(*factors.gains[name])) for name in lights)
+    gains = tuple(float(rng.uniform(*factors.gains[name])) for name in setup.lights)
     particles = int(rng.integers(ranges.dust.particles[0], ranges.dust.particles[1] + 1))
     low, high = np.log(ranges.dust.size_mm)
     dust = np.stack([np.exp(rng.uniform(low, high, particles)), rng.uniform(*ranges.dust.R_d, particles)], axis=1)

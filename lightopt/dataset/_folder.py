@@ -2,13 +2,12 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
-from lightopt.images import make_folder, paths_inside, read_listing, remove_file, write_text_atomic
+from lightopt.images import make_folder, read_listing, remove_listed, write_text_atomic
 
 MANIFEST, FORMAT = "dataset.json", "lightopt-dataset/1"
 INVISIBLE = "invisible"  # folder of images whose defects none can find
@@ -62,7 +61,7 @@ class DatasetFolder:
 
     def record(self, number: int) -> dict[str, Any] | None:
         """What is known of a pose; None where any of its files is missing."""
-        found = _read(self.folder / record_name(number))
+        found = read_listing(self.folder / record_name(number))
         return found if found is not None and self._has_files(found) else None
 
     def _has_files(self, document: Mapping[str, Any]) -> bool:
@@ -96,21 +95,12 @@ class DatasetFolder:
         names = _entries(old, "files")
         records = sorted((self.folder / "poses").glob("pose-*.json"))
         for record in records:
-            names += _entries(_read(record) or {}, "files")
+            names += _entries(read_listing(record) or {}, "files")
         # and of poses that a stopped run did not complete
         views = [f"{view}/{own}/**/{_NUMBER}*" for view in _entries(old, "views") for own in _OF_SAMPLES]
         for pattern in (*views, f"poses/pose-{_NUMBER}.exr", f"stacks/pose-{_NUMBER}.h5"):
             names += [str(path.relative_to(self.folder)) for path in self.folder.glob(pattern) if path.is_file()]
-        root, folders = self.folder.resolve(), set[Path]()
-        for path in paths_inside(self.folder, names):
-            remove_file(path)
-            folders.update(one for one in path.parents if one != root and one.is_relative_to(root))
-        for record in records:
-            remove_file(record)
-        remove_file(self.folder / MANIFEST)
-        for folder in sorted(folders, key=lambda one: -len(one.parts)):
-            with suppress(OSError):  # something else is in it
-                folder.rmdir()
+        remove_listed(self.folder, [*names, *(f"poses/{record.name}" for record in records), MANIFEST])
 
 
 def record_name(number: int) -> str:
@@ -121,11 +111,3 @@ def _entries(document: Mapping[str, Any], key: str) -> list[Any]:
     # of a list in a file that may have been edited
     found = document.get(key)
     return list(found) if isinstance(found, list) else []
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None

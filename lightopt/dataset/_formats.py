@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from lightopt.config import PartConfig, RangesConfig, RigConfig
 from lightopt.core.arrays import Bool, Index, UInt8
 from lightopt.core.errors import counted
-from lightopt.dataset._draws import SPLITS, DatasetOptions, Factors
+from lightopt.dataset._draws import SPLITS, STACK, Setup
 from lightopt.dataset._folder import INVISIBLE, DatasetFolder
 from lightopt.dataset._visibility import MIN_IMAGES
 from lightopt.images import csv_text
@@ -44,7 +43,6 @@ def yolo_name(image: str) -> str | None:
 
 
 def is_visible(defect: Record, view: str) -> bool:
-    """Whether a defect can be found in the images of a view."""
     return defect["visibility"][view]["visible"]
 
 
@@ -59,19 +57,17 @@ def yolo_text(defects: Sequence[Record], view: str, kinds: Sequence[str], width:
     return "".join(lines)
 
 
-def write_formats(
-    folder: DatasetFolder, samples: Sequence[Record], views: Sequence[str], kinds: Sequence[str], size: tuple[int, int]
-) -> list[str]:
+def write_formats(folder: DatasetFolder, setup: Setup, samples: Sequence[Record]) -> list[str]:
     """Write COCO's and YOLO's lists of each view, and the table of samples; returns the names of the files."""
-    texts: dict[str, str] = {}
+    views, texts = setup.views, dict[str, str]()
     for view in views:
         for split in SPLITS:
             own = [one for one in samples if one["split"] == split]
-            coco = _coco(own, view, kinds, size)
+            coco = _coco(setup, own, view)
             texts[f"{view}/coco-{split}.json"] = json.dumps(coco, ensure_ascii=False, separators=(",", ":")) + "\n"
             images = (one["files"][view] for one in own if yolo_name(one["files"][view]) is not None)
             texts[f"{view}/{split}.txt"] = "".join(f"./{name.removeprefix(f'{view}/')}\n" for name in images)
-        names = "".join(f"  {number}: {kind}\n" for number, kind in enumerate(kinds))
+        names = "".join(f"  {number}: {kind}\n" for number, kind in enumerate(setup.kinds))
         texts[f"{view}/data.yaml"] = "".join(f"{split}: {split}.txt\n" for split in SPLITS) + f"names:\n{names}"
     header = ("sample", "pose", "elevation_deg", "rotation_deg", "split", "defects", "kinds", *views)
     rows: list[Sequence[object]] = [header]
@@ -87,8 +83,8 @@ def write_formats(
     return list(texts)
 
 
-def _coco(samples: Sequence[Record], view: str, kinds: Sequence[str], size: tuple[int, int]) -> dict[str, Any]:
-    width, height = size
+def _coco(setup: Setup, samples: Sequence[Record], view: str) -> dict[str, Any]:
+    (width, height), kinds = setup.size, setup.kinds
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for one in samples:
@@ -117,22 +113,14 @@ def _coco(samples: Sequence[Record], view: str, kinds: Sequence[str], size: tupl
     return {"images": images, "annotations": annotations, "categories": categories}
 
 
-def datasheet(
-    rig: RigConfig,
-    part: PartConfig,
-    options: DatasetOptions,
-    ranges: RangesConfig,
-    factors: Factors,
-    samples: Sequence[Record],
-    views: Sequence[str],
-    omitted: int,
-) -> str:
+def datasheet(setup: Setup, samples: Sequence[Record], omitted: int) -> str:
     """The datasheet of a dataset, as Markdown: what is in it, what was randomised, what is shared, what labels mean."""
 
     def limits(pair: Sequence[float]) -> str:
         return f"{pair[0]:.4g} to {pair[1]:.4g}"
 
-    reach, dust = ranges.pose, ranges.dust
+    rig, part, options, ranges, factors = setup.rig, setup.part, setup.options, setup.ranges, setup.factors
+    reach, dust, views = ranges.pose, ranges.dust, (STACK, *setup.views)
     tilt = f", tilt ± {reach.tilt_deg:g}°, height ± {reach.lift_mm:g} mm" if reach.tilt_deg or reach.lift_mm else ""
     gains = "; ".join(f"{name} {limits(pair)}" for name, pair in factors.gains.items())
     surface, sensor = part.surface, rig.camera.sensor
@@ -157,7 +145,7 @@ def datasheet(
     shown = {
         (kind, view): sum(d["kind"] == kind and is_visible(d, view) for d in defects)
         for kind in kinds
-        for view in ("stack", *views)
+        for view in views
     }
     scale = f", {sensor.bit_depth} bits scaled to 8" if sensor.bit_depth > 8 else ""
     poses = len({one["pose"] for one in samples})
@@ -204,12 +192,12 @@ def datasheet(
         "",
         labels,
         "",
-        f"| kind | defects | visible in: stack | {' | '.join(views)} |",
-        f"|---|---|---|{'---|' * len(views)}",
+        f"| kind | defects | visible in: {' | '.join(views)} |",
+        f"|---|---|{'---|' * len(views)}",
     ]
     for kind in kinds:
         total = sum(one["kind"] == kind for one in defects)
-        lines.append(f"| {kind} | {total} | {' | '.join(str(shown[kind, view]) for view in ('stack', *views))} |")
+        lines.append(f"| {kind} | {total} | {' | '.join(str(shown[kind, view]) for view in views)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -224,11 +212,7 @@ def union(defects: Sequence[Record], view: str, size: tuple[int, int]) -> UInt8:
 
 
 def box_of(pixels: Index, width: int) -> tuple[int, int, int, int]:
-    """Left column, top row, columns and rows of the box around pixels.
-
-    pixels: Raveled indices, shape (k,)
-    width: Of the image
-    """
+    """Left column, top row, columns and rows of the box around pixels of raveled indices, shape (k,)."""
     row, column = np.divmod(pixels, width)
     left, top = int(column.min()), int(row.min())
     return left, top, int(column.max()) - left + 1, int(row.max()) - top + 1

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt import inspection
-from lightopt.config import RigConfig
 from lightopt.core.arrays import Float32, Float64, Index, UInt8
 from lightopt.core.transforms import Posture
-from lightopt.dataset._draws import DatasetOptions, PoseDraw, SampleDraw
+from lightopt.dataset._draws import FUSED, STACK, PoseDraw, SampleDraw, Setup
 from lightopt.dataset._visibility import Visibility, thresholds, visibility_in_images, visibility_of_change
 from lightopt.defects import CatalogueEntry, PlacedDefect, defect_hypotheses, surface_coordinates
 from lightopt.estimate.registration import Observation, Placement
@@ -29,15 +28,11 @@ MARGIN_PX = 2.0  # around the outline of a defect pixels may show some of it
 
 NOISE = 4.0  # standard deviations above the good part's levels that fused images show as grey
 
-STACK, FUSED = "stack", "fused"
-
 Levels = UInt8 | NDArray[np.uint16]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LabelledDefect:
-    """A defect in the images of a sample."""
-
     placed: PlacedDefect
     pixels: Index  # that show any of it, raveled indices, ascending, shape (k,)
     # in all images together (:data:`STACK`), under each light, and in the fused image where there is one
@@ -64,6 +59,7 @@ class PostureLimits:
 
 @dataclass(frozen=True, eq=False)
 class PoseImages:
+    setup: Setup
     scene: Scene  # with the part where it lies, good and smooth
     view: inspection.PostureView  # the images of this part, without noise, and how far levels of good parts scatter
     actual: PostureImages  # images of the good part, wavy where the part file says so
@@ -102,15 +98,14 @@ class PoseImages:
         return np.stack([_layer(image.diffuse).ravel() / of_pixels for image in self.actual.lights])
 
 
-def render_pose(
-    rig: RigConfig, nominal: Scene, draw: PoseDraw, options: DatasetOptions, threads: int | None
-) -> PoseImages:
+def render_pose(setup: Setup, draw: PoseDraw) -> PoseImages:
     """Render the good part in a pose, under all lights."""
-    scene = draw.scene(nominal)
+    options, threads = setup.options, setup.threads
+    scene = draw.scene(setup.scene)
     caster = cast_rays_at(scene)
     names = tuple(light.name for light in scene.lights)
     prediction = inspection.predict(scene, draw.posture, caster, lights=names, edges=True, threads=threads)
-    exposures = tuple(rig.exposures(name, (options.exposure,))[0] for name in names)
+    exposures = tuple(setup.rig.exposures(name, (options.exposure,))[0] for name in names)
     waved, actual = scene, prediction.images
     if scene.waviness is not None:
         waved = replace(scene, waviness=replace(scene.waviness, seed=draw.waviness_seed))
@@ -124,35 +119,26 @@ def render_pose(
     view = inspection.posture_view(scene, seen, prediction, where=f"pose {draw.number}", exact=False, threads=threads)
     pixels = trace_pixels(scene, draw.posture, caster, threads=threads)
     fused = None if options.fusion is None else inspection.synthetic_image(view, options.fusion, threads=threads)
-    return PoseImages(scene, view, actual, waved, pixels, caster, exposures, fused)
+    return PoseImages(setup, scene, view, actual, waved, pixels, caster, exposures, fused)
 
 
-def posture_limits(
-    rig: RigConfig,
-    nominal: Scene,
-    posture: Posture,
-    catalogue: Sequence[CatalogueEntry],
-    options: DatasetOptions,
-    threads: int | None,
-) -> PostureLimits:
+def posture_limits(setup: Setup, posture: Posture) -> PostureLimits:
     at_rest = PoseDraw(
         number=0, posture=posture, split="", placement=Placement(), sigma_factor=1.0, waviness_seed=0, samples=range(0)
     )
-    pose = render_pose(rig, nominal, at_rest, options, threads)
+    pose = render_pose(setup, at_rest)
     picture = None
     if pose.fused is not None:
         # with room for noise, which is all that a mirror scatters
         brighter = pose.fused.level + NOISE * pose.fused.deviation
         picture = inspection.grey_picture(brighter.astype(np.float32), pose.fused.mask)
     pixels = int(pose.view.clean.sum())
-    found = thresholds(catalogue, pixels, pose.footprint, pose.blur, options.false_alarms)
+    found = thresholds(setup.catalogue, pixels, pose.footprint, pose.blur, setup.options.false_alarms)
     return PostureLimits(thresholds=found, picture=picture)
 
 
-def sample_images(
-    pose: PoseImages, draw: SampleDraw, limits: PostureLimits, options: DatasetOptions, *, where: str
-) -> SampleImages:
-    """The images of one sample, and its defects."""
+def sample_images(pose: PoseImages, draw: SampleDraw, limits: PostureLimits) -> SampleImages:
+    fusion = pose.setup.options.fusion
     kinds: list[CatalogueEntry] = []
     placed: list[PlacedDefect] = []
     for kind in draw.kinds:
@@ -161,15 +147,16 @@ def sample_images(
             kinds.append(kind)
             placed.append(one)
     change = _change_of(pose, placed)
-    fused_change = _fused_change(pose, change, options) if placed else None
+    fused_change = _fused_change(pose, change) if placed else None
     labels = [_label(pose, kind, change, fused_change, i, limits.thresholds[kind.name]) for i, kind in enumerate(kinds)]
     dust = _dust(pose, draw)
-    levels = tuple(_level(pose, draw, change, dust, light, options) for light in range(len(pose.actual.lights)))
+    levels = tuple(_level(pose, draw, change, dust, light) for light in range(len(pose.actual.lights)))
     fused = None
-    if options.fusion is not None and limits.picture is not None:
+    if fusion is not None and limits.picture is not None:
+        where = f"sample {draw.number}"
         seen = _observations(pose.scene, pose.view.posture, pose.exposures, levels)
         view = inspection.posture_view(pose.scene, seen, pose.view.prediction, where=where, exact=False, threads=1)
-        image = inspection.synthetic_image(view, options.fusion, probes=0, threads=1)
+        image = inspection.synthetic_image(view, fusion, probes=0, threads=1)
         fused = inspection.grey_picture(image.level, image.mask, like=limits.picture).grey
     shown = tuple(one for one in labels if len(one.pixels))
     return SampleImages(levels=levels, fused=fused, defects=shown, omitted=len(draw.kinds) - len(shown))
@@ -177,8 +164,6 @@ def sample_images(
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """What defects change."""
-
     placed: Sequence[PlacedDefect]  # the defects
     shown: Index  # numbers among the pose's pixels of those that show any of them, shape (s,)
     share: Float64  # of each such pixel that each defect takes, shape (defects, s)
@@ -213,15 +198,16 @@ def _change_of(pose: PoseImages, placed: Sequence[PlacedDefect]) -> _Change:
     return _Change(placed, shown, bad.defect[:, inside], pixels, diffuse, specular)
 
 
-def _fused_change(pose: PoseImages, change: _Change, options: DatasetOptions) -> Float32 | None:
+def _fused_change(pose: PoseImages, change: _Change) -> Float32 | None:
     # by how many standard deviations defects change the fused image; None where there is none
-    if options.fusion is None or pose.fused is None:
+    fusion = pose.setup.options.fusion
+    if fusion is None or pose.fused is None:
         return None
     level = pose.view.level.copy()
     flat, limit = level.reshape(len(level), -1), pose.view.limit.reshape(len(level), -1)
     varied = flat[:, change.pixels] + change.diffuse + change.specular
     flat[:, change.pixels] = np.clip(varied, 0.0, limit[:, change.pixels])
-    varied = inspection.synthetic_image(replace(pose.view, level=level), options.fusion, probes=0, threads=1).level
+    varied = inspection.synthetic_image(replace(pose.view, level=level), fusion, probes=0, threads=1).level
     return ((varied - pose.fused.level) / np.maximum(pose.fused.deviation, 1e-6)).astype(np.float32)
 
 
@@ -272,12 +258,7 @@ def _dust(pose: PoseImages, draw: SampleDraw) -> list[tuple[Index, Float64, floa
 
 
 def _level(
-    pose: PoseImages,
-    draw: SampleDraw,
-    change: _Change,
-    dust: list[tuple[Index, Float64, float]],
-    light: int,
-    options: DatasetOptions,
+    pose: PoseImages, draw: SampleDraw, change: _Change, dust: list[tuple[Index, Float64, float]], light: int
 ) -> Levels:
     image, scene = pose.actual.lights[light], pose.scene
     diffuse, specular = _layer(image.diffuse), _layer(image.specular)
@@ -292,7 +273,7 @@ def _level(
         sensor=scene.sensor,
         exposure=pose.exposures[light],
         full_scale=scene.reflectance.full_scale,
-        rng=image_rng(options.seed, light=light, posture=draw.number, exposure=0),
+        rng=image_rng(pose.setup.options.seed, light=light, posture=draw.number, exposure=0),
     )
 
 

@@ -35,7 +35,6 @@ DEFAULT_POSTURE_STEP = 22.5
 DEFAULT_OUTSIDE_PX = 10.0
 
 MOST_POSTURES = 2000  # more candidate postures are refused
-_SIDES = ("left", "top", "right", "bottom")
 
 DEFAULT_SHADE_SHARE = 10.0 / 255.0  # share of full scale, above black, below which a level is shaded
 DEFECT_OBJECTIVE = "detectability"  # the objective whose pairs of patch and defect are planned for
@@ -307,11 +306,9 @@ def _out_of_view(scene: Scene, posture: Posture, allowed: float) -> tuple[str, s
     framing = frame_part(view_from_part(scene, posture).camera, scene.mesh)
     if framing.nearest <= 0.0:
         return "the part reaches behind the camera", "view"
-    if not framing.outside and max(framing.excess) <= allowed:
+    if not framing.outside and -min(framing.margins.values()) <= allowed:
         return None
-    leaves = [
-        f"{_pixels(pixels)} at the {side}" for pixels, side in zip(framing.excess, _SIDES, strict=True) if pixels > 0.0
-    ]
+    leaves = [f"{_pixels(-pixels)} at the {side}" for side, pixels in framing.margins.items() if pixels < 0.0]
     limit = "nothing of it is visible" if framing.outside else f"{_pixels(allowed)} are allowed"
     return f"the part leaves the view by {', '.join(leaves)}; {limit}", "view"
 

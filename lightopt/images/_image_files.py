@@ -1,16 +1,15 @@
 """Image files: EXR of float32 channels, PNG of camera levels and of illustrations, photographs; by OpenImageIO."""
 
-from __future__ import annotations
-
 import json
 import signal
 import threading
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,6 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Float32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.images._atomic import write_atomically
-
-if TYPE_CHECKING:
-    import OpenImageIO
 
 Levels = UInt8 | NDArray[np.uint16]
 
@@ -32,33 +28,28 @@ _FORMAT_NAMES = {"openexr": "an OpenEXR image", "png": "a PNG image", "jpeg": "a
 def _openimageio() -> Any:
     """Import OpenImageIO on first use; an interrupt, which would abort the process meanwhile, is held back."""
     if threading.current_thread() is not threading.main_thread():
-        import OpenImageIO
-
-        return OpenImageIO
+        return import_module("OpenImageIO")
     held: list[tuple[int, FrameType | None]] = []
     handler = signal.signal(signal.SIGINT, lambda number, frame: held.append((number, frame)))
     try:
-        import OpenImageIO
+        library = import_module("OpenImageIO")
     finally:
         signal.signal(signal.SIGINT, handler)
     if held and callable(handler):
         handler(*held[0])
-    return OpenImageIO
+    return library
 
 
 def _write_image(
     path: str | Path,
     file_format: str,
-    spec: OpenImageIO.ImageSpec,
+    spec: Any,
     rows: Iterable[NDArray[Any]],
     metadata: Mapping[str, Any],
     *,
     overwrite: bool = True,
 ) -> str:
-    """Encode an image block by block, whole or not at all; returns the SHA-256 in hex.
-
-    `rows` are blocks from the top down, each (rows, W, C) in the spec's sample type.
-    """
+    """Encode an image from blocks of rows (rows, W, C), whole or not at all; returns the SHA-256 in hex."""
     # ASCII JSON with sorted keys: equal metadata are equal bytes, and PNG's Latin-1 text holds them
     text = json.dumps(dict(metadata), sort_keys=True, allow_nan=False, separators=(",", ":"))
     spec.attribute(_METADATA_KEY, text)
@@ -87,7 +78,7 @@ def _write_image(
 
 
 @contextmanager
-def _opened(path: Path, *formats: str) -> Generator[OpenImageIO.ImageInput, None, None]:
+def _opened(path: Path, *formats: str) -> Generator[Any]:
     """Open an image of one of some formats; InputError when it is missing, unreadable or of another one."""
     OpenImageIO = _openimageio()
     try:
@@ -109,7 +100,7 @@ def _opened(path: Path, *formats: str) -> Generator[OpenImageIO.ImageInput, None
         source.close()
 
 
-def _read_pixels(source: OpenImageIO.ImageInput, path: Path, *what: Any) -> NDArray[Any]:
+def _read_pixels(source: Any, path: Path, *what: Any) -> NDArray[Any]:
     """Read the pixels of an opened image, shape (H, W, C); `what` as of OpenImageIO's ``read_image``."""
     pixels = source.read_image(*what)
     if pixels is None or source.has_error:
@@ -168,7 +159,6 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], 
 
 
 def _is_whole_png(path: Path) -> bool:
-    """Whether the file ends as every PNG ends."""
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - len(_END_CHUNK)))
         return file.read(len(_END_CHUNK)) == _END_CHUNK

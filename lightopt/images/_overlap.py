@@ -94,10 +94,7 @@ def write_overlap_map(overlap: Overlap, path: Path, *, overwrite: bool) -> str:
 
 
 def write_overlaps(overlaps: Sequence[Overlap], images: ImageSet, folder: Path, *, force: bool) -> list[Path]:
-    """Write the maps and at last ``overlap.json``; returns their paths.
-
-    Raises InputError: the folder holds overlaps of other images, and `force` is False; or a file cannot be written.
-    """
+    """Write the maps and at last ``overlap.json``; returns their paths. InputError as of a ResultFolder."""
     maps = {overlap_map_name(one.posture, one.exposure): one for one in overlaps}
     made_from = provenance({"image_sets": [images.fingerprint]}, {})
     kind = {"name": "overlap.json", "format": "lightopt-overlap/1", "what": "overlaps"}

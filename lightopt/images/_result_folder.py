@@ -12,13 +12,14 @@ from lightopt.images._atomic import make_folder, remove_file, write_text_atomic
 from lightopt.images._manifest import MANIFEST_NAME
 
 
-def read_listing(path: Path, kind: str) -> dict[str, Any] | None:
-    """The JSON object of a file whose format is a version of `kind`, such as ``lightopt-fit``; None for any other."""
+def read_listing(path: Path, kind: str = "") -> dict[str, Any] | None:
+    """The JSON object of a file, of a version of the format `kind` (``lightopt-fit``) if given; None for any other."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) and str(found.get("format", "")).startswith(f"{kind}/") else None
+    fits = isinstance(found, dict) and (not kind or str(found.get("format", "")).startswith(f"{kind}/"))
+    return found if fits else None
 
 
 def paths_inside(folder: Path, names: Iterable[object]) -> Iterator[Path]:
@@ -31,14 +32,15 @@ def paths_inside(folder: Path, names: Iterable[object]) -> Iterator[Path]:
                 yield path
 
 
-def remove_listed(folder: Path, names: Iterable[object]) -> None:
-    """Remove files by their names in a folder, and their own folders where nothing else is in them."""
+def remove_listed(folder: Path, names: Iterable[object]) -> int:
+    """Remove files by their names in a folder, and folders in it that this leaves empty; returns their number."""
+    removed, home = 0, folder.resolve()
     for path in paths_inside(folder, names):
-        if path.is_file():
-            remove_file(path)
-        if path.parent != folder.resolve():
-            with suppress(OSError):  # something else is in it, or it is gone
-                path.parent.rmdir()
+        removed += path.is_file() and remove_file(path)
+        with suppress(OSError):  # something else is in it, or it is gone
+            for parent in path.parents[: -len(home.parts)]:
+                parent.rmdir()
+    return removed
 
 
 class ResultFolder:
@@ -91,7 +93,6 @@ class ResultFolder:
         return path
 
     def write_text(self, name: str, text: str) -> Path:
-        """Write a text file of the result, whole or not at all."""
         path = self.place(name)
         write_text_atomic(path, text)
         return path

@@ -18,6 +18,7 @@ from lightopt.images import _manifest as names
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._image_files import Levels, write_exr, write_png
 from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_manifest
+from lightopt.images._result_folder import remove_listed
 
 _PATCHES_NAME = "patches.npz"
 
@@ -37,7 +38,6 @@ class ImageSetWriter:
         the way are found before any work.
 
     manifest: What is on disk so far.
-    resumed: Whether a previous run with an equal header is being continued.
     replaced: Number of files of the set of another run that were removed.
     Raises InputError: The folder cannot be written, holds the set of another run or files in the way (without `force`),
         or two images of the plan would share a file; with `force`, the folder holds captured images and the run makes
@@ -55,8 +55,7 @@ class ImageSetWriter:
         self._names.claim_images(plan)
         existing = None if force else resumable_manifest(self.folder, header)
         self.replaced = remove_set(self.folder, header) if force else 0
-        self.resumed = existing is not None
-        self._may_overwrite = force or self.resumed
+        self._may_overwrite = force or existing is not None
         for light, posture, exposure in plan:
             self._writable(names.png_name(light, posture, exposure))
             self._writable(names.exr_name(light, posture))
@@ -293,7 +292,7 @@ def remove_set(folder: Path, header: Manifest) -> int:
     if manifest.kind == "captured" and header.kind != "captured":
         why = f"holds captured images, which {header.kind} ones never replace"
         raise InputError(f"{folder}: {why}; choose another output folder")
-    return _remove_files(folder, manifest)
+    return remove_listed(folder, [name for name, _ in manifest.listed_files])
 
 
 def remove_image_set(folder: Path) -> int:
@@ -301,7 +300,7 @@ def remove_image_set(folder: Path) -> int:
     manifest = _readable_manifest(folder)
     if manifest is None or manifest.kind != "simulated":
         return 0
-    return _remove_files(folder, manifest) + remove_file(folder / names.MANIFEST_NAME)
+    return remove_listed(folder, [*(name for name, _ in manifest.listed_files), names.MANIFEST_NAME])
 
 
 def _readable_manifest(folder: Path) -> Manifest | None:
@@ -309,12 +308,3 @@ def _readable_manifest(folder: Path) -> Manifest | None:
         return read_manifest(folder / names.MANIFEST_NAME)
     except InputError:
         return None
-
-
-def _remove_files(folder: Path, manifest: Manifest) -> int:
-    paths = [folder / name for name in dict.fromkeys(name for name, _ in manifest.listed_files)]
-    removed = sum(map(remove_file, paths))
-    for parent in {path.parent for path in paths if path.parent != folder}:
-        with contextlib.suppress(OSError):  # something else is in it
-            parent.rmdir()
-    return removed

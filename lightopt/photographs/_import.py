@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lightopt import images
 from lightopt.config import load_part, load_rig, standing_at
 from lightopt.core.arrays import Bool, Float64, UInt8
-from lightopt.core.errors import InputError, counted, refuse
+from lightopt.core.errors import InputError, collected, counted, refuse
 from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import rotation_x, vector_of_rotation
@@ -196,8 +196,6 @@ def import_photographs(
 ) -> ImportedSet:
     """Write rig.yaml, part.yaml and an image set of photographs, so that they are read like captured images.
 
-    folder: Of the photographs
-    table: CSV of the lights
     Raises InputError: Table, calibration, images, part or output folder are not as expected
     """
     run = run or RunContext()
@@ -258,14 +256,11 @@ def _common_format(folder: Path, rows: Sequence[TableRow], options: ImportOption
     problems: list[str] = []
     first: images.PhotographFormat | None = None
     for row in rows:
-        try:
+        with collected(problems, where=row.where):
             shape = images.photograph_format(folder / row.image)
-        except InputError as error:
-            problems += [f"{row.where}: {message}" for message in error.messages]
-            continue
-        first = first or shape
-        if shape != first:
-            problems.append(f"{row.where}: {row.image}: {shape}; expected {first} as the photographs above")
+            first = first or shape
+            if shape != first:
+                raise InputError(f"{row.image}: {shape}; expected {first} as the photographs above")
     if first is None or problems:
         raise InputError(*problems)
     if options.bits is not None:

@@ -155,11 +155,7 @@ class TableRow:
 
 
 def read_light_table(path: Path) -> tuple[TableRow, ...]:
-    """Rows of a table of lights.
-
-    Raises InputError: With one message per problem: columns, cells, a light that stands in two places, an image that is
-        listed twice
-    """
+    """Rows of a table of lights; an InputError has a message for each wrong column, cell, light or image."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

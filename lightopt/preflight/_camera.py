@@ -17,7 +17,6 @@ SMALL_WELL = 1000.0  # electrons at saturation below which shot noise alone is o
 MOST_MAGNIFICATION, LEAST_PIXEL_UM = 20.0, 0.3  # beyond these a length has probably another unit
 # what is blurred over more than a pixel is out of focus; a larger share of the surface seen is worth a warning
 FOCUS_PX, MOST_OUT_OF_FOCUS = 1.0, 0.05
-SIDES = ("left", "top", "right", "bottom")
 TABLE_TOLERANCE_MM = 1e-3
 
 
@@ -154,9 +153,7 @@ def check_part_in_view(checked: CheckedScene) -> Iterator[Finding]:
         if framing.nearest <= 0.0:
             yield checked.of_posture(sample, "warning", "view", "the part reaches behind the camera")
             continue
-        sides = (framing.left, framing.top, camera.width - framing.right, camera.height - framing.bottom)
-        margins = dict(zip(SIDES, sides, strict=True))
-        per_pixel = framing.footprint[0]
+        margins, per_pixel = dict(framing.margins), framing.footprint[0]
         in_mm = {side: per_pixel * m for side, m in margins.items()}
         values: dict[str, Any] = {"margin_px": margins, "margin_mm": in_mm}
         texts = {side: f"{abs(m):.0f} px ({abs(m) * per_pixel:.3g} mm) at the {side}" for side, m in margins.items()}
@@ -165,7 +162,7 @@ def check_part_in_view(checked: CheckedScene) -> Iterator[Finding]:
             text = f"the part leaves the view by {', '.join(leaves)}; move it, or let the camera see more"
         else:
             side = min(margins, key=lambda name: margins[name])
-            width, height = framing.right - framing.left, framing.bottom - framing.top
+            width, height = framing.size
             share, along = max((width / camera.width, "width"), (height / camera.height, "height"))
             text = f"inside the view, by {texts[side]} at least; the part fills {percent(share)} of the image's {along}"
             values["least_margin_px"] = margins[side]

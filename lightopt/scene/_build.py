@@ -9,33 +9,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lightopt import geometry
 from lightopt.config import CameraConfig, PartConfig, ReflectanceConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
-from lightopt.geometry import (
-    UNITLESS_SUFFIXES,
-    Brushing,
-    CurvedBrushing,
-    RoundBrushing,
-    StraightBrushing,
-    TriangleMesh,
-    load_mesh,
-    points_inside,
-    transformed,
-)
 from lightopt.optics import DiffuseForm, Reflectance, Sensor, SpecularModel, least_white_level, white_level
-from lightopt.scene._camera import (
-    Distortion,
-    Lens,
-    PinholeCamera,
-    frame_part,
-    pixel_directions,
-    pixel_footprint,
-    place_camera,
-    pose_camera,
-)
+from lightopt.scene import _camera as cameras
 from lightopt.scene._defects import outside_stage_range, place_defects
 from lightopt.scene._image_area import obstructions
 from lightopt.scene._lights import build_lights
@@ -81,7 +62,7 @@ def build_scene(
     placed = build_lights(rig, lights, points)
     # lights that are off stand there, too
     camera = replace(camera, obstructions=obstructions(camera, build_lights(rig) if lights else placed))
-    mesh, placement, warnings = _mesh(part, pixel_footprint(camera, rig.camera.distance_mm))
+    mesh, placement, warnings = _mesh(part, cameras.pixel_footprint(camera, rig.camera.distance_mm))
     reflectance, regions = _reflectances(part, seen=bounces > 0 or rig.environment.level > 0.0)
     scene = Scene(
         camera=camera,
@@ -158,23 +139,20 @@ def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, see
     return reflectance
 
 
-def _brushing(own: ReflectanceConfig) -> Brushing | None:
+def _brushing(own: ReflectanceConfig) -> geometry.Brushing | None:
     # in the mesh file's coordinates
     given = own.brushing
     if given is None:
         return None
     if given.direction is not None:
-        return StraightBrushing(np.array(given.direction))
+        return geometry.StraightBrushing(np.array(given.direction))
     if given.around_axis is not None:
-        return RoundBrushing(np.array(given.around_axis.point_mm), np.array(given.around_axis.direction))
-    return CurvedBrushing(np.array(given.along_curve_mm))
+        return geometry.RoundBrushing(np.array(given.around_axis.point_mm), np.array(given.around_axis.direction))
+    return geometry.CurvedBrushing(np.array(given.along_curve_mm))
 
 
-def build_camera(rig: RigConfig) -> PinholeCamera:
-    """The rig's camera, world frame.
-
-    Raises InputError: The lens model folds the image over
-    """
+def build_camera(rig: RigConfig) -> cameras.PinholeCamera:
+    """The rig's camera, world frame; InputError where the lens model folds the image over."""
     c = rig.camera
     aspect = 1.0
     focus = c.focus_distance_mm or c.distance_mm
@@ -192,21 +170,21 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
         "height": c.resolution_px[1],
         "pixel_size": c.pixel_size_um * 1e-3,
         "image_distance": image_distance,
-        "distortion": Distortion(**c.distortion.model_dump()),
+        "distortion": cameras.Distortion(**c.distortion.model_dump()),
         "principal_point": c.principal_point_px,
         "aspect": aspect,
         "vignetting": (0.0, 0.0) if c.vignetting is None else (c.vignetting.v2, c.vignetting.v4),
         "cos4": c.vignetting is not None and c.vignetting.cos4,
         "lens": None
         if c.aperture is None
-        else Lens(
+        else cameras.Lens(
             aperture=focus * image_distance / (focus + image_distance) / c.aperture,
             focus=focus,
             wavelength=None if c.wavelength_nm is None else c.wavelength_nm * 1e-6,
         ),
     }
     if c.pose is None:
-        camera = place_camera(
+        camera = cameras.place_camera(
             distance=c.distance_mm,
             elevation=math.radians(c.elevation_deg),
             azimuth=math.radians(c.azimuth_deg),
@@ -215,9 +193,9 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
         )
     else:
         rotation = rotation_from_vector(np.radians(c.pose.rotation_vector_deg))
-        camera = pose_camera(position=np.array(c.pose.position_mm, np.float64), rotation=rotation, **image)
+        camera = cameras.pose_camera(position=np.array(c.pose.position_mm, np.float64), rotation=rotation, **image)
     columns, rows = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
-    if not np.isfinite(pixel_directions(camera, columns.ravel(), rows.ravel())).all():
+    if not np.isfinite(cameras.pixel_directions(camera, columns.ravel(), rows.ravel())).all():
         why = "this lens model folds the image over; expected a calibration that covered the whole image"
         raise InputError(f"{rig.source.at('camera', 'distortion')}: {why}")
     return camera
@@ -241,7 +219,6 @@ def build_stage(rig: RigConfig) -> Stage:
 
 
 def build_sensor(camera: CameraConfig) -> Sensor:
-    """The sensor of a rig's camera."""
     own = camera.sensor
     noise, electrons = own.read_noise_levels, own.electrons_per_level
     if own.dark_current_e_per_s > 0 and electrons is not None and camera.exposure_us is not None:
@@ -272,16 +249,16 @@ def _postures(rig: RigConfig, part: PartConfig, chosen: Sequence[Posture] | None
     return tuple(posture for posture, _ in named)
 
 
-def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, tuple[str, ...]]:
+def _mesh(part: PartConfig, footprint: float) -> tuple[geometry.TriangleMesh, Placement, tuple[str, ...]]:
     m = part.mesh
     path = part.source.resolve(m.file)
     tolerance = chord_tolerance(part, footprint)
     # the sagitta of a chord goes with the square of its angle: both limits coarsen alike
     angular_tolerance = ANGULAR_TOLERANCE * max(1.0, math.sqrt(tolerance / CHORD_TOLERANCE_MM))
-    loaded = load_mesh(
+    loaded = geometry.load_mesh(
         path,
         # formats that carry their unit are checked against `units` when the file is read
-        unit_mm=MM_PER_UNIT[m.units] if m.units and path.suffix.lower() in UNITLESS_SUFFIXES else None,
+        unit_mm=MM_PER_UNIT[m.units] if m.units and path.suffix.lower() in geometry.UNITLESS_SUFFIXES else None,
         normals=m.normals,
         crease_angle=math.radians(m.crease_angle_deg),
         chord_tolerance_mm=tolerance,
@@ -295,7 +272,7 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, 
         mesh = replace(mesh, brushing=tuple(map(_brushing, own)))
     rx, ry, rz = (math.radians(angle) for angle in part.placement.rotate_deg)
     rotation = rotation_z(rz) @ rotation_y(ry) @ rotation_x(rx)
-    turned = transformed(mesh, rotation, np.zeros(3))
+    turned = geometry.transformed(mesh, rotation, np.zeros(3))
     low, high = turned.bounds
     shift = np.zeros(3)
     if part.placement.anchor == "rest_on_table":
@@ -303,15 +280,12 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, 
     elif part.placement.anchor == "centred":
         shift = -0.5 * (low + high)
     shift = shift + np.array(part.placement.translate_mm, dtype=np.float64)
-    placed = transformed(turned, np.eye(3), shift)
+    placed = geometry.transformed(turned, np.eye(3), shift)
     return placed, Placement(rotation=rotation, translation=shift), loaded.warnings
 
 
 def chord_tolerance(part: PartConfig, footprint: float) -> float:
-    """How far triangles may be from the CAD surface of a STEP file [mm].
-
-    footprint: Side of a pixel's footprint at the origin [mm]
-    """
+    """How far triangles may be from the CAD surface of a STEP file, for the side of a pixel's footprint [mm]."""
     if part.mesh.chord_tolerance_mm is not None:
         return part.mesh.chord_tolerance_mm
     return min(CHORD_TOLERANCE_MM, CHORD_TOLERANCE_FOOTPRINTS * footprint)
@@ -320,7 +294,7 @@ def chord_tolerance(part: PartConfig, footprint: float) -> float:
 def unit_hint(part: PartConfig, scene: Scene) -> tuple[str, ...]:
     """A message that proposes other units for a file that carries none, where they explain the part's size."""
     size = view_size(scene.camera)
-    if size is None or Path(part.mesh.file).suffix.lower() not in UNITLESS_SUFFIXES:
+    if size is None or Path(part.mesh.file).suffix.lower() not in geometry.UNITLESS_SUFFIXES:
         return ()
     longest = float(np.max(np.subtract(*scene.mesh.bounds[::-1])))
     guess = guess_unit(part, longest, min(size))
@@ -335,17 +309,16 @@ def _check_view(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[str, ..
     hint = unit_hint(part, scene)
     for posture in scene.postures:
         camera = view_from_part(scene, posture).camera
-        if points_inside(camera.position[None], scene.mesh)[0]:
+        if geometry.points_inside(camera.position[None], scene.mesh)[0]:
             text = f"the camera, {rig.camera.distance_mm:g} mm from the origin, is inside the part, {size} mm large"
             raise InputError(f"{where}: {text}; check the mesh's units and the part's placement", *hint)
-        framing = frame_part(camera, scene.mesh)
+        framing = cameras.frame_part(camera, scene.mesh)
         if framing.outside:
             view = f"{camera.width} × {camera.height} px"
             text = f"the part, {size} mm, lies wholly outside the camera's view of {view}; check units and placement"
             outside.append(f"{where}: in posture {posture} {text}")
         elif not framing.inside:
-            sides = zip(("left", "top", "right", "bottom"), framing.excess, strict=True)
-            over = [(side, excess, excess * framing.footprint[0]) for side, excess in sides if excess > 0.0]
+            over = [(side, -px, -px * framing.footprint[0]) for side, px in framing.margins.items() if px < 0.0]
             by = ", ".join(f"{excess:.3g} px ({mm:.3g} mm) at the {side}" for side, excess, mm in over)
             text = f"the part leaves the view by {by}" if by else f"the part, {size} mm, reaches behind the camera"
             warnings.append("; ".join([f"posture {posture}: {text}", *([] if by else hint)]))
@@ -369,10 +342,12 @@ class UnitGuess:
     text: str
 
 
-def view_size(camera: PinholeCamera) -> tuple[float, float] | None:
+def view_size(camera: cameras.PinholeCamera) -> tuple[float, float] | None:
     """Width and height of the view along the image's middle lines on the table [mm]; None where a ray misses it."""
     w, h = float(camera.width), float(camera.height)
-    directions = pixel_directions(camera, np.array([0.0, w, 0.5 * w, 0.5 * w]), np.array([0.5 * h, 0.5 * h, 0.0, h]))
+    directions = cameras.pixel_directions(
+        camera, np.array([0.0, w, 0.5 * w, 0.5 * w]), np.array([0.5 * h, 0.5 * h, 0.0, h])
+    )
     down = -directions[:, 2]
     if down.min() <= 1e-9:
         return None
@@ -398,11 +373,7 @@ def likely_units(longest: float, view: float, unit: str) -> tuple[str, ...]:
 
 
 def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | None:
-    """Units that the part's file is more probably in; None where the part fits the view, or no unit explains it.
-
-    longest: Its longest side as it is read now [mm]
-    view: The view's shorter side [mm]
-    """
+    """Units that the part's file is more probably in, as :func:`likely_units`; None where there are none."""
     # formats that carry their unit: GLB is in metres, STEP is converted to millimetres as it is read
     unit = part.mesh.units or ("m" if part.mesh.file.lower().endswith(".glb") else "mm")
     likely = likely_units(longest, view, unit)

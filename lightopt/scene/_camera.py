@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,7 +31,6 @@ class Distortion:
 
     @property
     def is_zero(self) -> bool:
-        """Whether the lens draws straight lines straight."""
         return not any((self.k1, self.k2, self.p1, self.p2, self.k3))
 
 
@@ -290,15 +290,10 @@ _WINDOW_MARGIN_PX = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Framing:
-    """Where a part lies in the image."""
-
-    # bounding box of the part's vertices in the image [px]; NaN where part of it is behind the camera
-    left: float
-    top: float
-    right: float
-    bottom: float
-    # by how much it leaves the image at the left, top, right and bottom, 0 where it does not [px]
-    excess: tuple[float, float, float, float]
+    # width and height of the box around the part's vertices in the image [px]; NaN where some are behind the camera
+    size: tuple[float, float]
+    # from that box to the image's left, top, right and bottom, by name; below 0 where the part leaves the image [px]
+    margins: Mapping[str, float]
     # depth of the part's vertices along the optical axis [mm]
     nearest: float
     farthest: float
@@ -306,33 +301,22 @@ class Framing:
 
     @property
     def outside(self) -> bool:
-        """Whether no part of the bounding box is in the image."""
-        width, height = self.right - self.left, self.bottom - self.top
-        left, top, right, bottom = self.excess
-        return self.farthest <= 0.0 or left >= width or right >= width or top >= height or bottom >= height
+        beyond = (-margin >= side for margin, side in zip(self.margins.values(), 2 * self.size, strict=True))
+        return self.farthest <= 0.0 or any(beyond)
 
     @property
     def inside(self) -> bool:
-        """Whether the whole bounding box is in the image."""
-        return self.nearest > 0.0 and max(self.excess) == 0.0
+        return self.nearest > 0.0 and min(self.margins.values()) >= 0.0
 
 
 def frame_part(camera: PinholeCamera, mesh: TriangleMesh) -> Framing:
     """Where the part lies in the image; camera and mesh in the same frame."""
     columns, rows, depth = project(camera, mesh.vertices)
     nearest, farthest = float(depth.min()), float(depth.max())
-    if nearest > 0.0:
-        left, right = float(columns.min()), float(columns.max())
-        top, bottom = float(rows.min()), float(rows.max())
-    else:
-        left = right = top = bottom = float("nan")
-    excess = (-left, -top, right - camera.width, bottom - camera.height)
+    left, top, right, bottom = map(float, (columns.min(), rows.min(), columns.max(), rows.max()))
     return Framing(
-        left=left,
-        top=top,
-        right=right,
-        bottom=bottom,
-        excess=tuple(max(0.0, e) for e in excess),  # pyright: ignore[reportArgumentType]
+        size=(right - left, bottom - top),
+        margins={"left": left, "top": top, "right": camera.width - right, "bottom": camera.height - bottom},
         nearest=nearest,
         farthest=farthest,
         footprint=(pixel_footprint(camera, nearest), pixel_footprint(camera, farthest)),

@@ -11,7 +11,7 @@ import numpy as np
 
 from lightopt.config import DefectConfig, PartConfig, PixelPlaceConfig, RigConfig
 from lightopt.core.arrays import Float64
-from lightopt.core.errors import InputError, refuse
+from lightopt.core.errors import InputError, collected, refuse
 from lightopt.core.transforms import Posture
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, PlacedDefect, tangent_direction
 from lightopt.geometry import RayCaster, SurfaceFinder, SurfacePlace, resolve_hits, surface_place
@@ -37,28 +37,19 @@ def place_defects(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[Place
     for index, defect in enumerate(part.defects):
         where = part.source.at("defects", index, "sigma_factor")
         problems += _sigma_problems(part, defect.shape.sigma_factor, where)
-        try:
+        with collected(problems):
             place = search.find(index, defect)
-        except InputError as error:
-            problems += error.messages
-            continue
-        along = tangent_direction(
-            place.normal,
-            math.radians(defect.direction_deg),
-            x_axis=scene.placement.rotation[:, 0],
-            y_axis=scene.placement.rotation[:, 1],
-        )
-        at = {"position": place.point, "normal": place.normal, "along": along}
-        placed.append(PlacedDefect(name=defect.name, shape=defect.shape, **at))
+            x_axis, y_axis = scene.placement.rotation.T[:2]
+            angle = math.radians(defect.direction_deg)
+            along = tangent_direction(place.normal, angle, x_axis=x_axis, y_axis=y_axis)
+            at = {"position": place.point, "normal": place.normal, "along": along}
+            placed.append(PlacedDefect(name=defect.name, shape=defect.shape, **at))
     refuse(problems)
     return tuple(placed)
 
 
 def build_catalogue(part: PartConfig) -> tuple[CatalogueEntry, ...]:
-    """The kinds of defect that a part's inspection is planned for: its own list, or the built-in one.
-
-    Raises InputError: For each haze whose σ no lobe can have
-    """
+    """Kinds of defect that an inspection is planned for: the part's or built-in; InputError for σ of no lobe."""
     if part.defect_catalogue is None:
         catalogue = BUILT_IN_CATALOGUE
         places = ["the built-in haze"] * len(catalogue)

@@ -25,9 +25,8 @@ def build_lights(
 ) -> tuple[lights.PanelLight, ...]:
     """The rig's lights, world frame; each channel of a light is one, or each image of the rig's programme.
 
-    names: Of the lights to keep; all by default
     points: Point lights per panel, instead of the rig's
-    Raises InputError: A name that the rig does not have
+    Raises InputError: One of `names` that the rig does not have
     """
     known = [light.name for light in rig.lights]
     there = f"in {rig.source.path}; it has {', '.join(known)}"

@@ -6,7 +6,7 @@ import numpy as np
 
 from lightopt import geometry
 from lightopt.config import PartConfig, RegionConfig
-from lightopt.core.errors import InputError, refuse
+from lightopt.core.errors import collected, refuse
 from lightopt.images import read_png
 
 
@@ -20,17 +20,11 @@ def mesh_of_regions(loaded: geometry.LoadedMesh, part: PartConfig) -> geometry.T
         return f'{part.source.at("regions", number)}: region "{part.regions[number].name}"'
 
     problems: list[str] = []
-
-    def read(number: int, own: RegionConfig) -> geometry.Region | None:
-        try:
-            return _region(part, own)
-        except InputError as error:
-            problems.append(f"{place(number)}: {error.args[0]}")
-            return None
-
-    found = [read(number, own) for number, own in enumerate(part.regions)]
+    regions: list[geometry.Region] = []
+    for number, own in enumerate(part.regions):
+        with collected(problems, where=place(number)):
+            regions.append(_region(part, own))
     refuse(problems)
-    regions = [region for region in found if region is not None]
     return geometry.mesh_with_regions(loaded, regions, most=part.mesh.max_triangles, place=place)
 
 

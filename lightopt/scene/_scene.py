@@ -34,8 +34,6 @@ class Placement:
 
 @dataclass(frozen=True, kw_only=True)
 class PartRegion:
-    """Surface of a part that reflects in its own way."""
-
     name: str  # as the part file has it
     reflectance: Reflectance
 

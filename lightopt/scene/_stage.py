@@ -66,10 +66,7 @@ def travel_order(postures: Sequence[Posture], *, start: Posture, time: Time) -> 
 
 
 def travel_s(stage: StageDeviceConfig | None, start: Posture, end: Posture) -> float:
-    """Seconds that a stage takes from one posture to another, both axes at a time.
-
-    stage: The device; None for the virtual bench's
-    """
+    """Seconds that a stage, the virtual bench's if None, takes between two postures, both axes at a time."""
     tilt, turn = end.elevation_deg - start.elevation_deg, end.rotation_deg - start.rotation_deg
     if stage is None:
         return max(abs(tilt), abs(turn)) / VIRTUAL_DEG_PER_S

@@ -69,15 +69,12 @@ def phase_noise(amplitude: Float64, noise: Float64 | float, images: int) -> Floa
 
 def phase_gradient(phase: Float64) -> tuple[Float64, Float64]:
     """Change of the phase per pixel to the right and down [rad/px], shape (H, W) each; steps of 2π do not count."""
-    found: list[Float64] = []
-    for axis in (1, 0):
-        steps = _wrapped(np.diff(phase, axis=axis))
-        ends = [(0, 0), (0, 0)]
-        # mean of the steps on both sides; NaN at the image's edge
-        ends[axis] = (1, 1)
-        sides = np.pad(steps, ends, constant_values=np.nan)
-        found.append(0.5 * (sides[:, 1:] + sides[:, :-1]) if axis == 1 else 0.5 * (sides[1:] + sides[:-1]))
-    return found[0], found[1]
+    across, along = (_wrapped(np.diff(phase, axis=axis)) for axis in (1, 0))
+    right, down = np.full(phase.shape, np.nan), np.full(phase.shape, np.nan)
+    # mean of the steps on both sides; NaN at the image's edge
+    right[:, 1:-1] = 0.5 * (across[:, 1:] + across[:, :-1])
+    down[1:-1] = 0.5 * (along[1:] + along[:-1])
+    return right, down
 
 
 def absolute_place(phase: Float64, second_phase: Float64, periods: tuple[float, float], size: float) -> Float64:
@@ -105,20 +102,13 @@ def _wrapped(angle: Float64) -> Float64:
     return np.remainder(angle + math.pi, 2.0 * math.pi) - math.pi
 
 
-@dataclass(frozen=True)
-class SlopeMap:
-    """How far the measured normals lean from the model's, shape (...); NaN where unknown."""
-
-    # towards the X axis as projected onto the model's tangent plane, and towards the direction 90° counterclockwise of
-    # it, seen from outside [deg]
-    x: Float64
-    y: Float64
-
-
 def slope_map(
     points: Float64, normals: Float64, u: Float64, v: Float64, *, camera: Float64, display: PanelLight
-) -> SlopeMap:
+) -> tuple[Float64, Float64]:
     """Slopes of a mirror surface against its model; everything in one frame, the part's or the world's.
+
+    How far the measured normals lean from the model's, shape (...); NaN where unknown: towards the X axis as projected
+    onto the model's tangent plane, and towards the direction 90° counterclockwise of it, seen from outside [deg].
 
     points, normals: Of the model, where each pixel's ray meets it: [mm] and of unit length, shape (..., 3)
     u, v: Place on the display that each pixel sees, from its middle along `across` and `along` [mm], shape (...)
@@ -131,7 +121,7 @@ def slope_map(
     x_axis = _unit(np.where(length >= LEAST_TANGENT, x_axis, np.nan))
     axes = x_axis, np.cross(normals, x_axis)
     x, y = (np.degrees(np.arctan2(_dot(measured, axis), _dot(measured, normals))) for axis in axes)
-    return SlopeMap(x, y)
+    return x, y
 
 
 def _unit(vectors: Float64) -> Float64:
@@ -144,8 +134,6 @@ def _dot(a: Float64, b: Float64) -> Float64:
 
 @dataclass(frozen=True, kw_only=True)
 class DerivedImages:
-    """Images derived from those of a light in a posture."""
-
     light: str
     posture: Posture
     channels: Channels  # by name, shape (H, W) each; NaN where unknown
@@ -278,8 +266,8 @@ def _slopes(series: _Series, u: Float64, v: Float64) -> Channels:
     at, surface, view = (pixels.row, pixels.column), pixels.surface, pixels.view
     display = view.lights[0]
     slopes = slope_map(surface.points, surface.normals, u[at], v[at], camera=view.camera.position, display=display)
-    found = {"slope.x_deg": np.full(pixels.shape, np.nan), "slope.y_deg": np.full(pixels.shape, np.nan)}
-    for image, values in zip(found.values(), (slopes.x, slopes.y), strict=True):
+    found = {name: np.full(pixels.shape, np.nan) for name in ("slope.x_deg", "slope.y_deg")}
+    for image, values in zip(found.values(), slopes, strict=True):
         image[at] = values
     return found
 

@@ -55,15 +55,12 @@ class InversePattern:
 
 @dataclass(frozen=True)
 class ShownDefect:
-    """What a defect changes of the reflection."""
-
     name: str
     change: float  # the greatest at a pixel, as a share of the target's mean
     over_noise: float  # the same in standard deviations of a pixel's noise at exposure 1
 
 
 def display_of(rig: RigConfig, scene: Scene, name: str) -> SurfaceLight:
-    """The display of a rig by the name of its entry."""
     names = {light.name: light.entry_name for light in rig.lights if light.kind == "display"}
     for light in scene.lights:
         if isinstance(light, SurfaceLight) and names.get(light.name) == name:

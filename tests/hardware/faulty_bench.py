@@ -287,15 +287,15 @@ class FaultyAxis(SimulatedAxis):
         super().stop(now)
         self._stays_busy = False
 
-    def _go(self, target: float, speed: float, began: float, *, homing: float | None = None) -> None:
+    def move(self, target: float, speed: float, now: float, *, homing: float | None = None) -> None:
         self._stays_busy = False
         if self.fault is None or not self.fault[1].strikes():
-            super()._go(target, speed, began, homing=homing)
+            super().move(target, speed, now, homing=homing)
             return
         kind, _, share, busy = self.fault
-        start = self.count(began)
+        start = self.count(now)
         end = start + share * (target - start)
-        super()._go(end, speed, began)
+        super().move(end, speed, now)
         if kind == "stall":
             self._stays_busy = busy
         elif end == start:

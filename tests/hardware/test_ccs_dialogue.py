@@ -85,7 +85,7 @@ def test_lan_dialogue(monkeypatch: pytest.MonkeyPatch) -> None:
     assert controller.read_level(2) == 125
     controller.set_level(1, 0)
     assert controller.read_level(1) == 0  # switched off, whatever the intensity
-    assert controller.identify().as_dict() == {"driver": "ccs", "port": "COM7", "status": "00", "read_back": "yes"}
+    assert controller.identify() == {"driver": "ccs", "port": "COM7", "status": "00", "read_back": "yes"}
     controller.close()
     assert (port.dialogue, port.closed, controller.events) == ([], True, [])
 
@@ -249,7 +249,7 @@ def test_where_settings_are_refused_lights_are_set_unverified_and_that_is_report
     controller = CcsController(link, LIGHTS)
     controller.set_level(1, 255)
     assert controller.read_level(1) is None
-    assert controller.identify().details["read_back"] == "no"
+    assert controller.identify()["read_back"] == "no"
     assert any("cannot be read back" in e.what for e in controller.events)
     assert port.dialogue == []
 

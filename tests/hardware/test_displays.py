@@ -19,36 +19,31 @@ import pytest
 from faulty_bench import set_fault, unplug
 
 from lightopt import build_scene, load_part, load_rig, render
+from lightopt.config import PictureConfig
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.images import read_image_set, read_png
 from lightopt.rig.capture import CaptureOptions, capture, check_devices, connect_devices, wiring_of
-from lightopt.rig.devices import (
-    LIGHT_DRIVERS,
-    LightController,
-    LightSettings,
-    PictureSettings,
-    _light_display,
-    all_off,
-    check_display,
-)
+from lightopt.rig.devices import LIGHT_DRIVERS, LightController, LightSettings, _light_display, all_off, check_display
 from lightopt.rig.devices._device import LinkLostError, RefusedError
 from lightopt.rig.simulated import BenchProcess
 
 SIZE = (8, 6)
 LEFT = np.array([[1.0] * 4 + [0.0] * 4] * 6)
 RAMP = np.tile(np.linspace(0.0, 1.0, 6)[:, None], (1, 8))
-PICTURE = PictureSettings(resolution_px=SIZE, pictures={1: lambda: LEFT, 2: lambda: RAMP})
+PICTURE = PictureConfig(resolution_px=SIZE, gamma=1.0, settle_ms=0.0)
+PICTURES = {1: lambda: LEFT, 2: lambda: RAMP}
 
 
 def opened(driver: str, **settings: Any) -> LightController:
-    return LIGHT_DRIVERS[driver](LightSettings("lcd", **{"port": "", "picture": PICTURE, **settings}), None)
+    usual = {"port": "", "picture": PICTURE, "pictures": PICTURES}
+    return LIGHT_DRIVERS[driver](LightSettings("lcd", **{**usual, **settings}), None)
 
 
 def life(controller: LightController, shown: Callable[[], np.ndarray]) -> None:
     """What every display does: sums of lit channels, black without; no level is above the screen's."""
     all_off({"lcd": controller})
     assert (shown() == 0).all()
-    assert controller.identify().details["read_back"] == "no"
+    assert controller.identify()["read_back"] == "no"
     assert controller.set_level(1, 255) is None
     np.testing.assert_array_equal(shown(), np.round(255 * LEFT))
     controller.set_level(1, 102)
@@ -79,7 +74,7 @@ def bench() -> Iterator[BenchProcess]:
 def test_life_of_a_simulated_screen(bench, driver):
     controller = opened(driver, port=bench.ports[driver])
     identity = controller.identify()
-    assert (identity.driver, identity.port) == (driver, bench.ports[driver])
+    assert (identity["driver"], identity["port"]) == (driver, bench.ports[driver])
     life(controller, lambda: np.round(255.0 * np.array(bench.state()["pictures"][driver])))
     controller.set_level(1, 255)
     controller.close()
@@ -93,7 +88,7 @@ def test_a_lost_reply_is_sent_again_and_a_refusal_is_not(bench):
     controller.set_level(1, 255)
     assert sum(event.retry for event in controller.events) >= 1  # more where the computer is busy
     controller.close()
-    wrong = PictureSettings(resolution_px=(6, 8), turn_deg=90, pictures={1: lambda: LEFT})
+    wrong = PictureConfig(resolution_px=(6, 8), turn_deg=90, settle_ms=0.0)
     controller = opened("screen", port=bench.ports["other"], picture=wrong)
     with pytest.raises(RefusedError, match=r'refuses the picture; sent "SHOW 6 8 .*the screen has 8 x 6 pixels'):
         controller.set_level(1, 255)
@@ -246,7 +241,7 @@ def window(tmp_path, monkeypatch) -> Callable[[], list[dict[str, Any]]]:
 def test_life_of_a_window(window):
     controller = opened("screen", monitor=2, timeout_s=20.0)
     assert window() == [{"levels": [0] * 48}]  # black before anything is asked of it
-    assert controller.identify().port == "monitor 2"
+    assert controller.identify()["port"] == "monitor 2"
     life(controller, lambda: np.array(window()[-1]["levels"]).reshape(6, 8))
     controller.set_level(1, 255)
     controller.close()

@@ -121,8 +121,8 @@ def test_life_of_a_controller(rig: Rig) -> None:
     assert top == rig.kind.firmware.get("top_level", 255)
 
     identity = controller.identify()
-    assert (identity.driver, identity.port) == (rig.kind.driver, rig.bench.ports[rig.name])
-    assert identity.details["read_back"] == ("yes" if rig.kind.reads else "no")
+    assert (identity["driver"], identity["port"]) == (rig.kind.driver, rig.bench.ports[rig.name])
+    assert identity["read_back"] == ("yes" if rig.kind.reads else "no")
     assert controller.read_level(1) == (255 if rig.kind.reads else None)
     assert rig.comes_to(at_power_up)
 

@@ -158,7 +158,7 @@ def test_it_is_set_as_a_measuring_instrument() -> None:
     assert {name: sdk.features[name] for name in wanted} == wanted
     assert (camera.triggered, camera.resolution_px, camera.bit_depth) == (True, (4, 2), 8)
     assert camera.exposure_range_us == (20.0, 1e6)
-    assert camera.identify().details["gain"] == "1.5"
+    assert camera.identify()["gain"] == "1.5"
     assert "start" not in sdk.log
     assert reported == []
 

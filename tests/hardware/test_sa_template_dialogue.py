@@ -43,7 +43,7 @@ def test_sa_takes_every_makers_acknowledgement_and_reads_back(monkeypatch: pytes
     controller.set_level(2, 255)
     assert controller.read_level(2) == 255
     controller.set_level(2, 0)
-    assert controller.identify().as_dict() == {"driver": "sa", "port": "COM7", "read_back": "yes"}
+    assert controller.identify() == {"driver": "sa", "port": "COM7", "read_back": "yes"}
     controller.close()
     assert (port.dialogue, port.closed, controller.events) == ([], True, [])
 
@@ -87,7 +87,7 @@ def test_sa_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
     controller = SaController(link, LIGHTS)
     controller.set_level(1, 100)
     assert controller.read_level(1) is None
-    assert controller.identify().details == {"read_back": "no"}
+    assert controller.identify()["read_back"] == "no"
     assert port.dialogue == []
 
 

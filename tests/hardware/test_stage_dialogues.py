@@ -117,7 +117,7 @@ def test_shot_says_its_version_and_stops(monkeypatch: pytest.MonkeyPatch) -> Non
         ],
     )
     shot = stage("shot", pulses())
-    assert shot.identify().as_dict() == {"driver": "shot", "port": "COM9", "version": "V1.30"}
+    assert shot.identify() == {"driver": "shot", "port": "COM9", "version": "V1.30"}
     shot.stop()
     assert script.ended()
 

@@ -76,9 +76,9 @@ def test_a_sphere_is_recovered(tmp_path):
     found = slope_map(surface.points, flat, *places, camera=view.camera.position, display=view.lights[0])
     # of the sphere itself, whose top is at the origin
     true = [np.degrees(np.arctan2(surface.points[:, i], surface.points[:, 2] + radius)) for i in (0, 1)]
-    seen = pixels.clean & np.isfinite(found.x) & (np.hypot(places[0] / 170, places[1] / 120) < 1)
+    seen = pixels.clean & np.isfinite(found[0]) & (np.hypot(places[0] / 170, places[1] / 120) < 1)
     assert seen.sum() > 1500
-    for mine, own in zip((found.x, found.y), true, strict=True):
+    for mine, own in zip(found, true, strict=True):
         assert np.ptp(own[seen]) > 8.0
         assert np.abs(mine - own)[seen].max() <= 0.05 * np.abs(own[seen]).max()
         assert np.sqrt(np.mean((mine - own)[seen] ** 2)) < 0.02

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture import CapturePlan, Devices
-from lightopt.rig.devices import Frame, Identity, StageState
+from lightopt.rig.devices import Frame, StageState
 from lightopt.rig.simulated._bench_process import BenchTruth
 from lightopt.rig.simulated._optics import BenchOptics
 
@@ -45,7 +45,7 @@ class Lights:
         self.world, self.name, self.channels = world, name, channels
 
     def identify(self):
-        return Identity(driver="double", port=self.name)
+        return {"driver": "double", "port": self.name}
 
     def set_level(self, channel, level):
         self.world.note("level", self.name, channel, level)
@@ -65,7 +65,7 @@ class Stage:
         self.world = world
 
     def identify(self):
-        return Identity(driver="double", port="stage")
+        return {"driver": "double", "port": "stage"}
 
     def state(self):
         return StageState(posture=self.world.posture, moving=False, referenced=True)
@@ -102,7 +102,7 @@ class Camera:
         self.number, self.held, self.seen = 0, 0.0, None
 
     def identify(self):
-        return Identity(driver="double", port="camera")
+        return {"driver": "double", "port": "camera"}
 
     def set_exposure(self, exposure_us):
         self.held = float(round(exposure_us))

@@ -236,7 +236,7 @@ def test_a_frame_that_hangs_under_a_lamp_at_the_bench(opened, world, bench):
 
 
 def test_an_exposure_that_the_camera_cannot_have(opened, world, rig, bench):
-    from lightopt.rig.capture._acquisition import AcquisitionEngine, Timing
+    from lightopt.rig.capture._acquisition import AcquisitionEngine
 
     part = load_part(bench.part)
     plan = make_plan(rig, part)
@@ -244,18 +244,18 @@ def test_an_exposure_that_the_camera_cannot_have(opened, world, rig, bench):
     with opened() as devices:
         devices.camera.exposure_range_us = (10.0, 9000.0)
         with pytest.raises(InputError, match=r"an exposure of 10000 µs is outside the camera's 10 to 9000 µs"):
-            AcquisitionEngine(devices, plan, sensor=sensor, timing=Timing())
+            AcquisitionEngine(devices, plan, sensor=sensor)
 
 
 def test_exposures_between_the_steps_of_the_camera_are_refused_in_the_dark(opened, world, rig, bench):
-    from lightopt.rig.capture._acquisition import AcquisitionEngine, Timing
+    from lightopt.rig.capture._acquisition import AcquisitionEngine
 
     part = load_part(bench.part)
     sensor = build_scene(rig, part).sensor
 
     def shooter(devices, *exposures):
         plan = make_plan(rig, part, CaptureOptions(exposures=exposures))
-        AcquisitionEngine(devices, plan, sensor=sensor, timing=Timing()).close()
+        AcquisitionEngine(devices, plan, sensor=sensor).close()
 
     with opened() as devices:
         devices.camera.set_exposure = lambda requested: 20.0 * round(requested / 20)

@@ -19,7 +19,7 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageSetWriter, png_name, read_image_set, read_png
 from lightopt.rig.capture import CapturePlan
-from lightopt.rig.capture._acquisition import AcquisitionEngine, Timing
+from lightopt.rig.capture._acquisition import AcquisitionEngine
 from lightopt.rig.capture._capture import LOCK_NAME
 from lightopt.rig.capture._captured_set import MOST_LINEARS, BackgroundWriter, CapturedSet
 
@@ -193,7 +193,7 @@ def test_nothing_is_written_after_an_image_that_was_not():
     def fail():
         raise InputError("no room")
 
-    done, disk = [], BackgroundWriter(Timing())
+    done, disk = [], BackgroundWriter()
     disk.submit_image(fail)
     disk.submit_image(done.append, 1)
     disk.submit_linear(done.append, 2)
@@ -330,7 +330,7 @@ def test_an_exposure_for_which_the_light_may_not_burn_is_not_begun():
     )
     camera = SimpleNamespace(exposure_range_us=(1.0, 1e7))
     devices = SimpleNamespace(camera=camera, identities=dict, remaining_on_s=lambda name: 0.01)
-    engine = AcquisitionEngine(devices, plan, sensor=None, timing=Timing())
+    engine = AcquisitionEngine(devices, plan, sensor=None)
     engine._lit, engine._held_us = ("light1", {}), 20_000.0
     with pytest.raises(HardwareError, match=r"light1 may be on for 0\.01 s more \(max_on_s\)"):
         engine._grab()

@@ -17,7 +17,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import read_observations
 from lightopt.images import read_exr, read_image_set, read_metadata, read_png
 from lightopt.rig.capture import CapturePlan
-from lightopt.rig.capture._acquisition import AcquisitionEngine, Timing
+from lightopt.rig.capture._acquisition import AcquisitionEngine
 from lightopt.rig.simulated import BenchTruth
 
 
@@ -200,7 +200,7 @@ def test_what_may_not_burn_long_waits_less():
     for left, expected in ((None, 0.16), (5.0, 0.16), (0.1, 0.07), (0.02, 0.0)):
         camera = SimpleNamespace(exposure_range_us=(1.0, 1e7))
         devices = SimpleNamespace(camera=camera, identities=dict, remaining_on_s=lambda name, left=left: left)
-        engine = AcquisitionEngine(devices, plan, sensor=None, timing=Timing())
+        engine = AcquisitionEngine(devices, plan, sensor=None)
         engine._lit = ("light1", {})
         assert engine.max_wait_s((1.0, 0.5)) == pytest.approx(expected)
 

@@ -238,7 +238,8 @@ def test_the_background_of_a_png_is_its_black_level(tmp_path: Path):
     assert (reported.differing, reported.compared) == (1, 100)
     foreign = tmp_path / "a-foreign.png", tmp_path / "b-foreign.png"
     assert compare_files(*foreign).channels[0].compared == 10_000
-    assert compare_files(*foreign, black=(13, 13)).channels[0].compared == 100
+    manifest = Manifest(kind="captured", bit_depth=8, black_level=13)
+    assert compare_files(*foreign, manifests=(manifest, manifest)).channels[0].compared == 100
 
 
 # ---- geometry

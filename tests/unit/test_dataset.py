@@ -231,13 +231,13 @@ def pose(made):
     # without noise, what differs is the defects
     options = DatasetOptions(images=3, seed=5, fusion=None)
     ranges = RangesConfig(format="lightopt-ranges/1", defects=(5, 5), defective=1.0)
-    scene, catalogue = build_scene(rig, part, defects=False), build_catalogue(part)
-    factors = _draws.factors_of(ranges, rig, part)
-    draw = _draws.draw_poses(options, ranges, factors, scene.postures)[0]
-    rendered = _pose.render_pose(rig, scene, draw, options, 1)
-    sample = _draws.draw_sample(0, options, ranges, factors, catalogue, ("light1", "light3"))
-    limits = _pose.posture_limits(rig, scene, draw.posture, catalogue, options, 1)
-    return rendered, sample, limits, options, catalogue
+    factors, catalogue = _draws.factors_of(ranges, rig, part), build_catalogue(part)
+    setup = _draws.Setup(rig, part, options, ranges, factors, catalogue, threads=1)
+    draw = _draws.draw_poses(setup)[0]
+    rendered = _pose.render_pose(setup, draw)
+    sample = _draws.draw_sample(setup, 0)
+    limits = _pose.posture_limits(setup, draw.posture)
+    return rendered, sample, limits, catalogue
 
 
 def silent(rendered, sample, **lights):
@@ -252,8 +252,8 @@ def levels_of(images):
 
 
 def test_masks_are_where_rendered_images_differ(pose):
-    rendered, sample, limits, options, _ = pose
-    images = _pose.sample_images(*silent(rendered, sample), limits, options, where="a test")
+    rendered, sample, limits, _ = pose
+    images = _pose.sample_images(*silent(rendered, sample), limits)
     assert len(images.defects) >= 3
     spoilt = replace(rendered.waved, defects=tuple(one.placed for one in images.defects))
     whole = np.ones(SIZE[::-1], np.bool_)
@@ -270,12 +270,12 @@ def test_masks_are_where_rendered_images_differ(pose):
 
 
 def test_brightness_and_dust_are_those_of_linear_images(pose):
-    rendered, sample, limits, options, _ = pose
-    plain = _pose.sample_images(*silent(rendered, sample, kinds=()), limits, options, where="a test")
+    rendered, sample, limits, _ = pose
+    plain = _pose.sample_images(*silent(rendered, sample, kinds=()), limits)
     place = float(np.argmax(rendered.view.predicted[0].ravel()[rendered.flat] > 20.0)) + 0.5
     brighter = {"R_d": 1.1, "R_s": 0.9, "gains": (0.5, 2.0)}
     dust = {"dust": np.array([[3.0, 80.0]]), "places": np.array([[place / len(rendered.flat), 0.5, 0.5]])}
-    lit = _pose.sample_images(*silent(rendered, sample, kinds=(), **brighter, **dust), limits, options, where="a test")
+    lit = _pose.sample_images(*silent(rendered, sample, kinds=(), **brighter, **dust), limits)
     ((pixels, cover, _),) = _pose._dust(rendered, replace(sample, **dust))
     assert cover.max() == 1.0
     clean = np.setdiff1d(np.arange(SIZE[0] * SIZE[1]), pixels)
@@ -291,13 +291,15 @@ def test_brightness_and_dust_are_those_of_linear_images(pose):
 
 @pytest.mark.nightly
 def test_a_lens_blurs_defects_over_their_masks(pose, made):
-    _, sample, limits, options, _ = pose
+    _, sample, limits, _ = pose
     scene = build_scene(load_rig(made.rig), load_part(made.part), defects=False)
     blurred = replace(scene, camera=replace(scene.camera, lens=Lens(aperture=4.0, focus=480.0)))
-    draw = replace(_draws.draw_poses(options, RangesConfig(format="lightopt-ranges/1"), FACTORS, scene.postures)[0])
-    seen = _pose.render_pose(load_rig(made.rig), blurred, draw, options, 1)
+    setup = replace(pose[0].setup, ranges=RangesConfig(format="lightopt-ranges/1"), factors=FACTORS)
+    setup.__dict__["scene"] = blurred
+    draw = _draws.draw_poses(setup)[0]
+    seen = _pose.render_pose(setup, draw)
     assert seen.blur > 1.0
-    images = _pose.sample_images(*silent(seen, sample, rng=np.random.default_rng(1)), limits, options, where="a test")
+    images = _pose.sample_images(*silent(seen, sample, rng=np.random.default_rng(1)), limits)
     spoilt = replace(seen.waved, defects=tuple(one.placed for one in images.defects))
     truth = render_posture(spoilt, draw.posture, caster=seen.caster, threads=1)
     mask = np.zeros(SIZE[0] * SIZE[1], np.bool_)
@@ -313,8 +315,8 @@ def test_a_lens_blurs_defects_over_their_masks(pose, made):
 
 
 def test_marks_are_the_statistic_of_inspections(pose):
-    rendered, sample, limits, options, _ = pose
-    images = _pose.sample_images(rendered, sample, limits, options, where="a test")
+    rendered, sample, limits, _ = pose
+    images = _pose.sample_images(rendered, sample, limits)
     view, deviation = rendered.view, rendered.deviation
     for one in images.defects:
         spoilt = replace(rendered.waved, defects=(one.placed,))
@@ -394,7 +396,7 @@ def test_a_stopped_run_goes_on_and_a_finished_one_is_left_alone(made, tmp_path, 
     (folder / "poses" / "pose-000001.json").write_text('{"files": 1}', encoding="utf-8")
     assert "(3 of them existed already)" in cli(*command(made, folder)).out
     assert snapshot(folder) == snapshot(made.out)
-    monkeypatch.setattr(_dataset, "build_scene", None)
+    monkeypatch.setattr(_draws, "build_scene", None)
     assert "(4 of them existed already)" in cli(*command(made, folder)).out
 
 

@@ -99,8 +99,9 @@ def test_a_posture_may_leave_the_view_by_as_much_as_is_allowed(bench):
     bench.edit("part.yaml", ", {elevation_deg: -10, rotation_deg: 170}", "")
     postures = (Posture(0.0, 0.0), Posture(-45.0, 0.0), Posture(-20.0, 0.0))
     scene = build_scene(load_rig(bench.rig), load_part(bench.part))
-    excess = {p: max(frame_part(view_from_part(scene, p).camera, scene.mesh).excess) for p in postures}
-    assert excess[postures[0]] == 0.0 < excess[postures[2]] < excess[postures[1]]
+    framings = {p: frame_part(view_from_part(scene, p).camera, scene.mesh) for p in postures}
+    excess = {p: -min(framing.margins.values()) for p, framing in framings.items()}
+    assert excess[postures[0]] <= 0.0 < excess[postures[2]] < excess[postures[1]]
     needed = excess[postures[2]]
     kept, left_out = usable(bench, postures, allow_outside_px=needed)
     assert kept == (postures[0], postures[2])

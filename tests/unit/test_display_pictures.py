@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.config import LightConfig
+from lightopt.config import LightConfig, PictureConfig
 from lightopt.config._light import expanded
 from lightopt.images import write_png
 from lightopt.lights import SurfaceLight, picture_light, place_light, plane_elements, surface_light
 from lightopt.optics import Reflectance
 from lightopt.rendering import SurfacePoints, light_of_channels
-from lightopt.rig.devices import PictureSettings
 from lightopt.rig.devices._light_display import screen_levels
 from lightopt.rig.simulated._firmware import SeenPicture
 from lightopt.rig.simulated._light_screen import ScreenFirmware
@@ -118,7 +117,7 @@ MOUNTS = [(turn, mirrored) for turn in (0, 90, 180, 270) for mirrored in (False,
 @pytest.mark.parametrize(("turn", "mirrored"), MOUNTS)
 def test_a_screen_shows_to_the_part_what_was_meant(turn, mirrored):
     size = (8, 6) if turn % 180 == 0 else (6, 8)
-    settings = PictureSettings(resolution_px=size, gamma=1.8, turn_deg=turn, mirrored=mirrored)
+    settings = PictureConfig(resolution_px=size, gamma=1.8, turn_deg=turn, mirrored=mirrored)
     picture = np.random.default_rng(2).uniform(0.0, 1.0, (6, 8))
     levels = screen_levels(picture, settings)
     assert levels.shape == size[::-1]
@@ -135,7 +134,7 @@ def test_where_the_upper_edge_goes():
     picture[0, 2] = 1.0  # top right as seen from the part
     levels = {
         (turn, mirrored): np.argwhere(
-            screen_levels(picture, PictureSettings(resolution_px=(3, 2), turn_deg=turn, mirrored=mirrored))
+            screen_levels(picture, PictureConfig(resolution_px=(3, 2), gamma=1.0, turn_deg=turn, mirrored=mirrored))
         )[0].tolist()
         for turn, mirrored in MOUNTS
     }
@@ -149,8 +148,8 @@ def test_where_the_upper_edge_goes():
 
 def test_levels_undo_the_response_of_the_screen():
     shares = np.array([[0.0, 0.5**2.2, 1.0]])
-    assert screen_levels(shares, PictureSettings(resolution_px=(3, 1), gamma=2.2)).tolist() == [[0, 128, 255]]
-    assert screen_levels(shares, PictureSettings(resolution_px=(3, 1))).tolist() == [[0, 55, 255]]
+    assert screen_levels(shares, PictureConfig(resolution_px=(3, 1), gamma=2.2)).tolist() == [[0, 128, 255]]
+    assert screen_levels(shares, PictureConfig(resolution_px=(3, 1), gamma=1.0)).tolist() == [[0, 55, 255]]
 
 
 def test_sums_of_channels_are_found_in_a_picture_and_nothing_else():

@@ -272,8 +272,7 @@ def test_set_of_another_run_is_refused_and_left_alone(whole: Path, change: dict[
 
 def test_force_replaces_the_set_of_another_run(whole: Path, tmp_path: Path):
     run(tmp_path, header=replace(HEADER, lightopt="0.0.9"))
-    writer = ImageSetWriter(tmp_path, HEADER, force=True, plan=PLAN)
-    assert not writer.resumed
+    ImageSetWriter(tmp_path, HEADER, force=True, plan=PLAN)
     assert read_manifest(tmp_path / "manifest.json").images == ()
     assert run(tmp_path) == 11
     assert content(tmp_path) == content(whole)

@@ -147,13 +147,13 @@ def test_framing_of_a_box_in_view():
     framing = frame_part(camera_at(), box())
     # the top, 540 mm from the camera, is seen larger than the bottom
     scale = 55.0 / 0.044 / 540.0
-    assert framing.left == pytest.approx(80 - 15 * scale)
-    assert framing.bottom == pytest.approx(60 + 10 * scale)
+    assert framing.margins["left"] == pytest.approx(80 - 15 * scale)
+    assert framing.margins["bottom"] == pytest.approx(60 - 10 * scale)
     assert (framing.nearest, framing.farthest) == pytest.approx((540.0, 550.0))
     assert framing.footprint == pytest.approx((0.432, 0.44))
     assert framing.inside
     assert not framing.outside
-    assert framing.excess == (0, 0, 0, 0)
+    assert framing.size == pytest.approx((30 * scale, 20 * scale))
 
 
 @pytest.mark.parametrize(
@@ -163,11 +163,10 @@ def test_framing_says_by_how_much_and_where(shift, side):
     framing = frame_part(camera_at(), box(at=(*shift, 5.0)))
     assert not framing.inside
     assert not framing.outside
-    over = dict(zip(("left", "top", "right", "bottom"), framing.excess, strict=True))
-    assert {name for name, excess in over.items() if excess > 0} == {side}
+    assert {name for name, margin in framing.margins.items() if margin < 0} == {side}
     scale = 55.0 / 0.044 / 540.0
     reach = (40.0 * scale - 80) if side in ("left", "right") else (35.0 * scale - 60)
-    assert over[side] == pytest.approx(reach)
+    assert framing.margins[side] == pytest.approx(-reach)
 
 
 def test_framing_of_a_box_out_of_view_or_around_the_camera():

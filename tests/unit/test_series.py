@@ -89,8 +89,8 @@ def test_slopes_of_a_tilted_mirror_and_of_a_wrong_height():
         u, v = ((place - display.centre) @ axis for axis in (display.across, display.along))
         arguments = (np.zeros((1, 3)), normal[None], np.array([u]), np.array([v]))
         found = slope_map(*arguments, camera=camera, display=display)
-        assert found.x[0] == pytest.approx(0.2, abs=1e-4)
-        assert abs(found.y[0]) == pytest.approx(expected, abs=0.05 * expected + 1e-4)
+        assert found[0][0] == pytest.approx(0.2, abs=1e-4)
+        assert abs(found[1][0]) == pytest.approx(expected, abs=0.05 * expected + 1e-4)
 
 
 def test_second_periods_that_leave_places_ambiguous_are_refused(bench):

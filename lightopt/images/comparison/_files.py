@@ -103,21 +103,20 @@ def compare_files(
     b: str | Path,
     thresholds: ComparisonThresholds = _DEFAULTS,
     *,
-    saturation: tuple[float | None, float | None] = (None, None),
-    black: tuple[float | None, float | None] = (None, None),
+    manifests: tuple[images.Manifest | None, images.Manifest | None] = (None, None),
 ) -> FileComparison:
     """Compare the golden image `a` with `b`, both EXR or both PNG; other formats, sizes or channels fail.
 
     Pixels that are background in both images are left out: level 0 (the black level in a PNG), or rays that miss in
     geometry images. Thresholds are in sensor levels for PNG, in grey levels for EXR, in mm for geometry.
 
-    saturation, black: Saturation and background levels of the PNGs, where a manifest knows better than the files;
+    manifests: Of the sets of both: they know levels of saturation and background of PNGs better than the files;
         `thresholds.saturation` goes before both.
     Raises InputError: A file is missing, damaged or no image.
     """
     problems: list[str] = []
-    golden = _load_image("golden", Path(a), saturation[0], black[0], problems)
-    new = _load_image("new", Path(b), saturation[1], black[1], problems)
+    golden = _load_image("golden", Path(a), manifests[0], problems)
+    new = _load_image("new", Path(b), manifests[1], problems)
     if golden is None or new is None:
         raise InputError(*problems)
     reasons = list(_structure_problems(golden, new))
@@ -127,16 +126,14 @@ def compare_files(
     return FileComparison(str(a), str(b), channels=channels, reasons=tuple(reasons))
 
 
-def _load_image(
-    role: str, path: Path, saturation: float | None, black: float | None, problems: list[str]
-) -> LoadedFile | None:
-    """Read an image; where that fails, add the problem."""
+def _load_image(role: str, path: Path, manifest: images.Manifest | None, problems: list[str]) -> LoadedFile | None:
     with collected(problems):
         if not path.is_file():
             raise InputError(f"{role} file is missing: {path}")
         image = load_file(path)
-        known = {name: value for name, value in (("saturation", saturation), ("black", black)) if value is not None}
-        return replace(image, **known) if image.kind.startswith("PNG") else image
+        if manifest is None or not image.kind.startswith("PNG"):
+            return image
+        return replace(image, saturation=manifest.saturated_from, black=manifest.black_level)
     return None
 
 
@@ -204,7 +201,6 @@ def compare_tables(a: Path, b: Path, thresholds: ComparisonThresholds) -> FileCo
 
 
 def _load_arrays(role: str, path: Path, reasons: list[str]) -> dict[str, NDArray[Any]]:
-    """Read the arrays; where that fails, add the reason."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
@@ -307,14 +303,12 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds 
     reasons += [f"new set lacks {text}" for text in _in_one_set(missing, golden.manifest, new.manifest)]
     reasons += _manifest_problems(golden.manifest, new.manifest)
     files: list[FileComparison] = []
-    saturation = (golden.manifest.saturated_from, new.manifest.saturated_from)
-    black = (golden.manifest.black_level, new.manifest.black_level)
+    compare_images = partial(compare_files, manifests=(golden.manifest, new.manifest))
     for label in (label for label in old if label in now):
         path_a, path_b = golden.path(old[label][0]), new.path(now[label][0])
         for role, path, digest in (("golden", path_a, old[label][1]), ("new", path_b, now[label][1])):
             if digest is not None and path.is_file() and file_sha256(path) != digest.lower():
                 reasons.append(f"{role} file changed since its manifest was written: {path}")
-        compare_images = partial(compare_files, saturation=saturation, black=black)
         try:
             comparison = (compare_tables if label == _PATCHES else compare_images)(path_a, path_b, thresholds)
         except InputError as error:

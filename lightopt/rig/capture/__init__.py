@@ -8,7 +8,6 @@
 - images: ``_image_checks.py`` (and repeatability of the stage), ``_captured_set.py`` (on disk).
 """
 
-from ._acquisition import Timing
 from ._capture import CaptureResult, capture as capture
 from ._capture_plan import CaptureOptions as CaptureOptions, CapturePlan, cycle_time, make_plan as make_plan
 from ._captured_set import check_folder

@@ -2,9 +2,8 @@
 
 import math
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -138,30 +137,6 @@ def merge_exposures(
 EXPOSURE_TOLERANCE = 0.005
 
 
-@dataclass
-class Timing:
-    """Time spent on each part of a capture [s]."""
-
-    whole_s: float = 0.0
-    opening_s: float = 0.0  # reading the mesh, planning, and opening the devices
-    moving_s: float = 0.0
-    settling_s: float = 0.0
-    exposing_s: float = 0.0
-    transfer_s: float = 0.0
-    lights_s: float = 0.0
-    writing_s: float = 0.0
-    closing_s: float = 0.0  # switching all lights off once more at the end, and closing the devices
-
-    @contextmanager
-    def spent(self, name: str) -> Generator[None]:
-        """Count the time of the block as `name`."""
-        begun = time.monotonic()
-        try:
-            yield
-        finally:
-            setattr(self, name, getattr(self, name) + time.monotonic() - begun)
-
-
 @dataclass(frozen=True, kw_only=True)
 class AcquiredImage:
     light: str | None  # None for a frame without light
@@ -178,7 +153,7 @@ class AcquiredImage:
 class AcquisitionEngine:
     """Takes the images of a plan; InputError, with nothing lit or moved, where the camera lacks an exposure time."""
 
-    def __init__(self, devices: Devices, plan: CapturePlan, *, sensor: Sensor, timing: Timing) -> None:
+    def __init__(self, devices: Devices, plan: CapturePlan, *, sensor: Sensor) -> None:
         devices.step = "querying the identity of the devices"
         self._identities = devices.identities()
         # refuse a plan whose exposures the camera cannot hold; each that is in its range is set once
@@ -195,7 +170,6 @@ class AcquisitionEngine:
         self.devices = devices
         self._plan = plan
         self._sensor = sensor
-        self._timing = timing
         self._stage: dict[str, Any] | None = None
         self._stage_settled = 0.0
         self._lit: tuple[str, dict[str, Any]] | None = None
@@ -211,15 +185,13 @@ class AcquisitionEngine:
 
     def home(self) -> None:
         self.devices.step = "homing the stage"
-        with self._timing.spent("moving_s"):
-            self.devices.home()
+        self.devices.home()
 
     def move(self, posture: Posture) -> None:
         if self.devices.stage is None:
             return
         self.devices.step = f"moving the stage to {posture}"
-        with self._timing.spent("moving_s"):
-            state = self.devices.move_to(posture)
+        state = self.devices.move_to(posture)
         self._stage_settled = time.monotonic() + self._plan.wiring.hardware.timing.stage_ms / 1e3
         self._stage = {"requested": posture.as_dict(), "read": state.posture.as_dict()}
         self._changed = True
@@ -229,15 +201,14 @@ class AcquisitionEngine:
         if self.devices.stage is None:
             return
         self.devices.step = "checking that the stage has not moved"
-        with self._timing.spent("moving_s"):
-            self.devices.stage.confirm()
+        self.devices.stage.confirm()
 
     def light_on(self, name: str) -> None:
         """Light an image, once the stage needs no longer to settle than the lights; they settle while read back."""
         self.devices.step = f"lighting {name}"
         light_s = self._plan.wiring.hardware.timing.light_ms / 1e3
         self._wait_until(self._stage_settled - light_s)
-        begun, sent = time.monotonic(), 0.0
+        sent = 0.0
         facts: list[dict[str, Any]] = []
         for light, level in self._plan.wiring.levels(name).items():
             channel = self._plan.wiring.light(light)
@@ -245,9 +216,6 @@ class AcquisitionEngine:
             sent = self.devices.controllers[channel.controller].level_set_s
             of_device = {"controller": channel.controller, "channel": channel.channel}
             facts.append({**of_device, "level": {"requested": level, "read": held}})
-        read_s = time.monotonic() - sent
-        self._timing.settling_s += min(read_s, light_s)
-        self._timing.lights_s += sent - begun + max(0.0, read_s - light_s)
         self._light_settled = sent + light_s
         self._lit = (name, facts[0] if len(facts) == 1 else {"lights": facts})
         self._changed = True
@@ -255,8 +223,7 @@ class AcquisitionEngine:
     def light_off(self) -> None:
         assert self._lit is not None
         self.devices.step = f"switching {self._lit[0]} off"
-        with self._timing.spent("lights_s"):
-            self.devices.light_off(self._lit[0])
+        self.devices.light_off(self._lit[0])
         self._light_settled = time.monotonic() + self._plan.wiring.hardware.timing.light_ms / 1e3
         self._lit = None
         self._changed = True
@@ -271,10 +238,9 @@ class AcquisitionEngine:
         self._changed = self._changed or held != self._held_us
         self._held_us = held
 
-    def settle(self, *, counted: str = "settling_s") -> None:
-        """Wait until stage and light have settled; `counted` names the entry of the timing."""
+    def settle(self) -> None:
         self.devices.step = "letting stage and light settle"
-        self._wait_until(max(self._stage_settled, self._light_settled), counted)
+        self._wait_until(max(self._stage_settled, self._light_settled))
 
     def max_wait_s(self, exposures: Sequence[float]) -> float:
         """How long a settled light may stay lit unused before its exposures [s].
@@ -343,16 +309,11 @@ class AcquisitionEngine:
 
     def _grab(self) -> Frame:
         assert self._held_us is not None
-        exposure_s = self._held_us / 1e6
         light = self._lit[0] if self._lit else None
-        if (left_s := self._remaining_on_s()) is not None and left_s <= exposure_s:
+        if (left_s := self._remaining_on_s()) is not None and left_s <= self._held_us / 1e6:
             longer = "and the exposure takes longer: frames came later than planned; take fewer or shorter exposures"
             raise HardwareError(f"{light} may be on for {max(0.0, left_s):.3g} s more (max_on_s) {longer}")
-        begun = time.monotonic()
         frame = self.devices.grab(self._held_us, light)
-        taken_s = time.monotonic() - begun
-        self._timing.exposing_s += min(exposure_s, taken_s)
-        self._timing.transfer_s += max(0.0, taken_s - exposure_s)
         (width, height), most = self.devices.camera.resolution_px, self._sensor.max_level
         rows, columns = frame.levels.shape
         if (rows, columns) != (height, width) or int(frame.levels.max()) > most:
@@ -363,13 +324,11 @@ class AcquisitionEngine:
         return frame
 
     def _remaining_on_s(self) -> float | None:
-        """How long the light may stay lit [s]; None where nothing limits it."""
         return None if self._lit is None else self.devices.remaining_on_s(self._lit[0])
 
-    def _wait_until(self, moment: float, counted: str = "settling_s") -> None:
-        with self._timing.spent(counted):
-            while (left := moment - time.monotonic()) > 0:
-                time.sleep(left)
+    def _wait_until(self, moment: float) -> None:
+        while (left := moment - time.monotonic()) > 0:
+            time.sleep(left)
 
 
 def _holds(held_us: float, wanted_us: float) -> bool:

@@ -16,7 +16,7 @@ from lightopt.core.errors import HardwareError, InputError, Interrupted, Lightop
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import EVENTS_KEY, REPEATABILITY_KEY, make_folder
-from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine, Dark, ExposureImage, Timing
+from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine, Dark, ExposureImage
 from lightopt.rig.capture._capture_plan import CaptureOptions, CapturePlan, make_plan
 from lightopt.rig.capture._captured_set import BackgroundWriter, CapturedSet, open_set
 from lightopt.rig.capture._connect import connect_devices
@@ -31,13 +31,12 @@ DISK_WARNING_S = 1.0  # longest silent wait for the disk at the end [s]; then a 
 class CaptureSession:
     """Takes the missing images of a plan (`taken` so far), and reports what an interrupted run has on disk."""
 
-    def __init__(self, plan: CapturePlan, scene: Scene, records: CapturedSet, timing: Timing, run: RunContext) -> None:
+    def __init__(self, plan: CapturePlan, scene: Scene, records: CapturedSet, run: RunContext) -> None:
         self._plan = plan
         self._scene = scene
         self._records = records
-        self._timing = timing
         self._run = run
-        self._writer = BackgroundWriter(timing)
+        self._writer = BackgroundWriter()
         self._checker = ImageChecker(scene, check=plan.options.check, with_dark=plan.options.dark)
         missing = sum(len(records.missing(light, posture)) for posture in plan.postures for light in plan.lights)
         self._on_disk = len(plan.keys) - missing
@@ -86,17 +85,12 @@ class CaptureSession:
 
     def todo(self) -> list[Posture]:
         records, darks = self._records, self._plan.dark_exposures
-
-        def is_complete(posture: Posture) -> bool:
-            return not records.todo(posture) and all(records.has_dark(posture, exposure) for exposure in darks)
-
-        return [posture for posture in self._plan.postures if not is_complete(posture)]
+        lack_dark = {p for p in self._plan.postures for exposure in darks if not records.has_dark(p, exposure)}
+        return [posture for posture in self._plan.postures if posture in lack_dark or records.todo(posture)]
 
     def execute(self, devices: Devices) -> None:
         self._devices = devices
-        with self._timing.spent("opening_s"):
-            sensor = self._scene.sensor
-            self._started = AcquisitionEngine(devices, self._plan, sensor=sensor, timing=self._timing)
+        self._started = AcquisitionEngine(devices, self._plan, sensor=self._scene.sensor)
         if self._plan.home:
             self._report_progress("homing the stage")
             self._engine.home()
@@ -165,9 +159,7 @@ class CaptureSession:
     def _finish(self, *, failed: bool, lights: str) -> bool:
         """Finish writing, whatever happens, while signals are held back; returns whether one came."""
         with EndSignals() as signals, signals.shielded():
-            if failed:
-                self._writer.cancel_linears()
-            if not self._writer.wait_idle(DISK_WARNING_S):
+            if not self._writer.wait_idle(DISK_WARNING_S, failed=failed):
                 self._run.warn(f"{lights}waiting until the disk has written the exposed images; Ctrl-C also waits")
             self._writer.close()
             if self._started is not None:
@@ -266,12 +258,11 @@ class CaptureSession:
             engine.devices.step = "checking and writing the previous image"
             self._writer.wait_for_image()
             engine.light_on(light)
-            engine.settle(counted="writing_s")
+            engine.settle()
         return engine.expose(posture, exposure)
 
     def _report_progress(self, what: str) -> None:
-        if (report := self._run.stage(what)) is not None:
-            report((self._on_disk + self.taken) / len(self._plan.keys))
+        self._run.stage(what)((self._on_disk + self.taken) / len(self._plan.keys))
 
 
 Connect = Callable[[CapturePlan], Devices]  # opens the devices of a plan
@@ -287,7 +278,7 @@ class CaptureResult:
     replaced: int  # files of another set that were removed
     retries: int  # commands that were sent again
     virtual_bench: bool  # whether the rig has no hardware section, so that all devices were simulated
-    timing: Timing
+    seconds: float
     warnings: tuple[str, ...]  # also in the manifest
 
 
@@ -318,10 +309,9 @@ def capture(
         is on disk.
     """
     run = run or RunContext()
-    folder, timing, begun = Path(folder), Timing(), time.monotonic()
-    with timing.spent("opening_s"):
-        plan = make_plan(rig, part, options)
-        scene = build_scene(rig, part, postures=plan.postures, defects=False)
+    folder, begun = Path(folder), time.monotonic()
+    plan = make_plan(rig, part, options)
+    scene = build_scene(rig, part, postures=plan.postures, defects=False)
     # on the way out the devices are made safe first, then pending images are written
     with lock_folder(folder), ExitStack() as finishing, ExitStack() as safe:
 
@@ -331,31 +321,24 @@ def capture(
             else:
                 opened = connect_devices(rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, run=run)
             devices = safe.enter_context(opened)
-            expected, found = (
-                "{} × {} pixels of {} bits".format(*size, bits)
-                for size, bits in (
-                    (rig.camera.resolution_px, rig.camera.sensor.bit_depth),
-                    (devices.camera.resolution_px, devices.camera.bit_depth),
-                )
-            )
+            form = "{} × {} pixels of {} bits"
+            expected = form.format(*rig.camera.resolution_px, rig.camera.sensor.bit_depth)
+            found = form.format(*devices.camera.resolution_px, devices.camera.bit_depth)
             if found != expected:  # nothing is lit or moved yet
                 raise InputError(f"{rig.source.at('camera')}: the rig has {expected}, the camera delivers {found}")
             return devices
 
-        with timing.spent("opening_s"):
-            # a set that is there is removed only once the devices that are to replace it are open and dark
-            devices = open_devices() if force else None
-            records = open_set(folder, rig, part, scene, plan, resume=resume, force=force)
-            session = finishing.enter_context(CaptureSession(plan, scene, records, timing, run))
-            session.warn(*scene.warnings)
-            if devices is None and session.todo():
-                devices = open_devices()
+        # a set that is there is removed only once the devices that are to replace it are open and dark
+        devices = open_devices() if force else None
+        records = open_set(folder, rig, part, scene, plan, resume=resume, force=force)
+        session = finishing.enter_context(CaptureSession(plan, scene, records, run))
+        session.warn(*scene.warnings)
+        if devices is None and session.todo():
+            devices = open_devices()
         if devices is not None:
             session.execute(devices)
-            with timing.spent("closing_s"):
-                safe.close()
+            safe.close()
         session.flush()
-    timing.whole_s = time.monotonic() - begun
     return CaptureResult(
         folder=folder,
         images=len(plan.keys),
@@ -363,7 +346,7 @@ def capture(
         replaced=records.writer.replaced,
         retries=0 if devices is None else devices.retries,
         virtual_bench=not plan.wiring.given,
-        timing=timing,
+        seconds=time.monotonic() - begun,
         warnings=session.warnings,
     )
 

@@ -71,8 +71,6 @@ class PlanStep:
 
 @dataclass(frozen=True, kw_only=True)
 class CapturePlan:
-    """A capture as data."""
-
     wiring: Wiring
     options: CaptureOptions
     postures: tuple[Posture, ...]  # in the order of travel

@@ -14,7 +14,7 @@ from lightopt.core.arrays import Float32
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.rendering import set_manifest
-from lightopt.rig.capture._acquisition import AcquiredImage, ExposureImage, FrameMean, Timing, merge_exposures
+from lightopt.rig.capture._acquisition import AcquiredImage, ExposureImage, FrameMean, merge_exposures
 from lightopt.rig.capture._capture_plan import CapturePlan
 from lightopt.scene import Scene, build_scene
 
@@ -178,8 +178,7 @@ class BackgroundWriter:
     :class:`InputError` of the workers is raised here as :class:`HardwareError`.
     """
 
-    def __init__(self, timing: Timing) -> None:
-        self._timing = timing
+    def __init__(self) -> None:
         self._images = ThreadPoolExecutor(1, thread_name_prefix="disk")
         self._linears = ThreadPoolExecutor(1, thread_name_prefix="linear")
         self._last: Future[None] | None = None
@@ -198,23 +197,20 @@ class BackgroundWriter:
         """Wait until the last image is on disk, at most so long [s]; returns whether it is, raises its error."""
         if self._last is None:
             return True
-        with self._timing.spent("writing_s"):
-            wait([self._last], longest_s)
+        wait([self._last], longest_s)
         if not self._last.done():
             return False
         _result(self._last)
         return True
 
     def wait(self) -> None:
-        """Wait until all is on disk; the first error is raised here."""
         self.wait_for_image()
         self._wait_for_linears(0)
 
-    def cancel_linears(self) -> None:
-        self._linears.shutdown(wait=False, cancel_futures=True)
-
-    def wait_idle(self, longest_s: float) -> bool:
-        """Wait at most so long [s]; returns whether all is done."""
+    def wait_idle(self, longest_s: float, *, failed: bool) -> bool:
+        """Wait at most so long [s]; returns whether all is done. After a failure no further linear image begins."""
+        if failed:
+            self._linears.shutdown(wait=False, cancel_futures=True)
         last = [self._last] if self._last is not None else []
         return not wait([f for f in (*self._queued, *last) if not f.done()], longest_s).not_done
 
@@ -225,15 +221,14 @@ class BackgroundWriter:
 
     def _wait_for_linears(self, most: int) -> None:
         """Wait until at most so many linear images are not written yet; the first error of the others is raised."""
-        with self._timing.spent("writing_s"):
-            while True:
-                done = [future for future in self._queued if future.done()]
-                self._queued = [future for future in self._queued if future not in done]
-                for future in done:
-                    _result(future)
-                if len(self._queued) <= most:
-                    return
-                wait(self._queued, return_when=FIRST_COMPLETED)
+        while True:
+            done = [future for future in self._queued if future.done()]
+            self._queued = [future for future in self._queued if future not in done]
+            for future in done:
+                _result(future)
+            if len(self._queued) <= most:
+                return
+            wait(self._queued, return_when=FIRST_COMPLETED)
 
 
 def _run_after(before: Future[None] | None, work: Callable[..., None], *arguments: object) -> None:

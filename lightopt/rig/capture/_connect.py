@@ -148,7 +148,7 @@ def check_devices(
                 devices.check_display(device.command, wiring.folder)
     if stage is not None:
         with collected(problems, where=rig.source.at("hardware", "stage")):
-            devices.check_stage(stage.driver, stage_axes(rig, stage))
+            devices.STAGE_DRIVERS[stage.driver].check_axes(stage_axes(rig, stage))
     refuse(problems)
     return replay
 

@@ -209,7 +209,6 @@ class ImageChecker:
         self._undecided: set[str] = set()
 
     def has_dark_reference(self, exposure: float) -> bool:
-        """Whether a frame without light has been seen at an exposure."""
         return self._caster is None or exposure in self._reference
 
     def predict(self, posture: Posture) -> None:

@@ -12,7 +12,8 @@ from lightopt.core.errors import HardwareError, InputError, LightoptError, error
 from lightopt.core.run_context import RunContext
 from lightopt.rig import devices
 from lightopt.rig.capture._signals import EndSignals
-from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, start_lights, wiring_of
+from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, simulated_controllers, wiring_of
+from lightopt.rig.simulated import BenchProcess
 
 NONE_OF_THE_RIG = "none that the rig names"
 
@@ -76,14 +77,12 @@ def open_lights(
 
 def open_controller(wiring: Wiring, name: str, *, port: str, log: devices.SerialLog | None) -> devices.LightController:
     config = wiring.hardware.controllers[name]
-    picture: devices.PictureSettings | None = None
-    if config.picture is not None:
-        picture = devices.PictureSettings(**config.picture.model_dump(), pictures=wiring.pictures(name))
     settings = devices.LightSettings(
         name=name,
         port=port,
         **config.model_dump(exclude={"driver", "port", "picture"}),
-        picture=picture,
+        picture=config.picture,
+        pictures=wiring.pictures(name),
         folder=wiring.folder,
         max_levels={
             channel.channel: channel.max_level
@@ -131,7 +130,7 @@ def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunCo
         for virtual in (False, True):  # what is real does not wait for what is not
             group = [name for name in names if (names[name].port == VIRTUAL) is virtual]
             if virtual and group:
-                ports.update(stack.enter_context(start_lights(wiring)).ports)
+                ports.update(stack.enter_context(BenchProcess(simulated_controllers(wiring))).ports)
             done = open_lights(
                 wiring, group, ports=ports, log=log, darken=True, opened=lambda c: stack.callback(c.close)
             )
@@ -157,7 +156,6 @@ def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunCo
 
 
 def _wiring(lights: LightsOnly) -> Wiring:
-    """Controllers and lights of a rig, without its stage."""
     if lights.rig is not None:
         wiring = wiring_of(lights.rig)
         return replace(wiring, hardware=wiring.hardware.model_copy(update={"stage": None}))

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -20,11 +19,7 @@ from lightopt.scene import angle_outside_range
 _DARKENING_S = 0.3  # a light is switched off so long before it reaches its `max_on_s`
 
 
-@dataclass(frozen=True, kw_only=True)
-class DeviceStatus:
-    name: str
-    text: str
-    failed: bool = False
+DeviceStatus = tuple[str, str, bool]  # name, state in words, and whether it failed
 
 
 def device_statuses(
@@ -39,7 +34,7 @@ def device_statuses(
         channel = wiring.light(light.name)
         if channel.controller in unreachable:
             text = f"{channel.controller} channel {channel.channel}: its controller does not answer"
-            yield DeviceStatus(name=f"light {light.name}", text=text)
+            yield f"light {light.name}", text, False
         else:
             yield _status(f"light {light.name}", partial(_light_state, devices, channel))
     if devices.stage is not None or STAGE in unreachable:
@@ -124,19 +119,18 @@ def snap(
 
 
 def _status(name: str, query: Callable[[], str], problem: LightoptError | None = None) -> DeviceStatus:
-    """State of a device; `problem` is why it could not be opened."""
     try:
         if problem is not None:
             raise problem
-        return DeviceStatus(name=name, text=query())
+        return name, query(), False
     except LightoptError as error:
-        return DeviceStatus(name=name, text=str(error), failed=True)
+        return name, str(error), True
 
 
 def _controller_state(devices: Devices, name: str) -> str:
     config = devices.wiring.hardware.controllers[name]
-    details = devices.controllers[name].identify().details
-    return ", ".join([f"{config.driver} on {controller_place(config)}", *map(" ".join, details.items())])
+    _, _, *details = devices.controllers[name].identify().items()  # after driver and port
+    return ", ".join([f"{config.driver} on {controller_place(config)}", *map(" ".join, details)])
 
 
 def controller_place(config: ControllerConfig) -> str:

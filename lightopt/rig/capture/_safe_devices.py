@@ -6,7 +6,6 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
@@ -56,7 +55,6 @@ class Devices:
 
     @property
     def camera(self) -> devices.Camera:
-        """The camera; opened only where images are taken."""
         assert self._camera is not None
         return self._camera
 
@@ -205,8 +203,8 @@ class Devices:
     def identities(self) -> dict[str, Any]:
         others = {"stage": self.stage, "camera": self._camera}
         return {
-            "lights": {name: device.identify().as_dict() for name, device in self.controllers.items()},
-            **{name: device and device.identify().as_dict() for name, device in others.items()},
+            "lights": {name: device.identify() for name, device in self.controllers.items()},
+            **{name: device and device.identify() for name, device in others.items()},
         }
 
     def _make_safe(self, *, failed: bool) -> tuple[list[str], str | None]:
@@ -257,15 +255,6 @@ class Devices:
 _RETRY_S = 0.5  # a light that did not go dark is tried again after
 
 
-@dataclass(eq=False)
-class _LitPeriod:
-    """A light that is on, until when [s, monotonic] it may be, and what ends the thread that watches it."""
-
-    longest_s: float
-    until: float
-    over: threading.Event = field(default_factory=threading.Event)
-
-
 class LightWatchdog:
     """Darkens lights that have been on for their `max_on_s`, each from a thread of its own.
 
@@ -277,7 +266,8 @@ class LightWatchdog:
     def __init__(self, darken: Callable[[str], None]) -> None:
         self._darken = darken
         self._lock = threading.Lock()
-        self._periods: dict[str, _LitPeriod] = {}
+        # until when [s, monotonic] a light may be on, and what ends the thread that watches it
+        self._periods: dict[str, tuple[float, threading.Event]] = {}
         self._problems: dict[str, str] = {}
         # held while a light is darkened, so that it is not lit again meanwhile
         self._darkening: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
@@ -285,12 +275,12 @@ class LightWatchdog:
     def start(self, light: str, longest_s: float) -> None:
         """Allow a light to be on for so long [s] from now."""
         self.stop(light)
-        period = _LitPeriod(longest_s, time.monotonic() + longest_s)
+        over = threading.Event()
         with self._lock:
             self._problems.pop(light, None)
-            self._periods[light] = period
+            self._periods[light] = time.monotonic() + longest_s, over
         try:
-            threading.Thread(target=self._watch, args=(light, period), daemon=True).start()
+            threading.Thread(target=self._watch, args=(light, longest_s, over), daemon=True).start()
         except BaseException:  # the light is not lit then
             self.stop(light)
             raise
@@ -299,13 +289,13 @@ class LightWatchdog:
         """Remaining time that a light may be on [s]; None where nothing limits it."""
         with self._lock:
             period = self._periods.get(light)
-            return None if period is None else period.until - time.monotonic()
+            return None if period is None else period[0] - time.monotonic()
 
     def stop(self, light: str) -> None:
         """Stop watching a light, which is dark; waits while it is being darkened."""
         with self._darkening_of(light), self._lock:
             if period := self._periods.pop(light, None):
-                period.over.set()
+                period[1].set()
 
     def stop_all(self) -> None:
         """Stop watching all lights: they are dark, or switching them off was tried."""
@@ -317,12 +307,12 @@ class LightWatchdog:
         with self._lock:
             return self._problems.pop(light, None)
 
-    def _watch(self, light: str, period: _LitPeriod) -> None:
+    def _watch(self, light: str, longest_s: float, over: threading.Event) -> None:
         """Darken a light when its time is up, and try again for as long as that fails."""
-        wait_s, longest = period.longest_s, f"its max_on_s of {period.longest_s:g} s"
-        while not period.over.wait(wait_s):
+        wait_s, longest = longest_s, f"its max_on_s of {longest_s:g} s"
+        while not over.wait(wait_s):
             with self._darkening_of(light):
-                if period.over.is_set():
+                if over.is_set():
                     return
                 problem: str | None = None
                 try:
@@ -332,7 +322,7 @@ class LightWatchdog:
                 with self._lock:
                     if problem is None:
                         self._periods.pop(light, None)
-                        period.over.set()
+                        over.set()
                         outcome = "and was switched off, although it was still needed: something took too long"
                         self._problems[light] = f"{light} was on for {longest} {outcome}"
                     else:

@@ -8,7 +8,7 @@ import numpy as np
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.images import dark_name, read_image_set, read_png
-from lightopt.rig.devices import Frame, Identity
+from lightopt.rig.devices import Frame
 from lightopt.rig.simulated import EXPOSURE_RANGE_US, BenchProcess
 
 
@@ -48,8 +48,8 @@ class FolderCamera:
         """Select what the next frames show; None is the dark."""
         self._now = (light, posture, exposure)
 
-    def identify(self) -> Identity:
-        return Identity(driver="folder", port=str(self._set.folder), details={"kind": self._set.manifest.kind})
+    def identify(self) -> dict[str, str]:
+        return {"driver": "folder", "port": str(self._set.folder), "kind": self._set.manifest.kind}
 
     def set_exposure(self, exposure_us: float) -> float:
         same = (e for e in self._entries.values() if math.isclose(e.exposure * self._exposure_us, exposure_us))
@@ -99,8 +99,8 @@ class VirtualCamera:
         self.bit_depth = int(answer["bit_depth"])
         self.triggered = bool(answer["triggered"])
 
-    def identify(self) -> Identity:
-        return Identity(driver="virtual", port="virtual", details={"model": "lightopt virtual camera"})
+    def identify(self) -> dict[str, str]:
+        return {"driver": "virtual", "port": "virtual", "model": "lightopt virtual camera"}
 
     def set_exposure(self, exposure_us: float) -> float:
         low, high = EXPOSURE_RANGE_US

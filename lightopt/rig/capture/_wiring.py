@@ -171,7 +171,7 @@ def start_bench(
     """
     hardware = wiring.hardware
     true = rig if part is None else _true_rig(rig)  # which only the camera sees
-    devices = _controllers(wiring, true)
+    devices = simulated_controllers(wiring, true)
     axes: list[Axis] = []
     if wiring.stage_is_virtual and hardware.stage is not None:
         axes = stage_axes(rig, hardware.stage)
@@ -224,11 +224,8 @@ def _true_rig(rig: RigConfig) -> RigConfig:
     return true
 
 
-def start_lights(wiring: Wiring) -> BenchProcess:
-    return BenchProcess(_controllers(wiring))
-
-
-def _controllers(wiring: Wiring, true: RigConfig | None = None) -> dict[str, dict[str, Any]]:
+def simulated_controllers(wiring: Wiring, true: RigConfig | None = None) -> dict[str, dict[str, Any]]:
+    """Devices of a :class:`BenchProcess`: the virtual light controllers, with screens mounted as on the true rig."""
     found: dict[str, dict[str, Any]] = {}
     there = {} if true is None or true.hardware is None else true.hardware.controllers
     for name, controller in wiring.hardware.controllers.items():
@@ -237,7 +234,7 @@ def _controllers(wiring: Wiring, true: RigConfig | None = None) -> dict[str, dic
         if controller.picture is None:
             options = controller.model_dump(include={"channels", "top_level", "template"}, exclude_none=True)
             found[name] = {"kind": controller.driver, "options": options}
-        else:  # mounted as in the true rig
+        else:
             picture = (there[name].picture if name in there else None) or controller.picture
             options = picture.model_dump(mode="json", exclude={"settle_ms"})
             found[name] = {"kind": "screen", "tcp": True, "options": options}

@@ -13,9 +13,9 @@ Its simulated counterpart is the module of the same name in ``lightopt.rig.simul
 from ._camera import Camera, Frame
 from ._camera_features import Levels
 from ._camera_sdk import CameraInfo, CameraSettings
-from ._device import Event, Identity, frame_limit_s, now
-from ._drivers import LIGHT_DRIVERS, check_camera_driver, check_stage, find_cameras, open_camera, open_stage
-from ._light import LightController, LightSettings, LightsStillOnError, PictureSettings, all_off, run_in_parallel
+from ._device import Event, frame_limit_s, now
+from ._drivers import LIGHT_DRIVERS, STAGE_DRIVERS, check_camera_driver, find_cameras, open_camera, open_stage
+from ._light import LightController, LightSettings, LightsStillOnError, all_off, run_in_parallel
 from ._light_display import check_display
 from ._serial_link import SerialLog
 from ._serial_ports import port_problem, serial_ports

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from lightopt.core.errors import HardwareError, LightoptError
 from lightopt.rig.devices import _camera_features as features
 from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
-from lightopt.rig.devices._device import ATTEMPTS, Event, Identity, ReplyError, Retry, now
+from lightopt.rig.devices._device import ATTEMPTS, Event, ReplyError, Retry, now
 
 _LAST_ID = 0xFFFF
 _NEAR = 0x1000  # numbers so near to the end and the beginning of the count are a wrap, not a step back
@@ -17,8 +17,6 @@ _NEAR = 0x1000  # numbers so near to the end and the beginning of the count are 
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame as the camera delivered it."""
-
     levels: features.Levels  # right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above
     exposure_us: float  # exposure time [µs] as read back for this frame
     number: int | None  # the camera's own; None where it has none
@@ -27,10 +25,7 @@ class Frame:
 
 
 class Camera(Protocol):
-    """A monochrome camera.
-
-    Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not deliver.
-    """
+    """A monochrome camera; every method raises a HardwareError when it does not deliver."""
 
     @property
     def triggered(self) -> bool: ...  # a frame begins at the call of grab (software trigger): none need be thrown away
@@ -40,7 +35,7 @@ class Camera(Protocol):
     def bit_depth(self) -> int: ...
     @property
     def exposure_range_us(self) -> tuple[float, float]: ...  # shortest and longest exposure time [µs]
-    def identify(self) -> Identity: ...
+    def identify(self) -> dict[str, str]: ...  # driver, port, and what it reports about itself, by name
     def set_exposure(self, exposure_us: float) -> float: ...  # what the camera then holds; InputError out of range
     def grab(self, *, timeout_s: float) -> Frame: ...  # one that begins now, or without a trigger the next completed
     def close(self) -> None: ...  # never raises
@@ -124,12 +119,12 @@ class MachineCamera:
     def exposure_range_us(self) -> tuple[float, float]:
         return self._exposure.range_us
 
-    def identify(self) -> Identity:
-        details = {**self._sdk.details, "pixel_format": self._format.name}
-        details["trigger"] = "software" if self.triggered else "none"
+    def identify(self) -> dict[str, str]:
+        details = {"driver": self._driver, "port": self._port or "the only one", **self._sdk.details}
+        details |= {"pixel_format": self._format.name, "trigger": "software" if self.triggered else "none"}
         if self._gain is not None:
             details["gain"] = f"{self._sdk.read(self._gain, float):g}"
-        return Identity(driver=self._driver, port=self._port or "the only one", details=details)
+        return details
 
     def set_exposure(self, exposure_us: float) -> float:
         return self._exposure.set_us(exposure_us)

@@ -150,7 +150,6 @@ class AravisSdk(CameraLibrary):
                 raise HardwareError(f"{self._where}: {name} was set to {value}, and the camera holds {held}")
 
     def _type(self, feature: str, kind: Callable[[Any], object]) -> str:
-        """What the library calls the type of a feature's value."""
         if kind in (str, bool):
             return "string" if kind is str else "boolean"
         return "float" if isinstance(self._device.get_feature(feature), self._library.GcFloat) else "integer"

@@ -273,14 +273,12 @@ class ExposureTime:
 
     @property
     def range_us(self) -> tuple[float, float]:
-        """Shortest and longest exposure time [µs]."""
         if self._feature is None:
             return self.held_us, self.held_us
         low, high, _ = self._sdk.bounds(self._feature)
         return low * self._unit_us, high * self._unit_us
 
     def read_us(self) -> float:
-        """What the camera holds [µs]."""
         if self._feature is None:
             return self.held_us
         return self._sdk.read(self._feature, float) * self._unit_us

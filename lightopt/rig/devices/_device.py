@@ -5,7 +5,7 @@ driver noticing.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import Any, TypeVar
 
@@ -13,16 +13,6 @@ from lightopt.core.errors import HardwareError
 
 ATTEMPTS = 3
 Value = TypeVar("Value")
-
-
-@dataclass(frozen=True)
-class Identity:
-    driver: str  # as in the rig file
-    port: str  # where it is reached: serial port, URL, camera name or folder
-    details: dict[str, str] = field(default_factory=dict[str, str])  # what it answered about itself, by name
-
-    def as_dict(self) -> dict[str, Any]:
-        return {"driver": self.driver, "port": self.port, **self.details}
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from lightopt.rig.devices._light_display import CommandController, ScreenControl
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
 from lightopt.rig.devices._serial_link import SerialLink, SerialLog
-from lightopt.rig.devices._stage import Axis, Clock, Stage
+from lightopt.rig.devices._stage import Axis, Stage
 from lightopt.rig.devices._stage_grbl import GrblDialogue
 from lightopt.rig.devices._stage_sigmakoki import GscDialogue, ShotDialogue
 from lightopt.rig.devices._stage_zaber import ZaberDialogue
@@ -29,11 +29,6 @@ STAGE_DRIVERS = {"shot": ShotDialogue, "gsc": GscDialogue, "grbl": GrblDialogue,
 CAMERA_DRIVERS: dict[str, Callable[[CameraSettings], CameraSdk]] = {"aravis": AravisSdk, "genicam": GenicamSdk}
 
 
-def check_stage(driver: str, axes: Sequence[Axis]) -> None:
-    """Check axes and speeds against what the driver of a stage can do; nothing is opened. Raises an InputError."""
-    STAGE_DRIVERS[driver].check_axes(axes)
-
-
 def open_stage(
     driver: str,
     *,
@@ -43,11 +38,10 @@ def open_stage(
     timeout_s: float = 1.0,
     home_timeout_s: float = 180.0,
     log: SerialLog | None = None,
-    clock: Clock | None = None,  # source of time, for tests
 ) -> Stage:
     """Open a stage; nothing moves. InputError for wrong axes or port, HardwareError when it does not answer."""
-    check_stage(driver, axes)
     kind = STAGE_DRIVERS[driver]
+    kind.check_axes(axes)
     rate = kind.BAUD if baud is None else baud
     link = SerialLink(port, device=f"stage ({driver})", baud=rate, rtscts=kind.RTSCTS, timeout_s=timeout_s, log=log)
     try:
@@ -55,7 +49,7 @@ def open_stage(
     except LightoptError:
         link.close()
         raise
-    return Stage(driver=driver, dialogue=dialogue, axes=axes, clock=clock)
+    return Stage(driver=driver, dialogue=dialogue, axes=axes)
 
 
 def open_camera(

@@ -10,9 +10,10 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
+from lightopt.config import PictureConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
-from lightopt.rig.devices._device import Identity, RefusedError, Retry
+from lightopt.rig.devices._device import RefusedError, Retry
 from lightopt.rig.devices._serial_link import Link, SerialLink, SerialLog
 
 T = TypeVar("T")
@@ -25,19 +26,6 @@ class LightsStillOnError(HardwareError):
     def __init__(self, *messages: str, channels: Mapping[str, Sequence[int]]) -> None:
         super().__init__(*messages)
         self.channels = dict(channels)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PictureSettings:
-    """What a driver must know of the screen of a display, by the keys of the rig file, and the pictures it shows."""
-
-    resolution_px: tuple[int, int]
-    gamma: float = 1.0
-    turn_deg: int = 0
-    mirrored: bool = False
-    settle_ms: float = 0.0
-    # picture of each channel, made when it is needed: shares of the full radiance as seen from the part
-    pictures: Mapping[int, Callable[[], Float64]] = field(default_factory=dict[int, Callable[[], Float64]])
 
 
 @dataclass(frozen=True)
@@ -54,7 +42,9 @@ class LightSettings:
     monitor: int | None = None  # screen: its number, from 1
     command: tuple[str, ...] | None = None  # command: program and arguments, with {file}
     folder: Path = Path()  # command: where it is run
-    picture: PictureSettings | None = None  # screen, command
+    picture: PictureConfig | None = None  # screen, command
+    # picture of each channel, made when it is needed: shares of the full radiance as seen from the part
+    pictures: Mapping[int, Callable[[], Float64]] = field(default_factory=dict[int, Callable[[], Float64]])
     timeout_s: float = 1.0  # longest wait for a reply [s]
     max_levels: Mapping[int, int] = field(default_factory=dict[int, int])  # highest allowed intensities by channel
 
@@ -138,9 +128,9 @@ class LightController(ABC):
             link.close()
             raise
 
-    def identify(self) -> Identity:
+    def identify(self) -> dict[str, str]:
         details = {**self._query_identity(), "read_back": "yes" if self._reads else "no"}
-        return Identity(self.NAME, self._link.port, details)
+        return {"driver": self.NAME, "port": self._link.port, **details}
 
     def set_level(self, channel: int, level: int) -> int | None:
         """Light a channel at an intensity in 1 … top_level, or darken it with 0; returns the intensity read back.

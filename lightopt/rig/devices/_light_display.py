@@ -15,7 +15,6 @@ import tempfile
 import threading
 import time
 import zlib
-from abc import abstractmethod
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -26,12 +25,13 @@ from typing import Any
 
 import numpy as np
 
+from lightopt.config import PictureConfig
 from lightopt.core.arrays import Float64, UInt8
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.interrupts import start_apart
 from lightopt.images import write_png
 from lightopt.rig.devices._device import RefusedError, ReplyError
-from lightopt.rig.devices._light import LightController, LightSettings, PictureSettings
+from lightopt.rig.devices._light import LightController, LightSettings
 from lightopt.rig.devices._serial_link import Link, SerialLink, SerialLog
 
 _START_S, _END_S = 30.0, 5.0
@@ -91,29 +91,27 @@ class ScreenProcess:
             self._process.wait()
 
 
-def screen_levels(picture: Float64, settings: PictureSettings) -> UInt8:
-    """Levels of the screen's own pixels that show a picture, row 0 at its own upper edge.
-
-    picture: Shares of the full radiance as seen from the part, shape (rows, columns)
-    """
+def screen_levels(picture: Float64, settings: PictureConfig) -> UInt8:
+    """Levels of the screen's pixels, row 0 at its own upper edge, for shares of full radiance as the part sees it."""
     levels = np.round(255.0 * np.clip(picture, 0.0, 1.0) ** (1.0 / settings.gamma)).astype(np.uint8)
     turned = np.rot90(levels, settings.turn_deg // 90)
     return np.ascontiguousarray(np.fliplr(turned) if settings.mirrored else turned)
 
 
-class DisplayController(LightController):
-    """A display; the base of its drivers."""
+class ScreenController(LightController):
+    """A display: a full-screen window on a monitor, or a simulated screen at the port of the settings."""
+
+    NAME = "screen"
+    BAUD = 115200  # of no meaning on the wire that it has
+    _process: ScreenProcess | None = None
 
     def __init__(self, link: Link, settings: LightSettings) -> None:
         super().__init__(link, settings)
         assert settings.picture is not None
         self._picture = settings.picture
+        self._pictures = settings.pictures
         self._lit: dict[int, int] = {}
         self._shown: dict[int, int] | None = None  # levels of what is on the screen; None where that is unknown
-
-    @abstractmethod
-    def _show(self, levels: UInt8) -> None:
-        """Show levels of the screen's pixels, shape (height, width)."""
 
     def _send_level(self, channel: int, level: int) -> None:
         lit = {one: held for one, held in {**self._lit, channel: level}.items() if held}
@@ -122,7 +120,7 @@ class DisplayController(LightController):
         if self._shown != lit:
             levels = screen_levels(self._sum(lit), self._picture)
             self._shown = None
-            self._show(levels)
+            self._retry.run(lambda: self._show(levels))
             time.sleep(self._picture.settle_ms / 1e3)
             self._shown = lit
         self._lit = lit
@@ -134,22 +132,14 @@ class DisplayController(LightController):
         width, height = self._picture.resolution_px
         total = np.zeros((width, height) if self._picture.turn_deg % 180 else (height, width))
         for channel, level in lit.items():
-            if channel not in self._picture.pictures:
+            if channel not in self._pictures:
                 raise InputError(f"{self._link.device}: no light of the rig is on channel {channel}; nothing was shown")
-            total += level / self.top_level * self._picture.pictures[channel]()
+            total += level / self.top_level * self._pictures[channel]()
         if total.max() > 1.0 + _ROUNDING:
             need = f"channels {', '.join(map(str, sorted(lit)))} together need {total.max():.3g} times"
             advice = "lower their levels, or the weights of the programme"
             raise InputError(f"{self._link.device}: {need} the full radiance of the screen; {advice}")
         return total
-
-
-class ScreenController(DisplayController):
-    """A full-screen window on a monitor, or a simulated screen at the port of the settings."""
-
-    NAME = "screen"
-    BAUD = 115200  # of no meaning on the wire that it has
-    _process: ScreenProcess | None = None
 
     @classmethod
     def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightController:
@@ -170,9 +160,6 @@ class ScreenController(DisplayController):
         return controller
 
     def _show(self, levels: UInt8) -> None:
-        self._retry.run(lambda: self._show_once(levels))
-
-    def _show_once(self, levels: UInt8) -> None:
         link: SerialLink = self._link
         data = zlib.compress(levels.tobytes(), 1)
         head = f"SHOW {levels.shape[1]} {levels.shape[0]} {len(data)}".encode("ascii")
@@ -260,11 +247,11 @@ class CommandController(ScreenController):
             return super().open(settings, log)
         return cls(CommandLink(settings, log), settings)
 
-    def _show_once(self, levels: UInt8) -> None:
+    def _show(self, levels: UInt8) -> None:
         if isinstance(self._link, CommandLink):
             self._link.show(levels)
         else:
-            super()._show_once(levels)
+            super()._show(levels)
 
 
 def program_path(program: str, folder: Path) -> str | None:

@@ -354,7 +354,6 @@ class SerialLink(Link):
             self._note_discarded(entry)
 
     def close(self) -> None:
-        """Give up the port; never raises."""
         with self.lock:
             # pyserial leaves the socket of a lost peer open
             connection = getattr(self._serial, "_socket", None)

@@ -2,14 +2,14 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 from lightopt.core.errors import HardwareError, refuse
 from lightopt.core.transforms import Posture
-from lightopt.rig.devices._device import Identity, ReplyError, Retry
+from lightopt.rig.devices._device import ReplyError, Retry
 from lightopt.rig.devices._serial_link import SerialLink
 
 _ROUNDING = 1e-9  # relative; angles that differ by less are the same
@@ -41,7 +41,6 @@ class Axis:
         return step * round(self.units_of(angle_deg) / step)
 
     def problems(self, angle_deg: float) -> list[str]:
-        """Messages about what is wrong with an angle [°]; empty where it is allowed."""
         low, high = self.range_deg
         slack = _ROUNDING * max(1.0, abs(low), abs(high))
         if low - slack <= angle_deg <= high + slack:
@@ -125,14 +124,6 @@ _HALT_S = 2.0  # a stage comes to rest within
 _ONE_STEP = 1 + 1e-6
 
 
-@dataclass
-class Clock:
-    """Source of time, which tests replace."""
-
-    now: Callable[[], float] = field(default=time.monotonic)
-    sleep: Callable[[float], None] = field(default=time.sleep)
-
-
 @dataclass(frozen=True)
 class StageState:
     """State of a stage; an axis that it lacks stands at 0°."""
@@ -154,11 +145,10 @@ class Stage:
     failed move it is refused until the stage has been homed. An axis that is not among `axes` stands at 0.
     """
 
-    def __init__(self, *, driver: str, dialogue: Dialogue, axes: Sequence[Axis], clock: Clock | None = None) -> None:
+    def __init__(self, *, driver: str, dialogue: Dialogue, axes: Sequence[Axis]) -> None:
         self._driver = driver
         self._dialogue = dialogue
         self._axes = tuple(axes)
-        self._clock = clock or Clock()
         self._link = dialogue.link
         self.events = self._link.events
         self._prepared = False
@@ -166,9 +156,9 @@ class Stage:
         self._homed = False
         self._lost: str | None = None
 
-    def identify(self) -> Identity:
+    def identify(self) -> dict[str, str]:
         with self._link.lock:
-            return Identity(driver=self._driver, port=self._link.port, details=self._dialogue.identify())
+            return {"driver": self._driver, "port": self._link.port, **self._dialogue.identify()}
 
     def state(self) -> StageState:
         with self._link.lock:
@@ -247,11 +237,11 @@ class Stage:
         with self._link.lock:
             self._left_at = None
             self._dialogue.halt()
-            until = self._clock.now() + _HALT_S
+            until = time.monotonic() + _HALT_S
             while (reading := self._dialogue.read()).moving:
-                if self._clock.now() > until:
+                if time.monotonic() > until:
                     raise self._link.failure(f"was told to stop and still moves {_HALT_S:g} s later: switch it off")
-                self._clock.sleep(_POLL_S)
+                time.sleep(_POLL_S)
             if reading.alarm is None:
                 self._left_at = dict(reading.units)
             return reading
@@ -293,12 +283,12 @@ class Stage:
 
     def _await_arrival(self, targets: Mapping[str, float], travel_s: float) -> Reading:
         """Watch a move that should take `travel_s` until the stage stands at its targets."""
-        started = self._clock.now()
+        started = time.monotonic()
         limit_s = 2 * travel_s + _MARGIN_S
         still_since: float | None = None
         while True:
             reading = self._dialogue.read()
-            now = self._clock.now()
+            now = time.monotonic()
             if reading.alarm is not None:
                 raise self._link.failure(f"alarm during the move: {reading.alarm}{self._where(reading, targets)}")
             if reading.moving:
@@ -314,7 +304,7 @@ class Stage:
                 if now - still_since > _SETTLE_S:
                     why = f"stalled, at a limit switch, or the command was not taken{self._where(reading, targets)}"
                     raise self._link.failure(f"stands still and is not where it should be: {why}")
-            self._clock.sleep(_POLL_S if now - started < travel_s - _POLL_S else _NEAR_S)
+            time.sleep(_POLL_S if now - started < travel_s - _POLL_S else _NEAR_S)
 
     def _where(self, reading: Reading, targets: Mapping[str, float]) -> str:
         """Where axes stand that are not at their targets, as the end of a message."""
@@ -326,12 +316,12 @@ class Stage:
         return "; " + ", ".join(parts) if parts else ""
 
     def _await_homing(self) -> Reading:
-        started, limit_s = self._clock.now(), self._dialogue.home_timeout_s
+        started, limit_s = time.monotonic(), self._dialogue.home_timeout_s
         moved = self._dialogue.HOMES_TO_END
         wrong_since: float | None = None
         while True:
             reading = self._dialogue.read()
-            now = self._clock.now()
+            now = time.monotonic()
             if reading.moving:
                 moved = True
                 wrong_since = None
@@ -344,7 +334,7 @@ class Stage:
                 wrong_since = now if wrong_since is None else wrong_since
                 if problem is not None and now - wrong_since > _SETTLE_S:
                     raise self._link.failure(f"has not found its origin: {problem}")
-            self._clock.sleep(_POLL_S)
+            time.sleep(_POLL_S)
 
     @contextmanager
     def _sent_once(self, evidence: str) -> Generator[None]:

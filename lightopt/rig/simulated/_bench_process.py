@@ -90,7 +90,6 @@ class CameraSetup:
 
 
 def start_process(spec: str, errors: BinaryIO) -> subprocess.Popen[bytes]:
-    """Start the process of a bench, with pipes to its standard input and output."""
     places = "\n".join(place or str(Path.cwd()) for place in sys.path)
     command = [sys.executable, "-c", _START, places, spec]
     return start_apart(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)

@@ -23,8 +23,6 @@ _View = tuple[Posture, tuple[int, ...]]  # where the part is, and the numbers of
 
 
 class BenchCamera:
-    """Takes frames of what devices do now."""
-
     def __init__(self, setup: CameraSetup, devices: SimulatedDevices) -> None:
         self._setup = setup
         self._devices = devices

@@ -134,23 +134,20 @@ class SimulatedAxis:
         self._advance(now)
         return self._end != self._start
 
-    def move(self, target: float, speed: float, now: float) -> None:
-        """Move the count to a target at a speed [units/s]."""
-        self._go(target, speed, now)
-
     def home(self, speed: float, now: float, *, becomes: float = 0.0) -> None:
         """Seek the place that many units from the mechanical origin, where the count becomes right."""
         self.homed = False
-        self._go(becomes - self._offset, speed, now, homing=becomes)
+        self.move(becomes - self._offset, speed, now, homing=becomes)
 
     def stop(self, now: float) -> None:
         self._start = self._end = self.count(now)
         self._homing = None
 
-    def _go(self, target: float, speed: float, began: float, *, homing: float | None = None) -> None:
+    def move(self, target: float, speed: float, now: float, *, homing: float | None = None) -> None:
+        """Move the count to a target at a speed [units/s], or seek the origin, where it becomes `homing`."""
         self.at_limit = False
-        self._start = self.count(began)
-        self._began = began
+        self._start = self.count(now)
+        self._began = now
         self._speed = speed
         self._homing = homing
         real = target + self._offset

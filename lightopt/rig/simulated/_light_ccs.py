@@ -40,7 +40,6 @@ class CcsFirmware(LampFirmware):
         return body + f"{sum(body) % 256:02X}\r\n".encode("ascii")
 
     def _obey(self, channel: int, instruction: str, data: str) -> str | int:
-        """Execute a command; returns the reply from O on, or the number of the error."""
         width = {"F": self._digits, "L": 1, "S": 2, "M": 0, "C": 0}.get(instruction)
         if width is None or (data and not (data.isascii() and data.isdigit())):
             return _COMMAND

@@ -35,10 +35,7 @@ _MOST_PICTURES = 64  # that are kept, other than those of channels
 def as_channels(
     picture: SeenPicture, lights: Sequence[LightConfig], *, folder: Path = Path()
 ) -> dict[str, float] | None:
-    """Shares of channels of a display that a picture is the sum of, by name; None where it is no such sum.
-
-    folder: Of the rig's file, which names of pictures are relative to
-    """
+    """Shares of channels of a display that a picture is the sum of, by name; None where it is no such sum."""
     rows, columns = picture.radiance.shape
     # blocks of whole pixels, whose means are those of the pattern
     common = math.gcd(rows, columns)

@@ -53,8 +53,6 @@ class _SigmakokiFirmware(StageFirmware):
     def _question(self, line: str, now: float) -> str | None:
         if line == "Q:":
             return self._status(now)
-        if line == "!:":
-            return "B" if self._axes_move(now) else "R"
         return self.VERSION if line == "?:V" else None
 
     def _obey(self, line: str, now: float) -> bool:
@@ -85,7 +83,6 @@ class _SigmakokiFirmware(StageFirmware):
         return ",".join([*places, "K" if self._accepted else "X", limit, "B" if busy else "R"])
 
     def _plan(self, kind: str, words: str) -> bool:
-        """Take the words of A: or M:, and keep them for G:."""
         match = re.fullmatch(r"([12W])((?:[+-]P\d+)+)", words)
         if match is None:
             return False
@@ -128,11 +125,6 @@ class ShotFirmware(_SigmakokiFirmware):
     MOVES = ("A", "M")
     SPEED = 10_000.0
     HOME = "([12])|W"
-
-    def _question(self, line: str, now: float) -> str | None:
-        if line == "?:SW":  # divisions of a full step
-            return ",".join("2" for _ in self._axes)
-        return super()._question(line, now)
 
     def _obey(self, line: str, now: float) -> bool:
         return ":" in line and super()._obey(line, now)
