@@ -90,7 +90,6 @@ class BlindSpots:
 
 
 def blind_text(code: int, lights: Sequence[str]) -> str:
-    """A reason in words; `lights` are the names of the rig's lights."""
     if code >= BlindReason.SATURATED:
         return f"saturated by {lights[code - BlindReason.SATURATED]}"
     return {

@@ -189,7 +189,6 @@ class SurfaceLight(PanelLight):
 
     @property
     def targets(self) -> Float64:
-        """Middle of each element [mm], shape (e, 3)."""
         return np.ascontiguousarray(self.elements[:, 22:25])
 
 

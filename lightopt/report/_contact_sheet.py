@@ -157,7 +157,6 @@ def light_position(entry: ImageEntry) -> str:
 
 
 def saturation_text(thumbnail: Thumbnail) -> str:
-    """How many pixels of the full image are saturated."""
     if not thumbnail.saturated:
         return "0 px saturated"
     percent = 100.0 * thumbnail.saturated / thumbnail.pixels

@@ -71,12 +71,10 @@ def shortened(text: str, most: int) -> str:
 
 
 def hex_colour(rgb: Iterable[int]) -> str:
-    """A colour as ``#rrggbb``."""
     return "#{:02x}{:02x}{:02x}".format(*rgb)
 
 
 def figure_image(figure: Figure) -> Image.Image:
-    """A figure as an RGB picture."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas = FigureCanvasAgg(figure)
@@ -121,7 +119,6 @@ def name_lines(panel: Axes) -> None:
 
 
 def label_whole_numbers(axis: Axis) -> None:
-    """Ticks at whole numbers only."""
     from matplotlib.ticker import MaxNLocator
 
     axis.set_major_locator(MaxNLocator("auto", integer=True, min_n_ticks=1))

@@ -30,7 +30,6 @@ def write_picture(path: Path, image: Image.Image, *, overwrite: bool = True) -> 
 
 
 def png_bytes(image: Image.Image) -> bytes:
-    """The bytes of a PNG file."""
     data = io.BytesIO()
     image.save(data, format="PNG", compress_level=3)
     return data.getvalue()
@@ -44,8 +43,6 @@ FAINTEST_MARK = 0.4
 
 @dataclass(frozen=True)
 class Thumbnail:
-    """A small picture of an image."""
-
     picture: UInt8  # RGB, shape (rows, columns, 3), read-only
     saturated: int  # number of saturated pixels in the image
     pixels: int  # number of all its pixels

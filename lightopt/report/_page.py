@@ -37,8 +37,6 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True)
 class Note:
-    """A paragraph."""
-
     text: str
 
 
@@ -51,15 +49,11 @@ class Warnings:
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
-    """Names and their values."""
-
     rows: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of texts."""
-
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     numbers_from: int = 1  # columns from this one on are numbers, aligned to the right

@@ -70,7 +70,6 @@ def rig_image(scene: Scene) -> Image.Image:
 
 
 def draw_rig(axes: Axes, scene: Scene, posture: Posture) -> None:
-    """Draw all of a rig, the part at a posture."""
     size = rig_size(scene)
     under = [np.abs(outlines(light)[..., :2]).max() for light in scene.lights]
     half, step = round_up(max([*under, 1.2 * np.abs(part_box(scene, posture)[:, :2]).max(), 0.4 * size]))
@@ -99,7 +98,6 @@ def draw_rig(axes: Axes, scene: Scene, posture: Posture) -> None:
 
 
 def draw_stage(axes: Axes, scene: Scene, posture: Posture) -> None:
-    """Draw the part at a posture with the stage's axes."""
     corners, pen = part_box(scene, posture), Pen(axes, STAGE_VIEW)
     reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
     half, step = round_up(0.525 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0))))

@@ -47,12 +47,10 @@ class ParallelView:
 
     @property
     def right(self) -> Float64:
-        """Unit vector to the right on the picture."""
         return azimuth_tangent(azimuth=self.azimuth)
 
     @property
     def up(self) -> Float64:
-        """Unit vector up on the picture."""
         return elevation_tangent(elevation=self.elevation, azimuth=self.azimuth)
 
     @property
@@ -107,7 +105,6 @@ def camera_shape(camera: PinholeCamera, size: float) -> CameraShape:
 
 
 def foot_direction(light: PanelLight) -> Float64:
-    """Unit vector in the table plane at the light's azimuth, shape (3,)."""
     return np.array([math.cos(light.azimuth), math.sin(light.azimuth), 0.0])
 
 
@@ -185,12 +182,10 @@ class Pen:
                 self.line(middle + np.stack([at * along - half * across, at * along + half * across]), "#dfe3e8", 1.0)
 
     def axes_of_world(self, lengths: Sequence[float]) -> None:
-        """Draw the world's axes from the origin."""
         for axis, length, name, colour in zip(np.eye(3), lengths, "XYZ", AXIS_COLOURS, strict=True):
             self.named_arrow(ORIGIN, length * axis, name, colour)
 
     def named_arrow(self, start: Float64, tip: Float64, name: str, colour: str) -> None:
-        """Draw an arrow, and its name at the tip."""
         self.arrow(np.stack([start, tip]), colour, 2.6)
         self.label(name, tip, colour, away_from=start)
 
@@ -231,7 +226,6 @@ class Pen:
         self.label(f"φ {degrees(light.azimuth)}", path[-1], PHI, away_from=ORIGIN)
 
     def elevation_arc(self, light: PanelLight, radius: float) -> None:
-        """Draw the elevation θ from the table plane."""
         path = arc(ORIGIN, foot_direction(light), Z, light.elevation, radius)
         self.arrow(path, THETA, 1.8)
         self.label(f"θ {degrees(light.elevation)}", path[len(path) // 2], THETA, away_from=ORIGIN)

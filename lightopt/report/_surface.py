@@ -52,8 +52,6 @@ def surface_classes(kinds: Iterable[tuple[str, str]], amounts: Iterable[str]) ->
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceLayer:
-    """One way to colour a surface."""
-
     name: str
     classes: tuple[SurfaceClass, ...]
     of_face: UInt8  # class of each face, index into `classes`, shape (m,)
@@ -140,7 +138,6 @@ def surface_head(surface: ColouredSurface) -> str:
 
 
 def surface_data(surface: ColouredSurface) -> str:
-    """The surface in base64."""
     places = np.rint((surface.vertices - _middle(surface)) / _step(surface)).astype(np.int16)
     columns = _differences(surface.triangles.astype(np.int32)).astype("<i4"), _differences(places).astype("<i2")
     data = b"".join(array.tobytes() for array in (*columns, *(layer.of_face for layer in surface.layers)))

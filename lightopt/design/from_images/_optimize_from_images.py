@@ -50,8 +50,6 @@ _COMMENT = "Chosen by lightopt optimize --from-images"
 
 @dataclass(frozen=True, kw_only=True)
 class FromImagesOptions:
-    """How lights are chosen."""
-
     images: int = 4  # how many images of a part are to be taken
     mix: bool = False  # whether an image may show several lights with weights; one light each otherwise
     false_alarms: float = DEFAULT_FALSE_ALARMS
@@ -60,8 +58,6 @@ class FromImagesOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class FromImagesResult:
-    """The images to take, and what they show."""
-
     samples: Samples
     evidence: Evidence
     options: FromImagesOptions
@@ -298,7 +294,6 @@ def _document(result: FromImagesResult) -> dict[str, Any]:
 
 
 def from_images_answer(result: FromImagesResult) -> tuple[str, str]:
-    """The figure of the answer, and what it is of."""
     gains = result.gains
     found = int((gains >= 1.0).sum())
     kind = counted(len(result.images), "image")

@@ -41,8 +41,6 @@ Images = Words  # units of evidence by the image of each light of a posture, sha
 
 @dataclass(frozen=True, kw_only=True)
 class FurtherExposure:
-    """A further exposure of a posture, all lights."""
-
     posture: Posture
     exposure: float  # relative to exposure 1
     gain: float  # share of the pairs that it adds to what is planned before it, or else to the whole plan
@@ -51,8 +49,6 @@ class FurtherExposure:
 
 @dataclass(frozen=True, kw_only=True)
 class Brackets:
-    """The further exposures that were considered."""
-
     before: float  # share of the pairs that is seen without them
     after: float  # share that is seen with those that are planned
     further: tuple[FurtherExposure, ...]  # the planned ones in the order in which they were chosen, then the others
@@ -68,8 +64,6 @@ class Brackets:
 
 @dataclass(frozen=True, eq=False)
 class CandidateExposure:
-    """A further exposure of a posture that may be planned."""
-
     posture: int  # index of the posture
     exposure: float  # relative to exposure 1
     images: Images  # its units of evidence, shape (lights, units, p, words)

@@ -298,7 +298,6 @@ def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
 def plan_postures(
     rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, run: RunContext
 ) -> ChosenPostures:
-    """Choose the postures, and the light positions that go with them."""
     candidates = candidates_of(rig, options)
     scene = build_scene(rig, part, points=options.points, defects=False)
     scene = replace(scene, camera=replace(scene.camera, obstructions=None))

@@ -57,8 +57,6 @@ class PostureRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Light positions, and the postures chosen for them."""
-
     panels: tuple[PanelLight, ...]  # the lights, world frame
     cover: Cover  # the postures, with their gains and bound, over all patches and candidate postures, with these lights
     lights: Lights = None  # index of each one's candidate; None where they keep their initial positions
@@ -69,8 +67,6 @@ class Solution:
 
 @dataclass(frozen=True, kw_only=True)
 class PostureChoice(Solution):
-    """The postures and lights that were chosen, on all patches."""
-
     postures: tuple[Posture, ...]  # in the order in which they were chosen
     starts: int  # number of starting positions of the search
     # what the rig's lights show in their initial positions, of the drawn patches at exposure 1, in postures that are

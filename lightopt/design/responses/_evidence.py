@@ -75,7 +75,6 @@ _Camera = tuple[float, float, float, float, float]
 
 
 def units_needed(min_images: int) -> int:
-    """Units of evidence of a defect that counts as found."""
     return UNITS_OF_IMAGE if min_images == 1 else (UNITS_OF_IMAGE + 1) * (min_images - 1)
 
 
@@ -99,8 +98,6 @@ def spare_units(levels: Sequence[Levels], sensor: Sensor, min_images: int) -> UI
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DetectionModel:
-    """The defects that images are tested for, and when one counts as found."""
-
     catalogue: PlannedCatalogue
     sensor: Sensor
     full_scale: float  # grey level that makes a full-scale sensor level at exposure 1

@@ -296,7 +296,6 @@ class ImageEvaluator:
 
     @property
     def needed(self) -> int:
-        """Units of evidence that a pair needs to count as found."""
         assert self.detection is not None
         return units_needed(self.detection.min_images)
 

@@ -311,7 +311,6 @@ def intervals(found: RigCalibration) -> Iterator[tuple[str, Interval]]:
 
 
 def figures(found: RigCalibration) -> dict[str, Any]:
-    """JSON form of a calibration, without its covariance."""
     document: dict[str, Any] = {
         "format": "lightopt-calibration/1",
         "rig": {"file": found.rig.source.path.name, "sha256": found.rig.source.sha256},

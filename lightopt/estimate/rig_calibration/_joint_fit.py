@@ -67,7 +67,6 @@ class Sightings:
 
 
 def sightings(board: Board, ids: list[Index], readings: Float64) -> Sightings:
-    """Sight of the points of each view; readings [rad], shape (K, 2)."""
     points = board.points
     view = np.repeat(np.arange(len(ids)), [len(i) for i in ids])
     return Sightings(points[np.concatenate(ids)], np.abs(points).max(axis=0), view, readings)
@@ -227,8 +226,6 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """What is fitted: points of the board and the pixels where they were found, shape (N, 2)."""
-
     seen: Sightings
     pixels: Float64
 

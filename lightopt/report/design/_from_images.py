@@ -12,7 +12,6 @@ _DEFECTS = 500  # rows
 
 
 def chosen_table(result: FromImagesResult) -> _page.Table:
-    """The images to take."""
     alone = result.evidence.gains
     rows = [
         [
@@ -33,7 +32,6 @@ def chosen_table(result: FromImagesResult) -> _page.Table:
 
 
 def scores_table(result: FromImagesResult) -> _page.Table:
-    """Scores and bounds, of single lights and of several lights per image."""
     choice, mixture = result.choice, result.mixture
     rows = [
         ["one light per image", percent(choice.score, 2), percent(choice.bound, 2), f"{choice.scored:,}"],
@@ -61,7 +59,6 @@ def defects_table(result: FromImagesResult, most: int = _DEFECTS) -> _page.Table
 
 
 def from_images_report(result: FromImagesResult) -> str:
-    """The report as HTML."""
     figure, text = from_images_answer(result)
     lead = [_page.Answer(figure=figure, text=f"{text}."), _page.Warnings(texts=result.warnings)]
     sections = [

@@ -78,7 +78,6 @@ def overlay_image(
 
 
 def enlarged(image: Image.Image, times: int) -> Image.Image:
-    """A picture whose pixels are squares of so many."""
     return image.resize((times * image.width, times * image.height), Image.Resampling.NEAREST)
 
 
