@@ -214,14 +214,8 @@ def candidates_in(
     scene: Scene | None, rig: RigConfig, options: OptimizeOptions, places: Sequence[Place] | None = None
 ) -> Candidates:
     """The same, without positions inside the scene's part; or `places`, one position of each light."""
-    return find_candidates(
-        rig,
-        step_deg=options.step_deg,
-        common_elevation=options.common_elevation,
-        points=options.points,
-        places=places,
-        scene=scene,
-    )
+    same = {name: getattr(options, name) for name in ("step_deg", "common_elevation", "points")}
+    return find_candidates(rig, **same, places=places, scene=scene)
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ import numpy as np
 from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, dot, length, minus, plus, scaled
-from lightopt.lights._panel import PanelLight, panel_corners
-from lightopt.lights._pattern import UNIFORM, Pattern
+from lightopt.lights._panel import UNIFORM, PanelLight, Pattern, panel_corners
 
 PLANE, CONE, SPHERE, FRAME = 0, 1, 2, 3
 _NODES = 8  # a side of an element, for its brightness and its outline

@@ -18,7 +18,7 @@ from PIL import Image
 
 from lightopt.core.arrays import Bool
 from lightopt.report import _surface as surfaces
-from lightopt.report._images import png_bytes, thumbnail
+from lightopt.report._pictures import png_bytes, thumbnail
 from lightopt.report._surface import ColouredSurface, SurfaceLayer
 
 # the browser itself then refuses every request
@@ -73,7 +73,7 @@ class Picture:
 
 
 def camera_picture(level: NDArray[np.floating], saturated: Bool, *, limit: int, alt: str, caption: str) -> Picture:
-    """An image of the camera as :func:`lightopt.report._images.thumbnail` makes it small."""
+    """An image of the camera as :func:`lightopt.report._pictures.thumbnail` makes it small."""
     small = thumbnail(level, saturated, limit=limit)
     return Picture(png=png_bytes(Image.fromarray(small.picture)), alt=alt, caption=caption)
 

@@ -17,7 +17,7 @@ from lightopt.core.arrays import Float64, read_only
 from lightopt.core.transforms import Posture, azimuth_tangent, direction, elevation_tangent
 from lightopt.geometry import TriangleMesh, face_normals
 from lightopt.lights import PanelLight, SurfaceLight, outlines, panel_corners, panel_grid
-from lightopt.report._drawing import INK, POINT, SOFT, shortened
+from lightopt.report._pictures import INK, POINT, SOFT, shortened
 from lightopt.report._surface import ColouredSurface, simplified
 from lightopt.scene import PinholeCamera, Scene, pixel_directions
 

@@ -10,8 +10,8 @@ from lightopt import design
 from lightopt.core.arrays import UInt8
 from lightopt.core.transforms import Posture
 from lightopt.rendering import GRAZING_DEG, grain_of, trace_samples
-from lightopt.report._drawing import DPI, POINT, SOFT, figure_image, fixed_style, hex_colour
 from lightopt.report._page import Block, Note, SurfaceView, Table
+from lightopt.report._pictures import DPI, POINT, SOFT, figure_image, fixed_style, hex_colour
 from lightopt.report._surface import ColouredSurface, SurfaceLayer, first_view, surface_classes
 from lightopt.scene import view_from_part
 

@@ -11,9 +11,8 @@ from scipy import ndimage
 
 from lightopt import inspection
 from lightopt.core.arrays import Bool, Float64, Int32
-from lightopt.report._drawing import font_file, hex_colour
-from lightopt.report._images import png_bytes, shrunk, write_picture
 from lightopt.report._page import Block, Gallery, Picture, SurfaceView
+from lightopt.report._pictures import font_file, hex_colour, png_bytes, shrunk, write_picture
 from lightopt.report._surface import ColouredSurface, SurfaceLayer, first_view, surface_classes
 
 BOX_MARGIN_PX = 3

@@ -13,9 +13,8 @@ from lightopt import inspection
 from lightopt.core.errors import counted, percent
 from lightopt.estimate.registration import Placement
 from lightopt.rendering import GRAZING_DEG
-from lightopt.report._drawing import COLOURS, SOFT, chart, figure_image, fixed_style, name_lines
-from lightopt.report._images import png_bytes
 from lightopt.report._page import Answer, Block, Facts, Note, Page, Picture, Section, Table, Warnings, page_html
+from lightopt.report._pictures import COLOURS, SOFT, chart, figure_image, fixed_style, name_lines, png_bytes
 from lightopt.report.inspection._pictures import image_blocks, marked_part
 
 LINE_COLOURS = (*COLOURS[1:], COLOURS[0])
