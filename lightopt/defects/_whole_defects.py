@@ -12,7 +12,16 @@ import numpy as np
 
 from lightopt.core.arrays import Float64, Index, Int32, Int64
 from lightopt.core.kernels import kernel
-from lightopt.defects import _shape
+from lightopt.defects._shape import (
+    SHAPE_KINDS,
+    SIZES,
+    CatalogueEntry,
+    DefectShape,
+    Profile,
+    gradient_in_outline,
+    place_in_outline,
+    profile_of,
+)
 
 # cosines of the angle to the normal in so many steps of this ratio, and directions within half a turn
 FORESHORTENING, COSINES, AZIMUTHS = 0.85, 11, 8
@@ -105,8 +114,8 @@ class PixelMixture:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DefectHypotheses:
-    entry: _shape.CatalogueEntry
-    shapes: tuple[_shape.DefectShape, ...]  # one for each of :data:`SIZES`; of a scratch the segment
+    entry: CatalogueEntry
+    shapes: tuple[DefectShape, ...]  # one for each of :data:`SIZES`; of a scratch the segment
     turns: Float64  # of the length, from the first axis of the tangent plane towards the second [rad], shape (n,)
     levels: tuple[float, ...]  # of the slope, as shares of the steepest
     slope: Float64  # by which the normal leans in each variant [rad], shape (t,)
@@ -141,7 +150,7 @@ class DefectHypotheses:
         if len(disc[0]) > 1:  # whose places sample pixels, too
             samples = LEAST_SAMPLES
         row, column, variant, count = _sample_pixels(
-            _shape.profile_of(shape),
+            profile_of(shape),
             (down, right),
             np.stack([along, across]) @ np.linalg.inv(to_image),
             off_px,
@@ -158,7 +167,7 @@ class DefectHypotheses:
 
 @kernel
 def _sample_pixels(
-    profile: _shape.Profile,
+    profile: Profile,
     reach: tuple[int, int],
     to_defect: Float64,
     off: tuple[float, float],
@@ -183,12 +192,12 @@ def _sample_pixels(
                 for k in range(len(disc[0])):
                     px, py = disc[0][k] + column + inner_x - off[0], disc[1][k] + row + inner_y - off[1]
                     x, y = to_defect[0, 0] * px + to_defect[0, 1] * py, to_defect[1, 0] * px + to_defect[1, 1] * py
-                    if _shape.place_in_outline(profile, x, y) >= 1.0:
+                    if place_in_outline(profile, x, y) >= 1.0:
                         continue
                     if steepest == 0.0:
                         count[0] += 1
                         continue
-                    along, across = _shape.gradient_in_outline(profile, x, y)
+                    along, across = gradient_in_outline(profile, x, y)
                     share = math.hypot(along, across) / steepest
                     if share < 0.5 * levels[0]:
                         continue
@@ -216,7 +225,7 @@ def _disc(diameter: float) -> tuple[Float64, Float64]:
     return radius * np.cos(angle), radius * np.sin(angle)
 
 
-def defect_hypotheses(entry: _shape.CatalogueEntry, grid: HypothesisGrid = INSPECTION_GRID) -> DefectHypotheses:
+def defect_hypotheses(entry: CatalogueEntry, grid: HypothesisGrid = INSPECTION_GRID) -> DefectHypotheses:
     shape = entry.shape
     levels, turns = WALL_LEVELS, 1
     finer = math.ceil(math.log2(max(shape.slope, 1e-9) / grid.fine_slope)) if math.isfinite(grid.fine_slope) else 0
@@ -231,11 +240,11 @@ def defect_hypotheses(entry: _shape.CatalogueEntry, grid: HypothesisGrid = INSPE
         shape = replace(shape, length=side, width=side)
     if shape.kind in ("dent", "bump", "blister"):
         levels = grid.bowl_levels
-    if shape.kind not in _shape.SHAPE_KINDS:
+    if shape.kind not in SHAPE_KINDS:
         levels, directions = (0.0,), 1
     slope = np.arctan(math.tan(shape.slope) * np.repeat(levels, directions))
-    shapes: list[_shape.DefectShape] = []
-    for size in _shape.SIZES:
+    shapes: list[DefectShape] = []
+    for size in SIZES:
         width = size * shape.width
         # a narrower scratch is no shorter
         length = max(width, shape.length if shape.kind == "scratch" else size * shape.length)

@@ -13,7 +13,19 @@ from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance import _likelihood
+from lightopt.estimate.reflectance._likelihood import (
+    Evaluation,
+    Light,
+    Sums,
+    add_slopes,
+    clipped_levels,
+    image_factors,
+    lagrange,
+    parameter_count,
+    predicted,
+    specular_and_slope,
+    sum_in_chunks,
+)
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
 from lightopt.estimate.reflectance._vector import DARK, LOG_SIGMA
 
@@ -72,7 +84,7 @@ class LeastSquares:
     def __init__(self, samples: Samples, table: SpecularTable, *, fixed: tuple[float, Float64] | None = None) -> None:
         self.samples = samples
         self.table = table
-        self.size = _likelihood.parameter_count(samples)
+        self.size = parameter_count(samples)
         self._fixed = None if fixed is None else (np.array([fixed[0]]), fixed[1][:, None])
         weight = samples.weight[samples.sample]
         # pixels of the images that each observation stands for, on average 1, shape (N,)
@@ -87,25 +99,23 @@ class LeastSquares:
         """Specular light per unit of R_s at the σ of `x`, shape (n,)."""
         at = float(x[LOG_SIGMA])
         nodes, columns = self._fixed or self.table.around(at)
-        return columns @ _likelihood.lagrange(nodes, at)[0]
+        return columns @ lagrange(nodes, at)[0]
 
     def mean_square(self, x: Float64) -> float:
         """Of measured minus predicted level, both clipped as by the camera [sensor level²]."""
         return -2.0 * self._sums(x)[0] / max(1, len(self.samples.sample))
 
-    def evaluate(self, x: Float64) -> _likelihood.Evaluation:
+    def evaluate(self, x: Float64) -> Evaluation:
         value, gradient, curvature = self._sums(x)
         count = len(self.samples.sample)
         mean = max(-2.0 * value / max(1, count), LEAST_MEAN_SQUARE)
-        return _likelihood.Evaluation(
-            -0.5 * count * (math.log(2.0 * math.pi * mean) + 1.0), gradient / mean, curvature / mean
-        )
+        return Evaluation(-0.5 * count * (math.log(2.0 * math.pi * mean) + 1.0), gradient / mean, curvature / mean)
 
     def _sums(self, x: Float64) -> tuple[float, Float64, Float64]:
         s = self.samples
         at = float(x[LOG_SIGMA])
         nodes, columns = self._fixed or self.table.around(at)
-        c, dc = _likelihood.lagrange(nodes, at)
+        c, dc = lagrange(nodes, at)
         top = s.sensor.saturated_from
 
         observed, light = (s.sample, s.level, s.image, self.weight), (s.diffuse, columns, c, dc)
@@ -113,7 +123,7 @@ class LeastSquares:
         def add(start: int, end: int, *sums: Float64) -> float:
             return _accumulate(observed, start, end, light, s.facts, (s.sensor.black_level, top), x, sums)
 
-        return _likelihood.sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads)
+        return sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads)
 
 
 _Observed = tuple[Int32, Float32, Int32, Float64]
@@ -122,24 +132,17 @@ _Ends = tuple[float, float]
 
 @kernel
 def _accumulate(
-    observed: _Observed,
-    start: int,
-    end: int,
-    light: _likelihood.Light,
-    facts: ImageFacts,
-    ends: _Ends,
-    x: Float64,
-    sums: _likelihood.Sums,
+    observed: _Observed, start: int, end: int, light: Light, facts: ImageFacts, ends: _Ends, x: Float64, sums: Sums
 ) -> float:
     # minus half the sum of weighted squares, its gradient, and the matrix of Gauss and Newton
     (sample, level, image, weights), (diffuse, specular, c, dc), (black, top) = observed, light, ends
     r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
-    factor_of = _likelihood.image_factors(facts, x)
+    factor_of = image_factors(facts, x)
     total = 0.0
     for j in range(start, end):
         i, m = sample[j], image[j]
         factor = factor_of[m]
-        s, ds = _likelihood.specular_and_slope(i, specular, c, dc)
+        s, ds = specular_and_slope(i, specular, c, dc)
         signal = factor * (r_d * diffuse[i] + r_s * s)
         mean = black + dark + signal
         weight = weights[j]
@@ -148,7 +151,7 @@ def _accumulate(
         if mean < 0.0 or mean > top:
             continue
         slopes, pull = (factor * diffuse[i], factor * r_s * s, factor * r_s * ds, signal), weight * residual
-        _likelihood.add_slopes(pull, pull, weight, 4 + facts.light[m], slopes, sums)
+        add_slopes(pull, pull, weight, 4 + facts.light[m], slopes, sums)
     return total
 
 
@@ -159,7 +162,7 @@ def find_dust(samples: Samples, mean: Float64) -> Bool:
 
     mean: Predicted levels, not clipped, shape (N,).
     """
-    level, model = _likelihood.clipped_levels(samples, mean)
+    level, model = clipped_levels(samples, mean)
     residual = level - model
     ring = np.floor(RINGS * np.log2(np.maximum(samples.deflection, 1e-4) / 1e-4)).astype(np.intp)
     step = np.floor(DIFFUSE_STEPS * samples.diffuse).astype(np.intp)
@@ -182,13 +185,13 @@ def measure_misfit(criterion: LeastSquares, x: Float64) -> float:
     """
     s = criterion.samples
     sensor = s.sensor
-    mean = _likelihood.predicted(s, criterion.light(x), x)
+    mean = predicted(s, criterion.light(x), x)
     top = sensor.saturated_from
     lit = s.diffuse[s.sample] > 0.0
     seen = lit & ~(s.saturated & (mean >= top))
     if not seen.any():
         return 0.0
-    level, model = _likelihood.clipped_levels(s, mean)
+    level, model = clipped_levels(s, mean)
     signal = np.minimum(mean, top) - sensor.black_level - x[DARK]
     variance = sensor.noise_variance(signal, frames=s.facts.frames[s.image])
     variance = np.maximum(variance, image_noise(s) ** 2)
