@@ -11,7 +11,7 @@ import numpy as np
 
 from lightopt.core.errors import InputError, counted
 from lightopt.images import ImageEntry, ImageSet, ImageSetWriter, Manifest, read_image_set, sheet_name
-from lightopt.report import _pictures, _pictures as pictures
+from lightopt.report import _pictures as pictures
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -61,10 +61,8 @@ def contact_sheet(
     Rows are postures, columns are lights, both in the set's order. Images are averaged down; a cell that contains
     saturated pixels is tinted red by their share, and their exact number stands below the image.
 
-    path: The PNG to make or to replace, in a folder that exists; it is returned.
     exposure: Which exposure to show; the longest of the set by default.
     title: Instead of the names of the part's and the rig's file.
-    overwrite: Whether a file of other content may be replaced.
     Raises InputError: The set is empty or has no such exposure, an image is missing or damaged, the file cannot be
         written, or one of other content is there and `overwrite` is False.
     """
@@ -93,17 +91,11 @@ def _sheet(image_set: ImageSet, exposure: float, title: str) -> Image.Image:
     cells = figure.subplots(len(postures), len(lights), squeeze=False, gridspec_kw=place)
     at: dict[str, Any] = {"x": MARGIN / width, "va": "top", "ha": "left"}
     most = (width - 2 * MARGIN) // TEXT  # characters of a line of small text, more or less
-    figure.suptitle(
-        pictures.shortened(title, most // 2),
-        y=1.0 - MARGIN / height,
-        fontsize=TITLE * pictures.POINT,
-        color=pictures.INK,
-        **at,
-    )
+    heading = pictures.shortened(title, most // 2)
+    figure.suptitle(heading, y=1.0 - MARGIN / height, fontsize=TITLE * pictures.POINT, color=pictures.INK, **at)
     small_text: dict[str, Any] = {"fontsize": TEXT * pictures.POINT, "color": pictures.SOFT}
-    facts = _facts(
-        image_set.manifest, f"{counted(len(lights), 'light')} × {counted(len(postures), 'posture')}", exposure
-    )
+    number = f"{counted(len(lights), 'light')} × {counted(len(postures), 'posture')}"
+    facts = _facts(image_set.manifest, number, exposure)
     figure.text(y=1.0 - (MARGIN + 1.6 * TITLE) / height, s=facts, **at, **small_text)
     figure.text(y=(BOTTOM - GAP) / height, s=_legend(image_set.manifest), **at, **small_text)
     several = {one for one in lights if len({light_position(e) for e in entries if e.light == one}) > 1}
@@ -149,7 +141,7 @@ def entry_thumbnail(image_set: ImageSet, entry: ImageEntry, limit: int) -> pictu
     """An image of a set as the camera delivered it, made small; neither side longer than `limit` [px]."""
     image = image_set.load(entry)
     share = image.levels * np.float32(entry.held_exposure / image_set.manifest.full_scale)
-    return _pictures.thumbnail(share, image.saturated, limit=limit)
+    return pictures.thumbnail(share, image.saturated, limit=limit)
 
 
 def degrees(angle: float) -> str:

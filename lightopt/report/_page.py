@@ -75,7 +75,7 @@ class Picture:
 def camera_picture(level: NDArray[np.floating], saturated: Bool, *, limit: int, alt: str, caption: str) -> Picture:
     """An image of the camera as :func:`lightopt.report._pictures.thumbnail` makes it small."""
     small = thumbnail(level, saturated, limit=limit)
-    return Picture(png=png_bytes(Image.fromarray(small.picture)), alt=alt, caption=caption)
+    return Picture(png=png_bytes(small.picture), alt=alt, caption=caption)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -163,9 +163,10 @@ def write_picture(path: Path, image: Image.Image, *, overwrite: bool = True) -> 
     return path
 
 
-def png_bytes(image: Image.Image) -> bytes:
+def png_bytes(image: Image.Image | UInt8) -> bytes:
     data = io.BytesIO()
-    image.save(data, format="PNG", compress_level=3)
+    own = Image.fromarray(image) if isinstance(image, np.ndarray) else image
+    own.save(data, format="PNG", compress_level=3)
     return data.getvalue()
 
 

@@ -31,8 +31,6 @@ def rig_drawing(scene: Scene, path: str | Path, *, overwrite: bool = True) -> Pa
     panel as its true rectangle, the part at its first posture, elevations θ from the table plane, azimuths φ from +X;
     beside it the part with the stage's axes.
 
-    path: The PNG to make or to replace, in a folder that exists; it is returned.
-    overwrite: Whether a file of other content may be replaced.
     Raises InputError: The file cannot be written, or one of other content is there and `overwrite` is False.
     """
     return write_picture(check_png_path(path), rig_image(scene), overwrite=overwrite)
@@ -58,16 +56,14 @@ def rig_image(scene: Scene) -> Image.Image:
 def draw_rig(axes: Axes, scene: Scene, posture: Posture) -> None:
     size = elements.rig_size(scene)
     under = [np.abs(outlines(light)[..., :2]).max() for light in scene.lights]
-    half, step = elements.round_up(
-        max([*under, 1.2 * np.abs(elements.part_box(scene, posture)[:, :2]).max(), 0.4 * size])
-    )
+    part = np.abs(elements.part_box(scene, posture)[:, :2]).max()
+    half, step = elements.round_up(max([*under, 1.2 * part, 0.4 * size]))
     shape = elements.camera_shape(scene.camera, 0.13 * size)
     pen = elements.Pen(axes, RIG_VIEW)
     pen.grid(half, step)
     axes.set_title(f"grid {step:g} mm", fontsize=TITLE * POINT, color=INK)
-    pen.polygon(
-        shape.footprint, fill=f"{elements.CAMERA}20", outline=elements.CAMERA, width=1.2
-    )  # what the camera sees of the table
+    # what the camera sees of the table
+    pen.polygon(shape.footprint, fill=f"{elements.CAMERA}20", outline=elements.CAMERA, width=1.2)
     pen.axes_of_world((1.08 * half, 1.08 * half, 0.45 * size))
     # channels of one light stand in one place
     first = scene.lights[: MOST_ARCS if len(scene.lights) <= MOST_ARCS else FEW_ARCS]
@@ -92,9 +88,8 @@ def draw_stage(axes: Axes, scene: Scene, posture: Posture) -> None:
     reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
     half, step = elements.round_up(0.525 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0))))
     pen.grid(half, step, centre=corners.mean(axis=0))
-    axes.set_title(
-        f"the part in posture {posture}, grid {step:g} mm".replace("-", "−"), fontsize=TITLE * POINT, color=INK
-    )
+    title = f"the part in posture {posture}, grid {step:g} mm".replace("-", "−")
+    axes.set_title(title, fontsize=TITLE * POINT, color=INK)
     (point, tilt), (rotation, translation) = scene.stage.tilt_axis, scene.stage.transform(posture)
     pivot, z = rotation @ scene.pivot + translation, rotation[:, 2]
     y = np.asarray(np.cross(z, elements.X), np.float64)

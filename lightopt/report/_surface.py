@@ -117,10 +117,13 @@ def eye_distance(surface: ColouredSurface) -> float:
     return 1.02 * max(radius, 1e-6) / math.sin(0.5 * FIELD_OF_VIEW)
 
 
-def first_view(camera: PinholeCamera) -> Float64:
-    """Unit vector to the first viewpoint, shape (3,): towards the camera, but a third aside, which shows sides, too."""
+def standing_surface(
+    vertices: Float64, triangles: Int32, layers: tuple[SurfaceLayer, ...], camera: PinholeCamera
+) -> ColouredSurface:
+    """A surface in the world frame, seen first towards the camera, but a third aside, which shows sides, too."""
     mixed = camera.position / np.linalg.norm(camera.position) + np.array([0.35, -0.9, 0.0])
-    return mixed / np.linalg.norm(mixed)
+    toward, up = mixed / np.linalg.norm(mixed), np.array([0.0, 0.0, 1.0])
+    return ColouredSurface(vertices=vertices, triangles=triangles, layers=layers, up=up, toward=toward)
 
 
 def surface_head(surface: ColouredSurface) -> str:

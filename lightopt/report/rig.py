@@ -88,17 +88,12 @@ def _sections(found: RigCalibration) -> Iterator[_page.Section]:
         header = ["posture", "corners", "median [px]", "rms [px]", "left out", ""]
         shown = "Found less predicted corners of all views, on the image; a pattern means another lens or a bent board."
         png = pictures.png_bytes(residual_map(board, found.camera.width, found.camera.height))
-        blocks: list[_page.Block] = [
-            _page.Picture(png=png, alt=shown, caption=shown),
-            _page.Table(header=header, rows=rows),
-        ]
+        picture = _page.Picture(png=png, alt=shown, caption=shown)
+        blocks: list[_page.Block] = [picture, _page.Table(header=header, rows=rows)]
         if board.next_posture is not None:
             posture, rms = board.next_posture
-            text = (
-                f"Of further postures {posture} would help most: pixels would be predicted to "
-                f"{rms:.2g} px instead of {board.predicted_rms:.2g} px."
-            )
-            blocks.append(_page.Note(text=text))
+            predicted = f"pixels would be predicted to {rms:.2g} px instead of {board.predicted_rms:.2g} px"
+            blocks.append(_page.Note(text=f"Of further postures {posture} would help most: {predicted}."))
         yield _page.Section(heading="Camera and stage", blocks=blocks)
     if (ball := found.ball) is not None:
         header = ["light", "centre [mm]", "±", "direction ± [°]", "size [mm]", "moved by [mm]"]
@@ -223,9 +218,7 @@ def findings_table(result: Verification) -> _page.Table:
     def cells(one: Finding) -> list[str]:
         return [one.cause, one.amount, one.limit_text, "beyond" if one.exceeds else "within"]
 
-    return _page.Table(
-        header=["cause", "size", "limit", ""], rows=[cells(one) for one in result.findings], numbers_from=4
-    )
+    return _page.Table(header=["cause", "size", "limit", ""], rows=list(map(cells, result.findings)), numbers_from=4)
 
 
 def lights_table(result: Verification) -> _page.Table:
@@ -287,7 +280,7 @@ def _picture(difference: Float32 | None, number: int, light: str) -> _page.Pictu
     if difference is None:
         return None
     pixels = pictures.shrunk(diverging(np.clip(difference[number] / FULL_COLOUR, -1.0, 1.0)), limit=MOST_PX)
-    return _page.Picture(png=pictures.png_bytes(Image.fromarray(pixels)), alt=f"captured minus predicted, {light}")
+    return _page.Picture(png=pictures.png_bytes(pixels), alt=f"captured minus predicted, {light}")
 
 
 @pictures.fixed_style()

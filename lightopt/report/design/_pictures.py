@@ -3,8 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-
-from PIL import Image
+from pathlib import Path
 
 from lightopt import design
 from lightopt.core.errors import InputError, counted
@@ -38,10 +37,8 @@ def setting_blocks(output: design.DesignOutput) -> list[Block]:
     for result in output.result.results:
         if result.answers[0].nothing is None:
             sets.setdefault(result.answers[0].found.best.candidates, []).append(result)
-    blocks: list[Block] = []
-    if len(sets) > 1:
-        text = f"The postures have {len(sets)} different sets of positions: move the lights between the postures."
-        blocks.append(Note(text=text))
+    text = f"The postures have {len(sets)} different sets of positions: move the lights between the postures."
+    blocks: list[Block] = [Note(text=text)] if len(sets) > 1 else []
     blocks += [_setting_table(output.result, results, name_postures=len(sets) > 1) for results in sets.values()]
     return [*blocks, *(_setting_drawing(output.result, results) for results in list(sets.values())[:1])]
 
@@ -72,11 +69,8 @@ def _setting_drawing(whole: design.DesignResult, results: Sequence[design.SetRes
     lights = zip(whole.candidates.names, design.places_of(whole.candidates, best), strict=True)
     places = "; ".join(f"{name} {design.place_text(place)}" for name, place in lights)
     scene = replace(whole.scene, lights=whole.candidates.panels_at(best.candidates), postures=postures)
-    return Picture(
-        png=pictures.png_bytes(rig_image(scene)),
-        alt=f"The rig: {places}",
-        caption=f"The rig with the lights there, the part in {postures[0]}.",
-    )
+    caption = f"The rig with the lights there, the part in {postures[0]}."
+    return Picture(png=pictures.png_bytes(rig_image(scene)), alt=f"The rig: {places}", caption=caption)
 
 
 def image_blocks(output: design.DesignOutput) -> list[Block]:
@@ -85,15 +79,7 @@ def image_blocks(output: design.DesignOutput) -> list[Block]:
     if not sets:
         return [Note(text="Not rendered: images were switched off.")]
     maps = {
-        (overlap.posture, overlap.exposure): Picture(
-            png=pictures.png_bytes(
-                Image.fromarray(
-                    pictures.shrunk(read_png(output.result.folder / listed["map"], colour=True), limit=SIDE)
-                )
-            ),
-            alt="Map of the highlights",
-            caption=f"{overlap.pixels:,} px saturated in two or more",
-        )
+        (overlap.posture, overlap.exposure): _overlap_map(output.result.folder / listed["map"], overlap.pixels)
         for listed, overlap in zip(output.document["overlaps"], output.overlaps, strict=True)
     }
     rows: list[tuple[str, list[Picture | None]]] = []
@@ -117,30 +103,30 @@ def image_blocks(output: design.DesignOutput) -> list[Block]:
     return [Gallery(header=header, rows=rows, caption=caption)]
 
 
+def _overlap_map(path: Path, pixels: int) -> Picture:
+    png = pictures.png_bytes(pictures.shrunk(read_png(path, colour=True), limit=SIDE))
+    return Picture(png=png, alt="Map of the highlights", caption=f"{pixels:,} px saturated in two or more")
+
+
 def _picture(images: ImageSet, entry: ImageEntry) -> Picture:
-    small = entry_thumbnail(images, entry, SIDE)
-    return Picture(
-        png=pictures.png_bytes(Image.fromarray(small.picture)),
-        alt=f"{entry.light} at {light_position(entry)}",
-        caption=f"{light_position(entry)}; {saturation_text(small)}",
-    )
+    small, at = entry_thumbnail(images, entry, SIDE), light_position(entry)
+    png = pictures.png_bytes(small.picture)
+    return Picture(png=png, alt=f"{entry.light} at {at}", caption=f"{at}; {saturation_text(small)}")
 
 
 def curve_blocks(output: design.DesignOutput) -> list[Block]:
     """The score against angles and distances, one chart for each set and axis."""
-    blocks: list[Block] = []
-    for result in output.result.results:
-        for axis in design.AXES:
-            curves = [curve for curve in result.curves if curve.axis == axis]
-            if curves:
-                blocks.append(_chart(result, axis, curves))
-    if blocks:
-        text = (
-            "The score as one light moves and all else stays as in the best set; or, where it says so, with all lights "
-            "that move at the same elevation. Where a curve stays near the best score the choice is free."
-        )
-        blocks.insert(0, Note(text=text))
-    return blocks
+    charts = [
+        _chart(result, axis, curves)
+        for result in output.result.results
+        for axis in design.AXES
+        if (curves := [curve for curve in result.curves if curve.axis == axis])
+    ]
+    text = (
+        "The score as one light moves and all else stays as in the best set; or, where it says so, with all lights "
+        "that move at the same elevation. Where a curve stays near the best score the choice is free."
+    )
+    return [Note(text=text), *charts] if charts else []
 
 
 @pictures.fixed_style()
@@ -161,6 +147,5 @@ def _chart(result: design.SetResult, axis: str, curves: list[design.Curve]) -> P
         panel.plot(curve.values, scores, ".-", color=colour, label=pictures.printable(curve.name))
     pictures.name_lines(panel)
     names = ", ".join(curve.name for curve in curves)
-    return Picture(
-        png=pictures.png_bytes(pictures.figure_image(figure)), alt=f"Score against {axis} for {where}: {names}"
-    )
+    png = pictures.png_bytes(pictures.figure_image(figure))
+    return Picture(png=png, alt=f"Score against {axis} for {where}: {names}")

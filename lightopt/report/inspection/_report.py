@@ -33,7 +33,6 @@ def inspection_report(
 ) -> str:
     """The report of an inspection as HTML.
 
-    part, rig: Names.
     provenance: From :func:`lightopt.inspection.inspection_provenance`.
     truth: From :func:`lightopt.inspection.summarise`; None where nothing is known of the part.
     """
@@ -106,7 +105,6 @@ def batch_report(
 ) -> str:
     """The report of several parts as HTML: a row each, in the order of the sets.
 
-    part, rig: Names.
     truth: As :func:`inspection_report` takes it, over all sets.
     """
     good = sum(row.verdict is not None and row.verdict.good for row in rows)
@@ -266,13 +264,11 @@ def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
     """The summary of :func:`lightopt.inspection.summarise`, for people."""
     area = summary["roc_auc"]
     hidden = ", ".join(summary["hidden"])
+    unseen = f"{hidden}: out of view, at an edge, or narrower than a pixel" if hidden else "none"
     facts = [
         ("found", f"{summary['found']} of {summary['defects']} defects in view"),
         ("missed", "; ".join(missed_defects(summary)) or "none"),
-        (
-            "without an evaluable pixel",
-            f"{hidden}: out of view, at an edge, or narrower than a pixel" if hidden else "none",
-        ),
+        ("without an evaluable pixel", unseen),
         ("false alarms", f"{summary['false_alarms_per_posture']:g} per posture"),
         ("area under the pixels' ROC", "-" if area is None else f"{area:.4f}"),
     ]
@@ -321,10 +317,8 @@ def _chart(summary: Mapping[str, Any]) -> Block:
         probability = 1.0 / (1.0 + np.exp(-(curve["intercept"] + curve["steepness"] * np.log(x))))
         panel.plot(x, probability, color=colour, label=kind)
     name_lines(panel)
-    return Picture(
-        png=png_bytes(figure_image(figure)),
-        alt=f"Curves of detection against size: {', '.join(curves)}; dots are single defects",
-    )
+    alt = f"Curves of detection against size: {', '.join(curves)}; dots are single defects"
+    return Picture(png=png_bytes(figure_image(figure)), alt=alt)
 
 
 def _shown(size: float | None) -> str:
