@@ -19,7 +19,6 @@ from lightopt.design._tolerances import ToleranceAnalysis, Tolerances
 from lightopt.design.objectives._objective import Objective, share_text
 from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._posture_search import PostureChoice
-from lightopt.design.responses._evidence import DetectionModel
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import Levels
 from lightopt.design.search._exact_search import Ranked, SearchResult
@@ -165,7 +164,6 @@ NEGLIGIBLE_SHARE = 0.001  # of the pairs: what further postures add together tha
 class ChosenPostures:
     choice: PostureChoice
     evaluator: ImageEvaluator  # all postures to choose from, and the patches for the last iterations and all figures
-    detection: DetectionModel  # of the evaluator
     drawn: int  # number of patches for the first iterations
     left_out: tuple[ExcludedPosture, ...]  # postures that the stage reaches and that are of no use
     way: Way  # through the chosen ones, were all captured in one round
@@ -285,10 +283,8 @@ def _search_words(options: OptimizeOptions) -> list[str]:
     words = [word for name in options.objectives for word in ("--objective", name)]
     words += _differing(options, {"--step": "step_deg", "--min-images": "min_images", "--false-alarms": "false_alarms"})
     words += () if options.threshold is None else ("--calibration", options.threshold.file)
-    words += _differing(
-        options, {"--shade-below": "shade_below", "--ranking-rows": "rows", "--max-combinations": "limit"}
-    )
-    words += _posture_words(options.postures or ())
+    names = {"--shade-below": "shade_below", "--ranking-rows": "rows", "--max-combinations": "limit"}
+    words += [*_differing(options, names), *_posture_words(options.postures or ())]
     flags = (
         ("--common-elevation", options.common_elevation),
         ("--lights-per-posture", not options.common_lights),

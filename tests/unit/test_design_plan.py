@@ -400,7 +400,7 @@ def test_where_positions_are_too_many_for_memory_the_turns_stay_on_drawn_patches
     assert free.on_all_patches
     assert free.converged
     # room for two candidate postures, not for six positions and their sums
-    monkeypatch.setattr(placing, "MOST_COUNT_BYTES", 2 * len(evaluator.patches) * 8)
+    monkeypatch.setattr(placing, "MOST_COUNT_BYTES", 2 * evaluator.needed * len(evaluator.patches) * 8)
     tight = choose_postures(*ask)
     assert not tight.on_all_patches
     assert not tight.converged

@@ -149,10 +149,7 @@ def position_counts_fit(evaluator: ImageEvaluator, candidates: Candidates | None
 def position_counts(
     evaluator: ImageEvaluator, postures: Sequence[ExposedPosture], candidates: Candidates, progress: Share
 ) -> list[PositionCounts]:
-    """Units of evidence by each position of each light in postures, of each light of shape (positions, k, p, words).
-
-    k is what is needed.
-    """
+    """Units of evidence, up to what is needed, by each position of each light in postures: (positions, k, p, words)."""
     empty = evaluator.weights.zero_counts(evaluator.needed)
     totals = [np.repeat(empty[None], len(some), axis=0) for some in candidates.panels]
     for done, (posture, exposures) in enumerate(postures, start=1):

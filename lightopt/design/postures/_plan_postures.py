@@ -159,7 +159,6 @@ def planned_answers(
     candidates: Positions of the lights that the result is of.
     free: All positions to choose from: the curves go through them, where the chosen ones are among them; None where
         no light moves.
-    progress: Called with the share of the curves that is done.
     """
     first = result.answers[0].objective
     assert isinstance(first, DetectabilityObjective)
@@ -317,7 +316,7 @@ def plan_postures(
             "'min_images', or change the lights"
         )
     travel = way_through(rig, choice.postures), pace_text(rig)
-    return ChosenPostures(choice, whole, detection, len(drawn.patches), left_out, *travel, plan)
+    return ChosenPostures(choice, whole, len(drawn.patches), left_out, *travel, plan)
 
 
 def with_chosen(options: _problem.OptimizeOptions, rig: RigConfig, chosen: ChosenPostures) -> _problem.OptimizeOptions:
