@@ -176,13 +176,9 @@ class CatalogueEntry:
         """One defect of the ranges, from 0 for the least to 1 for the greatest size and slope, in equal ratios."""
         (small, large), (flat, steep) = self.sizes, self.slopes
         scale, steeper = small * (large / small) ** size, flat * (steep / flat) ** slope
-        shape = replace(
-            self.shape,
-            length=scale * self.shape.length,
-            width=scale * self.shape.width,
-            slope=steeper * self.shape.slope,
-        )
-        return CatalogueEntry(self.name, shape)
+        own = self.shape
+        sides = {"length": scale * own.length, "width": scale * own.width}
+        return CatalogueEntry(self.name, replace(own, **sides, slope=steeper * own.slope))
 
     def in_sizes(self) -> tuple["CatalogueEntry", ...]:
         """Entries of one size that together test all sizes of the range: each tests :data:`SIZES` of its own."""

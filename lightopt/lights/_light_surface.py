@@ -65,23 +65,10 @@ RADIANCE = 21  # number of its radiance among them
 def element_at(rows: Float64, i: int) -> Element:
     """An element of a light, from row i of an array of shape (e, ELEMENT_NUMBERS)."""
     r = rows[i]
+    origin, centre = Vector(r[1], r[2], r[3]), Vector(r[22], r[23], r[24])
+    a, b, c = Vector(r[4], r[5], r[6]), Vector(r[7], r[8], r[9]), Vector(r[10], r[11], r[12])
     return Element(
-        int(r[0]),
-        Vector(r[1], r[2], r[3]),
-        Vector(r[4], r[5], r[6]),
-        Vector(r[7], r[8], r[9]),
-        Vector(r[10], r[11], r[12]),
-        r[13],
-        r[14],
-        r[15],
-        r[16],
-        r[17],
-        r[18],
-        r[19],
-        r[20],
-        r[21],
-        Vector(r[22], r[23], r[24]),
-        r[25],
+        int(r[0]), origin, a, b, c, r[13], r[14], r[15], r[16], r[17], r[18], r[19], r[20], r[21], centre, r[25]
     )
 
 

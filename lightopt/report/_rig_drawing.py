@@ -80,7 +80,9 @@ def draw_rig(axes: Axes, scene: Scene, posture: Posture) -> None:
     pen.camera(scene.camera, shape)
     if scene.lights:
         least_foreshortened = max(scene.lights, key=lambda light: abs(float(light.outward @ pen.view.toward)))
-        pen.panel_frame(least_foreshortened, 0.24 * size)
+        at, length = least_foreshortened.centre, 0.24 * size
+        pen.named_arrow(at, at + length * least_foreshortened.across, "e_φ", elements.PHI)
+        pen.named_arrow(at, at + length * least_foreshortened.along, "e_θ", elements.THETA)
 
 
 def draw_stage(axes: Axes, scene: Scene, posture: Posture) -> None:

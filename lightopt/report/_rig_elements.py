@@ -230,11 +230,6 @@ class Pen:
         self.arrow(path, THETA, 1.8)
         self.label(f"θ {degrees(light.elevation)}", path[len(path) // 2], THETA, away_from=ORIGIN)
 
-    def panel_frame(self, light: PanelLight, length: float) -> None:
-        """Draw the sides' directions e_φ and e_θ at a panel."""
-        self.named_arrow(light.centre, light.centre + length * light.across, "e_φ", PHI)
-        self.named_arrow(light.centre, light.centre + length * light.along, "e_θ", THETA)
-
     def camera(self, camera: PinholeCamera, shape: CameraShape) -> None:
         """Draw the camera, its viewing pyramid down to the table and the directions of its image."""
         for corner in shape.footprint[::BORDER_STEPS]:
