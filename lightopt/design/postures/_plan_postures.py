@@ -40,7 +40,6 @@ MOST_ITERATIONS = 2  # of the lights for the images as they are planned, at the 
 def choose_with_exposures(
     whole: ImageEvaluator,
     drawn: ImageEvaluator,
-    postures: Sequence[Posture],
     start: Sequence[PanelLight],
     candidates: Candidates | None,
     request: PostureRequest,
@@ -50,17 +49,16 @@ def choose_with_exposures(
 ) -> PostureChoice:
     """Choose postures and lights, and which further exposures are planned; figures are of the planned images.
 
-    whole, drawn, postures, start, candidates, request, run: As for :func:`choose_postures`;
-        evaluators of exposure 1.
+    whole, drawn, start, candidates, request, run: As for :func:`choose_postures`; evaluators of exposure 1.
     Returns the choice of the planned images; bounds and all candidates' share hold for any of the exposures. Where a
     target cannot be reached, what was chosen for all exposures, without brackets.
     """
     levels = tuple(dict.fromkeys((1.0, *exposures)))
     if len(levels) == 1:
-        return choose_postures(whole, drawn, postures, start, candidates, request, run=run)
+        return choose_postures(whole, drawn, start, candidates, request, run=run)
 
     def chosen_on(every: ImageEvaluator, some: ImageEvaluator, stage: str) -> PostureChoice:
-        choice = choose_postures(every, some, postures, start, candidates, request, run=run.within(stage))
+        choice = choose_postures(every, some, start, candidates, request, run=run.within(stage))
         return replace(choice, images=None)  # they are of other exposures than those that will be planned
 
     single = chosen_on(whole, drawn, "exposure 1")
@@ -72,8 +70,8 @@ def choose_with_exposures(
     planner = _JointPlanner(every, candidates, request, gain_points / 100.0, run)
     best = max((planner.add_exposures(one) for one in both if one.postures), key=planner.merit)
     best = planner.place_lights(best)
-    cover = planner.cover(best, postures)
-    chosen = tuple(postures[step.candidate] for step in cover.steps)
+    cover = planner.cover(best)
+    chosen = tuple(whole.table.postures[step.candidate] for step in cover.steps)
     return replace(best, postures=chosen, cover=cover, initial=single.initial)
 
 
@@ -121,9 +119,9 @@ class _JointPlanner:
             plan = better
         return plan
 
-    def cover(self, plan: PostureChoice, postures: Sequence[Posture]) -> Cover:
+    def cover(self, plan: PostureChoice) -> Cover:
         """What the planned images show, posture by posture; bounds are of all postures at any of the exposures."""
-        weights = self.whole.weights
+        weights, postures = self.whole.weights, self.whole.table.postures
         indices = [postures.index(posture) for posture in plan.postures]
         every = [self._counts(plan, posture, self.whole.exposures) for posture in postures]
         free = greedy_cover(every, weights, count=len(indices), threads=self.whole.threads)
@@ -305,7 +303,7 @@ def plan_postures(
     drawn = replace(whole, table=drawn_patches(table, DRAWN_PATCHES))
     request = PostureRequest(count=plan.choose_postures, target=plan.target, limit=options.limit)
     further = plan.all_exposures, plan.exposure_gain
-    choice = choose_with_exposures(whole, drawn, postures, lights, candidates, request, *further, run)
+    choice = choose_with_exposures(whole, drawn, lights, candidates, request, *further, run)
     if plan.target is not None and choice.cover.share < plan.target:
         all_exposures = replace(drawn, exposures=plan.all_exposures)
         raise target_not_reached(plan.target, choice, all_exposures, least=options.min_images)

@@ -95,8 +95,7 @@ def merit(cover: Cover, request: PostureRequest) -> tuple[float, ...]:
 class AlternatingSearch:
     """Alternating search on the patches of an evaluator; results for lights or postures are cached."""
 
-    evaluator: ImageEvaluator
-    postures: Sequence[Posture]  # to choose from
+    evaluator: ImageEvaluator  # of the postures to choose from
     candidates: Candidates | None  # positions of the lights to choose from; None where no light moves
     _: KW_ONLY
     where: str  # the patches, for progress messages
@@ -104,6 +103,7 @@ class AlternatingSearch:
     run: RunContext
 
     def __post_init__(self) -> None:
+        self.postures = self.evaluator.table.postures
         self._passes = 0
         self._counts: dict[Lights, list[Counts]] = {}
         self._positions: dict[tuple[int, ...], _light_positions.LightPositions] = {}
@@ -197,7 +197,6 @@ class AlternatingSearch:
 def choose_postures(
     whole: ImageEvaluator,
     drawn: ImageEvaluator,
-    postures: Sequence[Posture],
     start: Sequence[PanelLight],
     candidates: Candidates | None,
     request: PostureRequest,
@@ -206,16 +205,16 @@ def choose_postures(
 ) -> PostureChoice:
     """Choose postures and light positions.
 
-    whole, drawn: All patches, and those that the first iterations use; both of all postures.
-    postures: To choose from, at least one.
+    whole, drawn: All patches, and those that the first iterations use; both of the postures to choose from.
     start: The lights in their initial positions, world frame.
     candidates: Positions to choose from; None where no light moves.
     Raises InputError: More postures than memory is meant for; lights that collide in every combination.
     """
-    size = len(postures) * whole.needed * len(whole.patches) * whole.weights.masks.shape[1] * 8
-    what = f"counts: {len(postures)} postures × {len(whole.patches):,} patches"
+    postures = len(whole.table.postures)
+    size = postures * whole.needed * len(whole.patches) * whole.weights.masks.shape[1] * 8
+    what = f"counts: {postures} postures × {len(whole.patches):,} patches"
     refuse_memory(what, size, _light_positions.MOST_COUNT_BYTES, "raise option 'posture_step_deg'")
-    search = partial(AlternatingSearch, postures=postures, candidates=candidates, run=run or RunContext())
+    search = partial(AlternatingSearch, candidates=candidates, run=run or RunContext())
     # the chosen postures are looked at again when they are found
     full = on_drawn = search(replace(whole, images=ImageCache(CACHED_BYTES)), where="all patches", prove=True)
     if drawn.table is not whole.table:
