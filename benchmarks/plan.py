@@ -79,9 +79,7 @@ def run(size: Size) -> Report:
         )
         drawn = replace(whole, table=drawn_patches(table, scale.drawn))
         cut = time.perf_counter() - start
-        choice = choose_postures(
-            whole, drawn, scene.postures, scene.lights, candidates, PostureRequest(count=scale.chosen)
-        )
+        choice = choose_postures(whole, drawn, scene.lights, candidates, PostureRequest(count=scale.chosen))
         seconds, work = time.perf_counter() - start, time.process_time() - work
         cover = choice.cover
         rows.append(

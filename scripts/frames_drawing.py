@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent, rotation_x, rotation_z
 from lightopt.lights import panel_grid, place_light
-from lightopt.report._drawing import DPI, INK, POINT, SOFT, figure_image, fixed_style
-from lightopt.report._images import check_png_path, write_picture
+from lightopt.report._pictures import DPI, INK, POINT, SOFT, check_png_path, figure_image, fixed_style, write_picture
 from lightopt.report._rig_elements import (
     AXIS_COLOURS,
     BORDER_STEPS,

@@ -225,7 +225,6 @@ def _show_cameras(producer: Path | None) -> list[CameraInfo]:
 
 
 def _camera_state(config: CameraDeviceConfig, cameras: list[CameraInfo]) -> str:
-    """Whether the camera of a rig is among those that answer."""
     if "virtual" in (config.driver, config.port):
         return "simulated"
     if config.driver == "folder":

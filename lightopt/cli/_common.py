@@ -119,7 +119,6 @@ def parse_exposures(text: str) -> tuple[float, ...]:
 
 
 def parse_exposure(text: str) -> float:
-    """Read a number or a fraction such as 1/16."""
     value = _number(text)
     if not LEAST_EXPOSURE <= value <= MOST_EXPOSURE:
         limits = f"{LEAST_EXPOSURE:g} to {MOST_EXPOSURE:g}"
@@ -225,6 +224,5 @@ def _plain(parameter: Any, name: str, text: str) -> tuple[str, str]:
 
 
 def heading(parameter: Any) -> str:
-    """Of the section that an argument or option belongs to."""
     other = "Arguments" if parameter.param_type_name == "argument" else "Options"
     return getattr(parameter, "rich_help_panel", None) or other

@@ -55,7 +55,6 @@ QUIET, VERBOSE = ContextVar("QUIET", default=False), ContextVar("VERBOSE", defau
 
 
 def echo(text: str, *, even_if_quiet: bool = False) -> None:
-    """Print a line of results to standard output."""
     if even_if_quiet or not QUIET.get():
         typer.echo(with_flags(text))
 
@@ -67,12 +66,10 @@ def echo_error(*messages: str, label: str = "error: ") -> None:
 
 
 def echo_warning(message: str) -> None:
-    """A warning on standard error."""
     typer.echo(f"warning: {with_flags(message)}", err=True)
 
 
 def echo_paths(*paths: Path) -> None:
-    """Print where files were written."""
     for path in paths:
         echo(f"{path}")
 
@@ -92,7 +89,6 @@ def echo_main_paths(folder: Path, paths: Sequence[Path], *, main: Container[str]
 
 
 def version_wanted(wanted: bool) -> None:
-    """Print the version and leave."""
     if wanted:
         from lightopt import __version__
 

@@ -59,21 +59,9 @@ def rotation_from_vector(vector: Float64) -> Float64:
 
 def vector_of_rotation(rotation: Float64) -> Float64:
     """The vector of :func:`rotation_from_vector`, shape (3,), of a length up to π."""
-    # through the unit quaternion, by its largest component (Shepperd 1978, doi:10.2514/3.55767b)
-    r, trace = rotation, float(np.trace(rotation))
-    largest = int(np.argmax([trace, r[0, 0], r[1, 1], r[2, 2]]))
-    skew = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
-    if largest == 0:
-        real, imaginary = 1.0 + trace, skew
-    else:
-        i = largest - 1
-        imaginary = r[i] + r[:, i]
-        imaginary[i] = 1.0 - trace + 2.0 * r[i, i]
-        real = float(skew[i])
-    sine = float(np.linalg.norm(imaginary))
-    if sine == 0.0:
-        return np.zeros(3)
-    return 2.0 * math.atan2(abs(sine), abs(real)) * math.copysign(1.0, real) / sine * imaginary
+    from scipy.spatial.transform import Rotation  # which takes longer to load than most commands have to run
+
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), np.float64)
 
 
 @dataclass(frozen=True)

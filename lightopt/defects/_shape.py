@@ -36,8 +36,6 @@ BLEND: Final = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class DefectShape:
-    """A defect without its place."""
-
     kind: DefectKind  # scratch, dent, bump, pit, blister, stain or haze
     length: float  # of its outline along its direction [mm], at least the width; equal for a round one
     width: float  # of its outline [mm], which is an ellipse, for a scratch a strip with round ends
@@ -47,12 +45,10 @@ class DefectShape:
 
     @property
     def depth(self) -> float:
-        """Greatest depth or height [mm]."""
         return depth_of_slope(self.kind, self.width, self.slope) if self.slope > 0.0 else 0.0
 
     @property
     def area(self) -> float:
-        """Of the outline [mm²]."""
         if self.kind == "scratch":
             return self.width * (self.length - self.width) + 0.25 * math.pi * self.width**2
         return 0.25 * math.pi * self.length * self.width
@@ -87,8 +83,6 @@ def _rise(kind: DefectKind) -> float:
 
 
 class Profile(NamedTuple):
-    """A shape in numbers."""
-
     strip: bool  # with round ends, not an ellipse
     half_length: float  # [mm]
     half_width: float  # [mm]
@@ -101,7 +95,6 @@ _WALLS = {"dent": _BOWL, "bump": _BOWL, "blister": _BLISTER, "pit": _CONE, "scra
 
 
 def profile_of(shape: DefectShape) -> Profile:
-    """The shape in numbers."""
     rise = math.tan(shape.slope) * (-1.0 if shape.kind in ("bump", "blister") else 1.0)
     wall = _WALLS.get(shape.kind, _FLAT)
     return Profile(shape.kind == "scratch", 0.5 * shape.length, 0.5 * shape.width, wall, rise)
@@ -183,13 +176,9 @@ class CatalogueEntry:
         """One defect of the ranges, from 0 for the least to 1 for the greatest size and slope, in equal ratios."""
         (small, large), (flat, steep) = self.sizes, self.slopes
         scale, steeper = small * (large / small) ** size, flat * (steep / flat) ** slope
-        shape = replace(
-            self.shape,
-            length=scale * self.shape.length,
-            width=scale * self.shape.width,
-            slope=steeper * self.shape.slope,
-        )
-        return CatalogueEntry(self.name, shape)
+        own = self.shape
+        sides = {"length": scale * own.length, "width": scale * own.width}
+        return CatalogueEntry(self.name, replace(own, **sides, slope=steeper * own.slope))
 
     def in_sizes(self) -> tuple["CatalogueEntry", ...]:
         """Entries of one size that together test all sizes of the range: each tests :data:`SIZES` of its own."""

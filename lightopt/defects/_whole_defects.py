@@ -114,8 +114,6 @@ class PixelMixture:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DefectHypotheses:
-    """The hypotheses of an entry of the catalogue."""
-
     entry: CatalogueEntry
     shapes: tuple[DefectShape, ...]  # one for each of :data:`SIZES`; of a scratch the segment
     turns: Float64  # of the length, from the first axis of the tangent plane towards the second [rad], shape (n,)
@@ -228,7 +226,6 @@ def _disc(diameter: float) -> tuple[Float64, Float64]:
 
 
 def defect_hypotheses(entry: CatalogueEntry, grid: HypothesisGrid = INSPECTION_GRID) -> DefectHypotheses:
-    """The hypotheses of an entry of the catalogue: its sizes in all orientations."""
     shape = entry.shape
     levels, turns = WALL_LEVELS, 1
     finer = math.ceil(math.log2(max(shape.slope, 1e-9) / grid.fine_slope)) if math.isfinite(grid.fine_slope) else 0
@@ -276,8 +273,6 @@ _FINE_PX, _HALVES = 5.0, ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 
 @dataclass(frozen=True, kw_only=True)
 class SearchGrid:
-    """Where the hypotheses of an entry are tested in images."""
-
     ratio: int  # side of the larger pixels that images are reduced to [px]
     step: int  # places to test are so many of them apart
     halves: tuple[tuple[float, float], ...]  # places of the middle within its pixel, to the right and down

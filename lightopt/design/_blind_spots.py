@@ -15,7 +15,7 @@ What is seen at a grazing angle or an edge only counts neither as found nor as b
 surface, and the share left out is given separately.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -90,7 +90,6 @@ class BlindSpots:
 
 
 def blind_text(code: int, lights: Sequence[str]) -> str:
-    """A reason in words; `lights` are the names of the rig's lights."""
     if code >= BlindReason.SATURATED:
         return f"saturated by {lights[code - BlindReason.SATURATED]}"
     return {
@@ -379,12 +378,7 @@ def blind_legend(spots: BlindSpots) -> tuple[LegendRow, ...]:
 BLIND_CSV, BLIND_PLY, BLIND_PNG = BLIND_NAMES = "blind.csv", "blind.ply", "blind.png"
 
 
-def blind_files(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> Mapping[str, str | bytes]:
-    """``blind.csv`` and ``blind.ply``; `placement` is that of the mesh file in the part's frame."""
-    return {BLIND_CSV: _csv(summary), BLIND_PLY: _ply(summary, patches, placement)}
-
-
-def _csv(summary: BlindSpotSummary) -> str:
+def blind_csv(summary: BlindSpotSummary) -> str:
     table: list[list[object]] = [["postures", "lights", "what", "share", "share_of", "area_mm2", "colour"]]
     names = dict(reason_names(summary.lights))
     surface = float(summary.parts[0][1].areas.sum())
@@ -404,7 +398,8 @@ def _csv(summary: BlindSpotSummary) -> str:
     return csv_text(table)
 
 
-def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> bytes:
+def blind_ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> bytes:
+    """All patches with their blind spots; `placement` is that of the mesh file in the part's frame."""
     _, chosen, possible = summary.parts[0]
     # corners in the coordinates of the mesh file: x_file = Rᵀ·(x − t)
     vertices = (patches.vertices - placement.translation) @ placement.rotation

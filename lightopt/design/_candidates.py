@@ -28,17 +28,14 @@ MOST_POSITIONS = 100_000  # candidate positions of a light; more are refused
 
 
 def can_move(light: LightConfig) -> bool:
-    """Whether a light has a range in either angle, or of distances."""
     return any(getattr(light, key) is not None for key in RANGE_KEYS)
 
 
 def place_of(light: LightConfig) -> Place:
-    """Where a light stands as its file has it."""
     return tuple(getattr(light, key) for key in PLACE_KEYS[: 2 if light.distance_range_mm is None else 3])
 
 
 def place_dict(place: Place) -> dict[str, float]:
-    """A place by the keys of a rig file."""
     return dict(zip(PLACE_KEYS, place, strict=False))
 
 
@@ -126,13 +123,11 @@ class Candidates:
 
     @property
     def message(self) -> str:
-        """How many positions and combinations there are to choose from."""
         sizes = self.space.sizes
         count = counted(sum(math.prod(map(len, rows)) for rows in self.space.groups), "combination")
         return f"{' × '.join(map(str, sizes))} positions of {', '.join(self.names)}: {count} at most"
 
     def panels_at(self, combination: Sequence[int]) -> tuple[PanelLight, ...]:
-        """The panels for one position index per light."""
         return tuple(some[k] for some, k in zip(self.panels, combination, strict=True))
 
 

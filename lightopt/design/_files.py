@@ -26,7 +26,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture, vector_of_rotation
-from lightopt.design._blind_spots import BLIND_NAMES, BLIND_PNG, blind_files
+from lightopt.design._blind_spots import BLIND_CSV, BLIND_NAMES, BLIND_PLY, BLIND_PNG, blind_csv, blind_ply
 from lightopt.design._candidates import Place, panels_of, place_dict, place_of
 from lightopt.design._result import PLANNED_PART_NAME, RIG_NAME, DesignResult, decimal_text, places_of
 from lightopt.design._result_json import ranking_csv, result_document
@@ -109,15 +109,11 @@ def check_editable(rig: RigConfig) -> None:
 
 def _rig_files(design: DesignResult) -> list[RigFile]:
     # one rig where the same positions are best for all postures, else one per posture
-    sets = [
-        (
-            places_of(design.candidates, answer.found.best),
-            result.postures,
-            Path(images.posture_folder(result.postures[0])),
-        )
-        for result in design.results
-        if (answer := result.answers[0]).nothing is None
-    ]
+    sets: list[tuple[tuple[Place, ...], tuple[Posture, ...], Path]] = []
+    for result in design.results:
+        if (answer := result.answers[0]).nothing is None:
+            home = Path(images.posture_folder(result.postures[0]))
+            sets.append((places_of(design.candidates, answer.found.best), result.postures, home))
     if sets and len(sets) == len(design.results) and len({places for places, _, _ in sets}) == 1:
         sets = [(sets[0][0], tuple(posture for _, postures, _ in sets for posture in postures), Path())]
     text = partial(_rig_text, design.rig)
@@ -238,7 +234,8 @@ def finish_design(output: DesignOutput, report: str | None = None) -> None:
 def _further_files(result: DesignResult, blind_pictures: _Pictures) -> Iterator[tuple[str, str | bytes | UInt8]]:
     """Names in the folder and contents; the names must be known to :mod:`lightopt.design._files`."""
     if result.blind is not None and result.patches is not None:
-        yield from blind_files(result.blind, result.patches.patches, result.scene.placement).items()
+        yield BLIND_CSV, blind_csv(result.blind)
+        yield BLIND_PLY, blind_ply(result.blind, result.patches.patches, result.scene.placement)
         for posture, picture in blind_pictures.items():
             yield f"{images.posture_folder(posture)}/{BLIND_PNG}", picture
     if result.plan.commands:

@@ -53,7 +53,6 @@ class Setup:
         return replace(self, postures=self.postures[one], places=self.places[one], exposures=self.exposures[one])
 
     def panels(self, posture: int) -> tuple[PanelLight, ...]:
-        """The lights in a posture, world frame."""
         return tuple(self.panel(posture, light, EXACT) for light in range(len(self.rig.lights)))
 
     @cached_property

@@ -13,24 +13,11 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.run_context import RunContext
-from lightopt.design import _result, _tolerances
+from lightopt.design import _problem, _result, _tolerances
 from lightopt.design._blind_spots import BlindSpotSummary, PostureVisibility, planned_visibility
 from lightopt.design._candidates import Candidates, bodies_of, can_move
 from lightopt.design._files import check_editable, planned_part_text, refuse_other_result
 from lightopt.design._misalignment import ObjectiveAssessment, PairAssessment, Setup
-from lightopt.design._problem import (
-    DEFECT_OBJECTIVE,
-    OptimizeOptions,
-    PlanOptions,
-    Problem,
-    candidates_in,
-    candidates_of,
-    check_options,
-    detection_model_of,
-    images_that_decide,
-    posture_grid,
-    run_provenance,
-)
 from lightopt.design.objectives import OBJECTIVES
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
@@ -52,8 +39,8 @@ def optimize(
     part: PartConfig | Path | str,
     folder: Path | str,
     *,
-    options: OptimizeOptions | None = None,
-    plan: PlanOptions | None = None,
+    options: _problem.OptimizeOptions | None = None,
+    plan: _problem.PlanOptions | None = None,
     force: bool = False,
     run: RunContext | None = None,
 ) -> _result.DesignResult:
@@ -67,7 +54,7 @@ def optimize(
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
-    options, plan, run = options or OptimizeOptions(), plan or PlanOptions(), run or RunContext()
+    options, plan, run = options or _problem.OptimizeOptions(), plan or _problem.PlanOptions(), run or RunContext()
     folder = Path(folder)
     _check_request(rig, part, options, plan, folder)
     options = _decided(rig, part, options, plan, run)
@@ -76,7 +63,7 @@ def optimize(
     chosen = None
     if plan.chooses:
         if not force:
-            refuse_other_result(folder, run_provenance(rig, part, options, plan))
+            refuse_other_result(folder, _problem.run_provenance(rig, part, options, plan))
         chosen = plan_postures(rig, part, options, plan, run)
         options = with_chosen(options, rig, chosen)
 
@@ -86,7 +73,7 @@ def optimize(
     results, candidates, visibility = _search(matrices)
     if chosen is not None:
         # one set of lights for all postures is one result: the same positions, scored by all planned images together
-        free, progress = candidates_of(rig, options), run.stage("the score along each angle")
+        free, progress = _problem.candidates_of(rig, options), run.stage("the score along each angle")
         results = (planned_answers(results[0], chosen, candidates, free, progress),)
 
     planned, seen = _complete(matrices, results, candidates, plan, chosen)
@@ -107,9 +94,11 @@ def optimize(
     )
 
 
-def _check_request(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path) -> None:
+def _check_request(
+    rig: RigConfig, part: PartConfig, options: _problem.OptimizeOptions, plan: _problem.PlanOptions, folder: Path
+) -> None:
     """Refuse options that are out of range, contradict each other, or do not go with the rig and the part."""
-    check_options(options, plan)
+    _problem.check_options(options, plan)
     _check_image_count(rig, part, options, plan)
     if plan.tolerances is not None:
         _tolerances.check_body_count(len(bodies_of(rig)))
@@ -120,22 +109,24 @@ def _check_request(rig: RigConfig, part: PartConfig, options: OptimizeOptions, p
 
 
 def _decided(
-    rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, run: RunContext
-) -> OptimizeOptions:
+    rig: RigConfig, part: PartConfig, options: _problem.OptimizeOptions, plan: _problem.PlanOptions, run: RunContext
+) -> _problem.OptimizeOptions:
     """The options with the number of images that can show a defect on this surface."""
-    images = images_that_decide(rig, part, options.min_images, longest=max(plan.all_exposures))
+    images = _problem.images_that_decide(rig, part, options.min_images, longest=max(plan.all_exposures))
     if images == options.min_images:
         return options
-    if DEFECT_OBJECTIVE in options.objectives or plan.chooses or plan.exposures:
+    if _problem.DEFECT_OBJECTIVE in options.objectives or plan.chooses or plan.exposures:
         why = f"the surface scatters too little light to be seen (R_d {part.reflectance.R_d:g})"
         run.warn(f"{part.source.path}: {why}, so that no second image confirms a defect: one image decides")
     return replace(options, min_images=images)
 
 
-def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
+def _check_image_count(
+    rig: RigConfig, part: PartConfig, options: _problem.OptimizeOptions, plan: _problem.PlanOptions
+) -> None:
     # no defect can be seen in more images than there are; further exposures of a light do not count
     if plan.chooses:
-        available = len(posture_grid(rig, part, step_deg=plan.posture_step_deg))
+        available = len(_problem.posture_grid(rig, part, step_deg=plan.posture_step_deg))
         postures = min(available, plan.choose_postures or available)
     elif plan.exposures:
         postures = len(options.postures or part.postures)
@@ -149,7 +140,7 @@ def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOption
         )
 
 
-def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions) -> None:
+def _check_choice_of_postures(rig: RigConfig, options: _problem.OptimizeOptions) -> None:
     refusals = [OBJECTIVES[name].refusal(len(rig.lights)) for name in options.objectives if name in OBJECTIVES]
     problems = [text for text in refusals if text is not None]
     if options.postures is not None:
@@ -157,17 +148,22 @@ def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions) -> None:
         problems.append(f"option 'postures': cannot be combined with {chosen}; omit one or the other")
     if not options.common_lights:
         problems.append("option 'lights_per_posture': postures are chosen for one set of light positions; omit it")
-    if options.objectives and options.objectives[0] != DEFECT_OBJECTIVE:
-        found = f'expected {DEFECT_OBJECTIVE} first, found "{options.objectives[0]}"'
+    if options.objectives and options.objectives[0] != _problem.DEFECT_OBJECTIVE:
+        found = f'expected {_problem.DEFECT_OBJECTIVE} first, found "{options.objectives[0]}"'
         problems.append(f"option 'objectives': postures are chosen by the defects that they show: {found}")
     refuse(problems)
 
 
 def _state_problem(
-    rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path | None, run: RunContext
-) -> Problem:
+    rig: RigConfig,
+    part: PartConfig,
+    options: _problem.OptimizeOptions,
+    plan: _problem.PlanOptions,
+    folder: Path | None,
+    run: RunContext,
+) -> _problem.Problem:
     """Build the scene and the candidates; `folder` must hold no other result, None where it may."""
-    candidates_in(None, rig, options, options.places)  # errors in the rig alone come before the part is loaded
+    _problem.candidates_in(None, rig, options, options.places)  # errors in the rig alone come before the part is loaded
     if options.places is None and not any(map(can_move, rig.lights)):
         ranges = "an elevation_range_deg, an azimuth_range_deg or a distance_range_mm"
         run.warn(f"{rig.source.at('lights')}: no light can be moved; give one or more {ranges}")
@@ -177,24 +173,26 @@ def _state_problem(
     scene = replace(scene, camera=replace(scene.camera, obstructions=None))  # no position in the view is a candidate
     thresholds = LevelThresholds.of_sensor(scene.sensor, shade_share=options.shade_below)
     postures, names = [posture.as_dict() for posture in scene.postures], [objective.name for objective in objectives]
-    provenance = run_provenance(rig, part, options, plan, {"objectives": names, "postures": postures})
+    provenance = _problem.run_provenance(rig, part, options, plan, {"objectives": names, "postures": postures})
     if folder is not None:
         refuse_other_result(folder, provenance)
     caster = cast_rays_at(scene)
     # a light that moves may find its way out of the part: only its candidates count
     fixed = tuple(panel for panel, light in zip(scene.lights, rig.lights, strict=True) if not can_move(light))
     refuse_unusable_scene(replace(scene, lights=fixed), rig, part, caster)
-    candidates = all_candidates = candidates_in(scene, rig, options, options.places)
+    candidates = all_candidates = _problem.candidates_in(scene, rig, options, options.places)
     if options.places is not None and any(map(can_move, rig.lights)):
-        all_candidates = candidates_in(scene, rig, options)
+        all_candidates = _problem.candidates_in(scene, rig, options)
     run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.sharpest))
     found = scene, caster, thresholds, candidates, all_candidates
-    return Problem(rig, part, options, objectives, *found, provenance)
+    return _problem.Problem(rig, part, options, objectives, *found, provenance)
 
 
-def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run: RunContext) -> tuple[Objective, ...]:
+def _objectives(
+    rig: RigConfig, part: PartConfig, options: _problem.OptimizeOptions, run: RunContext
+) -> tuple[Objective, ...]:
     """The objectives; one that was named must be possible, one that is a default is left out otherwise."""
-    names, known = options.objectives or tuple(OBJECTIVES), (*OBJECTIVES, DEFECT_OBJECTIVE)
+    names, known = options.objectives or tuple(OBJECTIVES), (*OBJECTIVES, _problem.DEFECT_OBJECTIVE)
     problems = [
         f"option 'objectives': expected {' or '.join(known)}, found \"{name}\"" for name in names if name not in known
     ]
@@ -240,7 +238,7 @@ def _complete(
     matrices: PostureMatrices,
     results: Sequence[_result.SetResult],
     candidates: Candidates,
-    plan: PlanOptions,
+    plan: _problem.PlanOptions,
     chosen: _result.ChosenPostures | None,
 ) -> tuple[_result.PlanResult, Sequence[PostureVisibility]]:
     """Exposures and tolerances of the best positions; and what the planned images show of defects, if that is more."""
@@ -255,7 +253,7 @@ def _complete(
     lights = Setup(problem.rig, tuple(angles), tuple(angles.values()), exposures, points=options.points)
     brackets, tolerances = None if chosen is None else chosen.choice.brackets, ()
     # all shares are of the surface that the postures were chosen on
-    evaluator = matrices.evaluator(detection_model_of(problem.scene, problem.part, options))
+    evaluator = matrices.evaluator(_problem.detection_model_of(problem.scene, problem.part, options))
     shares_on = evaluator if chosen is None else chosen.evaluator
     if plan.exposures and chosen is None:
         inspected = shares_on
@@ -279,7 +277,7 @@ def _complete(
         found = np.array(brackets.found[: len(problem.defects.defects)])
         shares = problem.defects.facts(found, int(shares_on.weights.areas.sum()))["defects"]
         planned = replace(planned, defects=shares)
-    free = candidates if chosen is None else candidates_of(problem.rig, options)
+    free = candidates if chosen is None else _problem.candidates_of(problem.rig, options)
     goal, progress = (problem.thresholds, options.min_images), run.stage("blind spots")
     return planned, planned_visibility(evaluator, lights, free, plan.all_exposures, *goal, progress)
 
@@ -300,7 +298,7 @@ def _placed_tolerances(
     groups += [setup] if several else []
     found: list[_result.ToleranceResult] = []
     for group in groups:
-        if objective.name == DEFECT_OBJECTIVE:
+        if objective.name == _problem.DEFECT_OBJECTIVE:
             score = PairAssessment(drawn, group)
         else:
             # an objective of levels knows exposure 1 only
@@ -328,7 +326,7 @@ def design_tolerances(
         evaluator = plan.chosen.evaluator
     else:
         table = result.patches or result.cut_patches(edges=False, threads=run.threads)
-        detection = detection_model_of(result.scene, result.part, result.options)
+        detection = _problem.detection_model_of(result.scene, result.part, result.options)
         shadows = result.options.shadows
         evaluator = ImageEvaluator(result.scene, table, result.caster, detection, shadows=shadows, threads=run.threads)
     few = max(1, JOINT_TOLERANCE_PATCHES // len(postures))

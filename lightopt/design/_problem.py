@@ -51,8 +51,6 @@ class CalibratedThreshold:
 
 @dataclass(frozen=True, kw_only=True)
 class OptimizeOptions:
-    """What to optimise and how."""
-
     objectives: tuple[str, ...] = ()  # all where empty; the first decides where the lights go
     step_deg: float = 5.0  # of the angles within the lights' ranges [°]
     common_elevation: bool = False  # whether all lights that move in elevation stand at the same one
@@ -88,16 +86,13 @@ class PlanOptions:
 
     @property
     def chooses(self) -> bool:
-        """Whether postures are to be chosen."""
         return self.choose_postures is not None or self.target is not None
 
     @property
     def all_exposures(self) -> tuple[float, ...]:
-        """Exposure 1 and the candidate exposures."""
         return (1.0, *(exposure for exposure in self.exposures if exposure != 1.0))
 
     def facts(self) -> dict[str, Any]:
-        """The options that are in use, as JSON."""
         facts: dict[str, Any] = {}
         if self.chooses:
             names = ("choose_postures", "target", "posture_step_deg", "allow_outside_px")
@@ -211,7 +206,6 @@ def images_that_decide(rig: RigConfig, part: PartConfig, min_images: int, *, lon
 
 
 def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None:
-    """The positions that the lights are chosen from; None where no light moves."""
     return candidates_in(None, rig, options) if any(map(can_move, rig.lights)) else None
 
 
@@ -219,14 +213,8 @@ def candidates_in(
     scene: Scene | None, rig: RigConfig, options: OptimizeOptions, places: Sequence[Place] | None = None
 ) -> Candidates:
     """The same, without positions inside the scene's part; or `places`, one position of each light."""
-    return find_candidates(
-        rig,
-        step_deg=options.step_deg,
-        common_elevation=options.common_elevation,
-        points=options.points,
-        places=places,
-        scene=scene,
-    )
+    same = {name: getattr(options, name) for name in ("step_deg", "common_elevation", "points")}
+    return find_candidates(rig, **same, places=places, scene=scene)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ from lightopt.design._tolerances import ToleranceAnalysis, Tolerances
 from lightopt.design.objectives._objective import Objective, share_text
 from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._posture_search import PostureChoice
-from lightopt.design.responses._evidence import DetectionModel
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import Levels
 from lightopt.design.search._exact_search import Ranked, SearchResult
@@ -58,8 +57,6 @@ class Command:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectiveResult:
-    """The best set of light positions for an objective."""
-
     objective: Objective
     found: SearchResult
     scores: Mapping[str, int]  # of the best set under every objective, by name
@@ -91,8 +88,6 @@ class ObjectiveResult:
 
 @dataclass(frozen=True, kw_only=True)
 class SetResult:
-    """The results for postures that share their light positions."""
-
     postures: tuple[Posture, ...]  # one, or all of them where the lights stand the same for all
     patches: int  # number of inspectable patches, summed over the postures
     area: int  # of these patches [µm²]
@@ -114,7 +109,6 @@ class SetResult:
         return share_text(self.left_out, self.grain)
 
     def format_score(self, value: int, objective: Objective) -> str:
-        """A score of this result with its unit, to the digits that its patches support."""
         return objective.format_score(value, self.grain * self.area)
 
     def score_text(self, value: int, objective: Objective) -> str:
@@ -154,7 +148,6 @@ class SetResult:
 
 
 def places_of(candidates: Candidates, ranked: Ranked) -> tuple[Place, ...]:
-    """Where each light stands in a combination."""
     return tuple(places[k] for places, k in zip(candidates.places, ranked.candidates, strict=True))
 
 
@@ -169,11 +162,8 @@ NEGLIGIBLE_SHARE = 0.001  # of the pairs: what further postures add together tha
 
 @dataclass(frozen=True, eq=False)
 class ChosenPostures:
-    """The postures of a plan, and the candidates from which they were chosen."""
-
     choice: PostureChoice
     evaluator: ImageEvaluator  # all postures to choose from, and the patches for the last iterations and all figures
-    detection: DetectionModel  # of the evaluator
     drawn: int  # number of patches for the first iterations
     left_out: tuple[ExcludedPosture, ...]  # postures that the stage reaches and that are of no use
     way: Way  # through the chosen ones, were all captured in one round
@@ -210,8 +200,6 @@ class ToleranceResult:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanResult:
-    """What was planned in addition to the lights."""
-
     chosen: ChosenPostures | None = None  # postures; None where the part's own were taken
     brackets: Brackets | None = None  # exposures; None where there were no others to choose from
     # share of each kind of defect that own postures show at the planned exposures; empty without these
@@ -220,7 +208,6 @@ class PlanResult:
     commands: tuple[Command, ...] = ()  # that carry out planned postures or exposures; empty without these
 
     def exposures_of(self, posture: Posture) -> tuple[float, ...]:
-        """Planned exposures of a posture, the longest first."""
         return (1.0,) if self.brackets is None else self.brackets.of(posture)
 
 
@@ -296,10 +283,8 @@ def _search_words(options: OptimizeOptions) -> list[str]:
     words = [word for name in options.objectives for word in ("--objective", name)]
     words += _differing(options, {"--step": "step_deg", "--min-images": "min_images", "--false-alarms": "false_alarms"})
     words += () if options.threshold is None else ("--calibration", options.threshold.file)
-    words += _differing(
-        options, {"--shade-below": "shade_below", "--ranking-rows": "rows", "--max-combinations": "limit"}
-    )
-    words += _posture_words(options.postures or ())
+    names = {"--shade-below": "shade_below", "--ranking-rows": "rows", "--max-combinations": "limit"}
+    words += [*_differing(options, names), *_posture_words(options.postures or ())]
     flags = (
         ("--common-elevation", options.common_elevation),
         ("--lights-per-posture", not options.common_lights),

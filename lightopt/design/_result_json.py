@@ -145,15 +145,16 @@ def _chosen_dict(chosen: _result.ChosenPostures) -> dict[str, Any]:
     initial = None
     if (before := chosen.choice.initial_if_moved) is not None:
         initial = {"share": round(before.share, 6), "postures": len(before.steps), "share_of": INITIAL_SHARE_OF}
-    table = chosen.evaluator.table
+    table, detection = chosen.evaluator.table, chosen.evaluator.detection
+    assert detection is not None
     inspectable, areas = table.inspectable_anywhere, table.patches.areas
 
     def area_share(which: Bool) -> float:
         return round(float(areas[which].sum() / areas.sum()), 6)
 
     return {
-        "min_images": chosen.detection.min_images,
-        "false_alarms": chosen.detection.false_alarms,
+        "min_images": detection.min_images,
+        "false_alarms": detection.false_alarms,
         "requested": chosen.plan.choose_postures,
         "target": chosen.plan.target,
         "share": round(cover.share, 6),

@@ -53,8 +53,6 @@ Angle = tuple[str, str, int | None]
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """The tolerances to analyse, and the share of the score to keep."""
-
     light_deg: float = 0.0  # elevation and azimuth of each light [°]
     pose_deg: float = 0.0  # tilt and rotation of the part [°]
     tolerance_target: float = DEFAULT_TOLERANCE_TARGET  # share of the score that the widest tolerances keep
@@ -100,8 +98,6 @@ def draws(lights: int, tolerances: Tolerances) -> Iterator[tuple[Offset, list[Of
 
 @dataclass(frozen=True, kw_only=True)
 class WidestTolerance:
-    """How far one angle, or all of the lights', may be off."""
-
     what: str  # name of the light, ``all lights``, or ``part``
     angle: str  # ``elevation``, ``azimuth``, ``both angles at once``, ``tilt`` or ``rotation``
     # the widest tolerance that keeps the score, every angle but these being exact [°]; of those that were tried: the

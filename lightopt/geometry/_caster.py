@@ -60,7 +60,6 @@ class RayCaster:
 
     @property
     def rays_cast(self) -> int:
-        """Number of rays cast so far."""
         return self._rays_cast
 
     @property

@@ -24,7 +24,6 @@ class MeshPiece:
 
 
 def split_glb(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
-    """JSON tree and binary chunk of a GLB file."""
     if len(data) < 20 or data[:4] != b"glTF":
         raise InputError(f"{name}: not a GLB file: expected it to begin with 'glTF', found {data[:4]!r}")
     version, total, json_size = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8, 12))

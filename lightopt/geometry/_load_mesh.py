@@ -40,8 +40,6 @@ _FARTHEST_MM = 1e9  # farther from the origin rounding eats the part, and no par
 
 @dataclass(frozen=True, eq=False)
 class LoadedMesh:
-    """A mesh, and what was repaired or is odd."""
-
     mesh: TriangleMesh
     warnings: tuple[str, ...]
     pieces: tuple[MeshPiece, ...] = ()  # of the file, where they were asked for and it has any
@@ -102,7 +100,6 @@ def load_mesh(
 
 
 def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None) -> LoadedMesh:
-    """Repaired mesh with normals; facets where there is no crease angle."""
     warnings = list(raw.warnings)
     # rounding may merge float64 positions that are scaled; float32 ones stay as distinct as they are
     placed, scale = (raw.vertices, unit_mm) if raw.vertices.dtype == np.float32 else (raw.vertices * unit_mm, 1.0)
@@ -138,7 +135,6 @@ def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None)
 
 
 def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:
-    """Refuse triangles that cannot be repaired."""
     if not len(raw.faces):
         raise InputError(f"{name}: the {raw.format} file has no triangles ({len(raw.vertices)} vertices)")
     low, high = int(raw.faces.min()), int(raw.faces.max())

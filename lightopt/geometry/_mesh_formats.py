@@ -59,7 +59,6 @@ def check_budget(name: str, triangles: int, max_triangles: int) -> None:
 
 
 def read_stl(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of a binary or ASCII STL file."""
     claimed = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
     is_binary = len(data) == 84 + 50 * claimed
     # the header of a binary file may begin with solid as well; text holds no zeros
@@ -95,7 +94,6 @@ def _no_binary_stl(name: str, data: bytes, claimed: int) -> str:
 
 
 def _check_ascii_stl(name: str, data: bytes) -> int:
-    """Count the triangles of an ASCII STL file and check that it is complete."""
     begun = len(re.findall(rb"^\s*facet\b", data, re.MULTILINE | re.IGNORECASE))
     ended = len(re.findall(rb"^\s*endfacet\b", data, re.MULTILINE | re.IGNORECASE))
     vertices = len(re.findall(rb"^\s*vertex\b", data, re.MULTILINE | re.IGNORECASE))

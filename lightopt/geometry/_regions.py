@@ -48,8 +48,6 @@ class NamedRegion:
 
 @dataclass(frozen=True)
 class ColouredRegion:
-    """Faces of one colour, #RRGGBB."""
-
     colour: str
 
     def faces(self, loaded: LoadedMesh) -> Bool:
@@ -91,8 +89,6 @@ class RegionAtPoints:
 
 @dataclass(frozen=True)
 class BoxRegion:
-    """The surface inside a box."""
-
     low: tuple[float, float, float]  # corner of the least coordinates [mm]
     high: tuple[float, float, float]  # corner of the greatest coordinates [mm]
 

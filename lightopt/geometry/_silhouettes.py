@@ -338,11 +338,8 @@ def _single(v: Vector) -> Vector:
 def _leaves_near(tree: _Tree, p: Vector, at: Vector, view: _View, near: Int64) -> int:
     # the leaves that may have silhouettes for a point; how many, or −1 where they are too many
     nodes, begins = tree.nodes, tree.begins
-    point, place, axes = (
-        _single(p),
-        _single(at),
-        _View(_single(view.across), _single(view.along), _single(view.upward), _single(view.origin), view.hand),
-    )
+    point, place, origin = _single(p), _single(at), _single(view.origin)
+    axes = _View(_single(view.across), _single(view.along), _single(view.upward), origin, view.hand)
     stack, last = np.empty((len(begins) * _BRANCHES, 2), np.int64), 1
     stack[0, 0] = stack[0, 1] = 0  # level, number of the node in it
     lowest, kept = len(begins) - 3, 0

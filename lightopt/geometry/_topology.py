@@ -28,8 +28,6 @@ class EdgePairs:
 
 @dataclass(frozen=True, eq=False)
 class MeshEdges:
-    """Every edge once."""
-
     ends: Int64  # vertex indices, the lower one first, shape (e, 2)
     uses: Int64  # number of faces at the edge, shape (e,)
     corners: Int64  # that begin the edge in the first and in the last of them, as 3·face + corner, shape (e, 2)
@@ -62,7 +60,6 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
 
 
 def edge_pairs(faces: Int32) -> EdgePairs:
-    """Match the edges of all faces."""
     order, begins = corners_by_edge(faces)
     uses = np.diff(begins)
     of_two = begins[:-1][uses == 2]

@@ -248,8 +248,6 @@ def _rows_of_three(name: str, values: Float64) -> Float64:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurfacePlace:
-    """A place on a mesh."""
-
     point: Float64  # [mm], shape (3,), frame of the mesh
     normal: Float64  # unit normal there as shading has it: interpolated, or the facet's, shape (3,)
     face: int

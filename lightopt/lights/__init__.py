@@ -24,17 +24,23 @@ from ._light_surface import (
     surface_mesh,
 )
 from ._panel import (
+    PICTURE,
     PanelLight,
     PanelNumbers,
+    Pattern,
     attenuated,
+    bar_pattern,
     half_diagonal,
     panel_corners,
     panel_grid,
     panel_numbers,
     panel_point,
+    pattern_at,
+    pattern_picture,
+    picture_patterns,
     place_light,
     plane_places,
     pose_light,
     rectangles_meet,
+    sine_pattern,
 )
-from ._pattern import PICTURE, Pattern, bar_pattern, pattern_at, pattern_picture, picture_patterns, sine_pattern

@@ -19,8 +19,7 @@ import numpy as np
 from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, dot, length, minus, plus, scaled
-from lightopt.lights._panel import PanelLight, panel_corners
-from lightopt.lights._pattern import UNIFORM, Pattern
+from lightopt.lights._panel import UNIFORM, PanelLight, Pattern, panel_corners
 
 PLANE, CONE, SPHERE, FRAME = 0, 1, 2, 3
 _NODES = 8  # a side of an element, for its brightness and its outline
@@ -66,23 +65,10 @@ RADIANCE = 21  # number of its radiance among them
 def element_at(rows: Float64, i: int) -> Element:
     """An element of a light, from row i of an array of shape (e, ELEMENT_NUMBERS)."""
     r = rows[i]
+    origin, centre = Vector(r[1], r[2], r[3]), Vector(r[22], r[23], r[24])
+    a, b, c = Vector(r[4], r[5], r[6]), Vector(r[7], r[8], r[9]), Vector(r[10], r[11], r[12])
     return Element(
-        int(r[0]),
-        Vector(r[1], r[2], r[3]),
-        Vector(r[4], r[5], r[6]),
-        Vector(r[7], r[8], r[9]),
-        Vector(r[10], r[11], r[12]),
-        r[13],
-        r[14],
-        r[15],
-        r[16],
-        r[17],
-        r[18],
-        r[19],
-        r[20],
-        r[21],
-        Vector(r[22], r[23], r[24]),
-        r[25],
+        int(r[0]), origin, a, b, c, r[13], r[14], r[15], r[16], r[17], r[18], r[19], r[20], r[21], centre, r[25]
     )
 
 
@@ -189,7 +175,6 @@ class SurfaceLight(PanelLight):
 
     @property
     def targets(self) -> Float64:
-        """Middle of each element [mm], shape (e, 3)."""
         return np.ascontiguousarray(self.elements[:, 22:25])
 
 

@@ -134,7 +134,6 @@ class Reflectance:
 
     @property
     def lobe(self) -> Lobe:
-        """The specular lobe."""
         inverse, model = 0.5 / self.sigma**2, self.model
         wider = model.wider_lobes
         ratio, rest = max((one for _, one in wider), default=1.0), MOST_WIDER - len(wider)

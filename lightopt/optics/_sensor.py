@@ -56,7 +56,6 @@ class Sensor:
 
     @property
     def max_level(self) -> int:
-        """Highest level delivered, 2^bit_depth − 1."""
         return (1 << int(self.bit_depth)) - 1
 
     @property

@@ -5,9 +5,7 @@ Those of ``lightopt optimize`` are in :mod:`lightopt.report.design`, those of ``
 """
 
 from ._contact_sheet import add_contact_sheets, contact_sheet
-from ._drawing import chart, figure_image, fixed_style
 from ._fit_pictures import fit_chart, residual_picture
-from ._images import png_bytes
 from ._page import (
     Answer,
     Gallery,
@@ -21,5 +19,6 @@ from ._page import (
     camera_picture,
     page_html as page_html,
 )
+from ._pictures import chart, figure_image, fixed_style, png_bytes
 from ._rig_drawing import rig_drawing
 from ._surface import ColouredSurface as ColouredSurface, SurfaceClass as SurfaceClass, SurfaceLayer as SurfaceLayer

@@ -11,9 +11,7 @@ import numpy as np
 
 from lightopt.core.errors import InputError, counted
 from lightopt.images import ImageEntry, ImageSet, ImageSetWriter, Manifest, read_image_set, sheet_name
-from lightopt.report import _images as pictures
-from lightopt.report._drawing import DPI, INK, POINT, SOFT, figure_image, fixed_style, hex_colour, shortened
-from lightopt.report._images import SATURATED_COLOUR, Thumbnail, check_png_path, write_picture
+from lightopt.report import _pictures as pictures
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -63,19 +61,17 @@ def contact_sheet(
     Rows are postures, columns are lights, both in the set's order. Images are averaged down; a cell that contains
     saturated pixels is tinted red by their share, and their exact number stands below the image.
 
-    path: The PNG to make or to replace, in a folder that exists; it is returned.
     exposure: Which exposure to show; the longest of the set by default.
     title: Instead of the names of the part's and the rig's file.
-    overwrite: Whether a file of other content may be replaced.
     Raises InputError: The set is empty or has no such exposure, an image is missing or damaged, the file cannot be
         written, or one of other content is there and `overwrite` is False.
     """
-    path = check_png_path(path)
+    path = pictures.check_png_path(path)
     sheet = _sheet(image_set, _exposure(image_set, exposure), title or _names(image_set.manifest))
-    return write_picture(path, sheet, overwrite=overwrite)
+    return pictures.write_picture(path, sheet, overwrite=overwrite)
 
 
-@fixed_style()
+@pictures.fixed_style()
 def _sheet(image_set: ImageSet, exposure: float, title: str) -> Image.Image:
     from matplotlib.figure import Figure
 
@@ -89,17 +85,17 @@ def _sheet(image_set: ImageSet, exposure: float, title: str) -> Image.Image:
     # cells have whole pixels, so that pictures lie pixel on pixel
     used = LEFT + len(lights) * (columns + GAP) - GAP
     width, height = max(used + MARGIN, LEAST_WIDTH), TOP + len(postures) * (rows + CAPTION + GAP) + BOTTOM
-    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
+    figure = Figure(figsize=(width / pictures.DPI, height / pictures.DPI), dpi=pictures.DPI)
     place = {"left": LEFT / width, "right": used / width, "bottom": (BOTTOM + CAPTION + GAP) / height}
     place |= {"top": 1.0 - TOP / height, "wspace": GAP / columns, "hspace": (CAPTION + GAP) / rows}
     cells = figure.subplots(len(postures), len(lights), squeeze=False, gridspec_kw=place)
     at: dict[str, Any] = {"x": MARGIN / width, "va": "top", "ha": "left"}
     most = (width - 2 * MARGIN) // TEXT  # characters of a line of small text, more or less
-    figure.suptitle(shortened(title, most // 2), y=1.0 - MARGIN / height, fontsize=TITLE * POINT, color=INK, **at)
-    small_text: dict[str, Any] = {"fontsize": TEXT * POINT, "color": SOFT}
-    facts = _facts(
-        image_set.manifest, f"{counted(len(lights), 'light')} × {counted(len(postures), 'posture')}", exposure
-    )
+    heading = pictures.shortened(title, most // 2)
+    figure.suptitle(heading, y=1.0 - MARGIN / height, fontsize=TITLE * pictures.POINT, color=pictures.INK, **at)
+    small_text: dict[str, Any] = {"fontsize": TEXT * pictures.POINT, "color": pictures.SOFT}
+    number = f"{counted(len(lights), 'light')} × {counted(len(postures), 'posture')}"
+    facts = _facts(image_set.manifest, number, exposure)
     figure.text(y=1.0 - (MARGIN + 1.6 * TITLE) / height, s=facts, **at, **small_text)
     figure.text(y=(BOTTOM - GAP) / height, s=_legend(image_set.manifest), **at, **small_text)
     several = {one for one in lights if len({light_position(e) for e in entries if e.light == one}) > 1}
@@ -109,20 +105,22 @@ def _sheet(image_set: ImageSet, exposure: float, title: str) -> Image.Image:
         if posture == postures[0]:
             own = next(entry for entry in entries if entry.light == light)
             where = "several positions" if light in several else light_position(own)
-            name = shortened(light, columns // HEAD * 3 // 2)
-            cell.set_title(f"{name}\n{where}", loc="left", fontsize=TEXT * POINT, color=INK)
+            name = pictures.shortened(light, columns // HEAD * 3 // 2)
+            cell.set_title(f"{name}\n{where}", loc="left", fontsize=TEXT * pictures.POINT, color=pictures.INK)
         if light == lights[0]:
             angles = f"θⱼ {degrees(posture.elevation_deg)}\nφⱼ {degrees(posture.rotation_deg)}"
-            cell.set_ylabel(angles, fontsize=HEAD * POINT, color=INK, rotation=0.0, ha="right", va="top", y=1.0)
+            cell.set_ylabel(
+                angles, fontsize=HEAD * pictures.POINT, color=pictures.INK, rotation=0.0, ha="right", va="top", y=1.0
+            )
         if (posture, light) not in thumbnails:
             cell.text(0.5, 0.5, "no image", ha="center", transform=cell.transAxes, **small_text)
             continue
         entry, small = thumbnails[posture, light]
         cell.imshow(small.picture, interpolation="nearest")
         text = saturation_text(small) + f"\n{light_position(entry)}" * (light in several)
-        colour = hex_colour(SATURATED_COLOUR) if small.saturated else SOFT
-        cell.set_xlabel(text, loc="left", fontsize=TEXT * POINT, color=colour)
-    return figure_image(figure)
+        colour = pictures.hex_colour(pictures.SATURATED_COLOUR) if small.saturated else pictures.SOFT
+        cell.set_xlabel(text, loc="left", fontsize=TEXT * pictures.POINT, color=colour)
+    return pictures.figure_image(figure)
 
 
 def _facts(manifest: Manifest, number: str, exposure: float) -> str:
@@ -139,7 +137,7 @@ def _legend(manifest: Manifest) -> str:
     )
 
 
-def entry_thumbnail(image_set: ImageSet, entry: ImageEntry, limit: int) -> Thumbnail:
+def entry_thumbnail(image_set: ImageSet, entry: ImageEntry, limit: int) -> pictures.Thumbnail:
     """An image of a set as the camera delivered it, made small; neither side longer than `limit` [px]."""
     image = image_set.load(entry)
     share = image.levels * np.float32(entry.held_exposure / image_set.manifest.full_scale)
@@ -156,8 +154,7 @@ def light_position(entry: ImageEntry) -> str:
     return f"θ {degrees(entry.light_elevation_deg)}, φ {degrees(entry.light_azimuth_deg)}"
 
 
-def saturation_text(thumbnail: Thumbnail) -> str:
-    """How many pixels of the full image are saturated."""
+def saturation_text(thumbnail: pictures.Thumbnail) -> str:
     if not thumbnail.saturated:
         return "0 px saturated"
     percent = 100.0 * thumbnail.saturated / thumbnail.pixels

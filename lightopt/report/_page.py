@@ -18,7 +18,7 @@ from PIL import Image
 
 from lightopt.core.arrays import Bool
 from lightopt.report import _surface as surfaces
-from lightopt.report._images import png_bytes, thumbnail
+from lightopt.report._pictures import png_bytes, thumbnail
 from lightopt.report._surface import ColouredSurface, SurfaceLayer
 
 # the browser itself then refuses every request
@@ -37,8 +37,6 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True)
 class Note:
-    """A paragraph."""
-
     text: str
 
 
@@ -51,15 +49,11 @@ class Warnings:
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
-    """Names and their values."""
-
     rows: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of texts."""
-
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     numbers_from: int = 1  # columns from this one on are numbers, aligned to the right
@@ -79,9 +73,9 @@ class Picture:
 
 
 def camera_picture(level: NDArray[np.floating], saturated: Bool, *, limit: int, alt: str, caption: str) -> Picture:
-    """An image of the camera as :func:`lightopt.report._images.thumbnail` makes it small."""
+    """An image of the camera as :func:`lightopt.report._pictures.thumbnail` makes it small."""
     small = thumbnail(level, saturated, limit=limit)
-    return Picture(png=png_bytes(Image.fromarray(small.picture)), alt=alt, caption=caption)
+    return Picture(png=png_bytes(small.picture), alt=alt, caption=caption)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,22 +9,8 @@ import numpy as np
 
 from lightopt.core.transforms import Posture
 from lightopt.lights import outlines
-from lightopt.report._drawing import DPI, INK, POINT, figure_image, fixed_style
-from lightopt.report._images import check_png_path, write_picture
-from lightopt.report._rig_elements import (
-    CAMERA,
-    STAGE,
-    ParallelView,
-    Pen,
-    X,
-    Y,
-    Z,
-    arc,
-    camera_shape,
-    part_box,
-    rig_size,
-    round_up,
-)
+from lightopt.report import _rig_elements as elements
+from lightopt.report._pictures import DPI, INK, POINT, check_png_path, figure_image, fixed_style, write_picture
 from lightopt.scene import Scene
 
 if TYPE_CHECKING:
@@ -34,8 +20,8 @@ if TYPE_CHECKING:
 
 WIDTH, HEIGHT, TITLE = 1560, 1080, 15  # of the picture, and size of the titles [px]
 MOST_ARCS, FEW_ARCS = 6, 3  # of more lights than that only a few get arcs, which would hide each other
-RIG_VIEW = ParallelView(elevation=np.radians(20.0), azimuth=np.radians(290.0))
-STAGE_VIEW = ParallelView(elevation=np.radians(22.0), azimuth=np.radians(292.0))
+RIG_VIEW = elements.ParallelView(elevation=np.radians(20.0), azimuth=np.radians(290.0))
+STAGE_VIEW = elements.ParallelView(elevation=np.radians(22.0), azimuth=np.radians(292.0))
 
 
 def rig_drawing(scene: Scene, path: str | Path, *, overwrite: bool = True) -> Path:
@@ -45,8 +31,6 @@ def rig_drawing(scene: Scene, path: str | Path, *, overwrite: bool = True) -> Pa
     panel as its true rectangle, the part at its first posture, elevations θ from the table plane, azimuths φ from +X;
     beside it the part with the stage's axes.
 
-    path: The PNG to make or to replace, in a folder that exists; it is returned.
-    overwrite: Whether a file of other content may be replaced.
     Raises InputError: The file cannot be written, or one of other content is there and `overwrite` is False.
     """
     return write_picture(check_png_path(path), rig_image(scene), overwrite=overwrite)
@@ -70,15 +54,16 @@ def rig_image(scene: Scene) -> Image.Image:
 
 
 def draw_rig(axes: Axes, scene: Scene, posture: Posture) -> None:
-    """Draw all of a rig, the part at a posture."""
-    size = rig_size(scene)
+    size = elements.rig_size(scene)
     under = [np.abs(outlines(light)[..., :2]).max() for light in scene.lights]
-    half, step = round_up(max([*under, 1.2 * np.abs(part_box(scene, posture)[:, :2]).max(), 0.4 * size]))
-    shape = camera_shape(scene.camera, 0.13 * size)
-    pen = Pen(axes, RIG_VIEW)
+    part = np.abs(elements.part_box(scene, posture)[:, :2]).max()
+    half, step = elements.round_up(max([*under, 1.2 * part, 0.4 * size]))
+    shape = elements.camera_shape(scene.camera, 0.13 * size)
+    pen = elements.Pen(axes, RIG_VIEW)
     pen.grid(half, step)
     axes.set_title(f"grid {step:g} mm", fontsize=TITLE * POINT, color=INK)
-    pen.polygon(shape.footprint, fill=f"{CAMERA}20", outline=CAMERA, width=1.2)  # what the camera sees of the table
+    # what the camera sees of the table
+    pen.polygon(shape.footprint, fill=f"{elements.CAMERA}20", outline=elements.CAMERA, width=1.2)
     pen.axes_of_world((1.08 * half, 1.08 * half, 0.45 * size))
     # channels of one light stand in one place
     first = scene.lights[: MOST_ARCS if len(scene.lights) <= MOST_ARCS else FEW_ARCS]
@@ -95,31 +80,31 @@ def draw_rig(axes: Axes, scene: Scene, posture: Posture) -> None:
     pen.camera(scene.camera, shape)
     if scene.lights:
         least_foreshortened = max(scene.lights, key=lambda light: abs(float(light.outward @ pen.view.toward)))
-        pen.panel_frame(least_foreshortened, 0.24 * size)
+        at, length = least_foreshortened.centre, 0.24 * size
+        pen.named_arrow(at, at + length * least_foreshortened.across, "e_φ", elements.PHI)
+        pen.named_arrow(at, at + length * least_foreshortened.along, "e_θ", elements.THETA)
 
 
 def draw_stage(axes: Axes, scene: Scene, posture: Posture) -> None:
-    """Draw the part at a posture with the stage's axes."""
-    corners, pen = part_box(scene, posture), Pen(axes, STAGE_VIEW)
+    corners, pen = elements.part_box(scene, posture), elements.Pen(axes, STAGE_VIEW)
     reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
-    half, step = round_up(0.525 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0))))
+    half, step = elements.round_up(0.525 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0))))
     pen.grid(half, step, centre=corners.mean(axis=0))
-    axes.set_title(
-        f"the part in posture {posture}, grid {step:g} mm".replace("-", "−"), fontsize=TITLE * POINT, color=INK
-    )
+    title = f"the part in posture {posture}, grid {step:g} mm".replace("-", "−")
+    axes.set_title(title, fontsize=TITLE * POINT, color=INK)
     (point, tilt), (rotation, translation) = scene.stage.tilt_axis, scene.stage.transform(posture)
     pivot, z = rotation @ scene.pivot + translation, rotation[:, 2]
-    y = np.asarray(np.cross(z, X), np.float64)
+    y = np.asarray(np.cross(z, elements.X), np.float64)
     for place, axis, start, towards, back, letter, name in (
-        (point, tilt, -Y, -Z, 0.8, "θ", "tilt axis"),
+        (point, tilt, -elements.Y, -elements.Z, 0.8, "θ", "tilt axis"),
         (pivot, z, -np.asarray(np.cross(y, z), np.float64), -y, 0.35, "φ", "rotary axis"),
     ):
-        pen.line(np.stack([place - back * reach * axis, place + reach * axis]), STAGE, 1.6, dash="--")
+        pen.line(np.stack([place - back * reach * axis, place + reach * axis]), elements.STAGE, 1.6, dash="--")
         centre = place + 0.86 * reach * axis
-        path = arc(centre, start, towards, 1.6 * np.pi, 0.22 * reach)
-        pen.arrow(path, STAGE)
-        pen.label(f"+{letter}", path[len(path) // 2], STAGE, away_from=centre)
-        pen.label(name, place + reach * axis, STAGE, away_from=place)
+        path = elements.arc(centre, start, towards, 1.6 * np.pi, 0.22 * reach)
+        pen.arrow(path, elements.STAGE)
+        pen.label(f"+{letter}", path[len(path) // 2], elements.STAGE, away_from=centre)
+        pen.label(name, place + reach * axis, elements.STAGE, away_from=place)
     pen.part(scene, posture)
-    pen.label("pivot", pivot, STAGE, away_from=pivot + Z)
-    pen.axes.plot(*pen.view.place(pivot), "o", color=STAGE, zorder=2)
+    pen.label("pivot", pivot, elements.STAGE, away_from=pivot + elements.Z)
+    pen.axes.plot(*pen.view.place(pivot), "o", color=elements.STAGE, zorder=2)

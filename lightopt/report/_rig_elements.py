@@ -17,7 +17,7 @@ from lightopt.core.arrays import Float64, read_only
 from lightopt.core.transforms import Posture, azimuth_tangent, direction, elevation_tangent
 from lightopt.geometry import TriangleMesh, face_normals
 from lightopt.lights import PanelLight, SurfaceLight, outlines, panel_corners, panel_grid
-from lightopt.report._drawing import INK, POINT, SOFT, shortened
+from lightopt.report._pictures import INK, POINT, SOFT, shortened
 from lightopt.report._surface import ColouredSurface, simplified
 from lightopt.scene import PinholeCamera, Scene, pixel_directions
 
@@ -47,12 +47,10 @@ class ParallelView:
 
     @property
     def right(self) -> Float64:
-        """Unit vector to the right on the picture."""
         return azimuth_tangent(azimuth=self.azimuth)
 
     @property
     def up(self) -> Float64:
-        """Unit vector up on the picture."""
         return elevation_tangent(elevation=self.elevation, azimuth=self.azimuth)
 
     @property
@@ -107,7 +105,6 @@ def camera_shape(camera: PinholeCamera, size: float) -> CameraShape:
 
 
 def foot_direction(light: PanelLight) -> Float64:
-    """Unit vector in the table plane at the light's azimuth, shape (3,)."""
     return np.array([math.cos(light.azimuth), math.sin(light.azimuth), 0.0])
 
 
@@ -185,12 +182,10 @@ class Pen:
                 self.line(middle + np.stack([at * along - half * across, at * along + half * across]), "#dfe3e8", 1.0)
 
     def axes_of_world(self, lengths: Sequence[float]) -> None:
-        """Draw the world's axes from the origin."""
         for axis, length, name, colour in zip(np.eye(3), lengths, "XYZ", AXIS_COLOURS, strict=True):
             self.named_arrow(ORIGIN, length * axis, name, colour)
 
     def named_arrow(self, start: Float64, tip: Float64, name: str, colour: str) -> None:
-        """Draw an arrow, and its name at the tip."""
         self.arrow(np.stack([start, tip]), colour, 2.6)
         self.label(name, tip, colour, away_from=start)
 
@@ -231,15 +226,9 @@ class Pen:
         self.label(f"φ {degrees(light.azimuth)}", path[-1], PHI, away_from=ORIGIN)
 
     def elevation_arc(self, light: PanelLight, radius: float) -> None:
-        """Draw the elevation θ from the table plane."""
         path = arc(ORIGIN, foot_direction(light), Z, light.elevation, radius)
         self.arrow(path, THETA, 1.8)
         self.label(f"θ {degrees(light.elevation)}", path[len(path) // 2], THETA, away_from=ORIGIN)
-
-    def panel_frame(self, light: PanelLight, length: float) -> None:
-        """Draw the sides' directions e_φ and e_θ at a panel."""
-        self.named_arrow(light.centre, light.centre + length * light.across, "e_φ", PHI)
-        self.named_arrow(light.centre, light.centre + length * light.along, "e_θ", THETA)
 
     def camera(self, camera: PinholeCamera, shape: CameraShape) -> None:
         """Draw the camera, its viewing pyramid down to the table and the directions of its image."""

@@ -52,8 +52,6 @@ def surface_classes(kinds: Iterable[tuple[str, str]], amounts: Iterable[str]) ->
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceLayer:
-    """One way to colour a surface."""
-
     name: str
     classes: tuple[SurfaceClass, ...]
     of_face: UInt8  # class of each face, index into `classes`, shape (m,)
@@ -119,10 +117,13 @@ def eye_distance(surface: ColouredSurface) -> float:
     return 1.02 * max(radius, 1e-6) / math.sin(0.5 * FIELD_OF_VIEW)
 
 
-def first_view(camera: PinholeCamera) -> Float64:
-    """Unit vector to the first viewpoint, shape (3,): towards the camera, but a third aside, which shows sides, too."""
+def standing_surface(
+    vertices: Float64, triangles: Int32, layers: tuple[SurfaceLayer, ...], camera: PinholeCamera
+) -> ColouredSurface:
+    """A surface in the world frame, seen first towards the camera, but a third aside, which shows sides, too."""
     mixed = camera.position / np.linalg.norm(camera.position) + np.array([0.35, -0.9, 0.0])
-    return mixed / np.linalg.norm(mixed)
+    toward, up = mixed / np.linalg.norm(mixed), np.array([0.0, 0.0, 1.0])
+    return ColouredSurface(vertices=vertices, triangles=triangles, layers=layers, up=up, toward=toward)
 
 
 def surface_head(surface: ColouredSurface) -> str:
@@ -140,7 +141,6 @@ def surface_head(surface: ColouredSurface) -> str:
 
 
 def surface_data(surface: ColouredSurface) -> str:
-    """The surface in base64."""
     places = np.rint((surface.vertices - _middle(surface)) / _step(surface)).astype(np.int16)
     columns = _differences(surface.triangles.astype(np.int32)).astype("<i4"), _differences(places).astype("<i2")
     data = b"".join(array.tobytes() for array in (*columns, *(layer.of_face for layer in surface.layers)))

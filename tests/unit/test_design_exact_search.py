@@ -10,9 +10,7 @@ from hypothesis import given, strategies as st
 from reference._search import all_combinations, coverage_value, paper_value
 
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import WorkCounter
 from lightopt.design import OBJECTIVES, LevelThresholds, LuminanceMatrix, area_units, search
-from lightopt.design.objectives._coverage import bit_scores, run_scores
 from lightopt.design.search._exact_search import CombinationSpace, NearBest
 from lightopt.optics import Sensor
 
@@ -125,17 +123,6 @@ def test_scores_are_those_of_the_definition_and_below_the_bound(name):
         assert scores[place] == objective.score(matrix.combination(place), weights, thresholds)
     assert scores.max() <= objective.bound(matrix, weights, thresholds)
     assert (scores.ravel() == objective.scores(matrix, weights, thresholds, 3, None)).all()
-
-
-def test_runs_and_packed_bits_agree_on_any_weights():
-    rng = np.random.default_rng(6)
-    levels = random_levels(rng, (5, 4, 3, 4), 333)
-    weights = rng.integers(0, 1 << 33, 333)
-    thresholds = LevelThresholds(shade=30, saturation=240)
-    some = rng.permutation(333)[:300]
-    work = WorkCounter(1, None)
-    runs, bits = (scores(levels, some, weights, thresholds, 2, work) for scores in (run_scores, bit_scores))
-    np.testing.assert_array_equal(runs, bits)
 
 
 def test_more_patches_than_a_kernel_takes_at_once():

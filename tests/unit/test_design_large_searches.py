@@ -293,13 +293,12 @@ def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
     whole = {name: o.scores(matrix, o.weights(matrix.areas), THRESHOLDS, 2, None) for name, o in OBJECTIVES.items()}
     for module, names in {
         "_paper": ("BLOCK_LEVELS", "LEAST_PATCHES", "TASK_LEVELS", "WALK_LEVELS"),
-        "_coverage": ("CHUNK_PATCHES", "CHUNK_BOXES", "BLOCK_LEVELS", "LEAST_PATCHES", "TASK_WORDS"),
+        "_coverage": ("CHUNK_PATCHES", "CHUNK_BOXES", "CHUNK_LEVELS"),
     }.items():
         for name in names:
             monkeypatch.setattr(f"lightopt.design.objectives.{module}.{name}", 50)
-    for (name, objective), cost, share in itertools.product(OBJECTIVES.items(), (0.0, 1e9), (1e-9, 1e9)):
+    for (name, objective), cost in itertools.product(OBJECTIVES.items(), (0.0, 1e9)):
         monkeypatch.setattr("lightopt.design.objectives._paper.DIRECT_COST", cost)
-        monkeypatch.setattr("lightopt.design.objectives._coverage.BITS_SHARE", share)
         weights = objective.weights(matrix.areas)
         again = objective.scores(matrix, weights, THRESHOLDS, 3, None)
         np.testing.assert_array_equal(again, whole[name])

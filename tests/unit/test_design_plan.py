@@ -333,7 +333,7 @@ def test_postures_and_lights_are_chosen_together(world, least):
     evaluator = deciding(evaluator, least)
     candidates = find_candidates(rig, step_deg=10.0)
     lights = build_lights(rig)
-    choice = choose_postures(evaluator, evaluator, POSTURES, lights, candidates, PostureRequest(count=2))
+    choice = choose_postures(evaluator, evaluator, lights, candidates, PostureRequest(count=2))
     weights = heavy(evaluator)
     total = weights[evaluator.patches].sum()
 
@@ -352,7 +352,7 @@ def test_postures_and_lights_are_chosen_together(world, least):
     # nor do two other postures beyond the bound
     best = max(plain(two, choice.lights) for two in combinations(POSTURES, 2))
     assert choice.cover.covered <= best <= choice.cover.bound_share * total + 0.5
-    alone = choose_postures(evaluator, evaluator, POSTURES, lights, None, PostureRequest(count=2))
+    alone = choose_postures(evaluator, evaluator, lights, None, PostureRequest(count=2))
     assert alone.lights is None
     assert alone.cover.share == pytest.approx(choice.initial.share)
     assert len(choice.initial.steps) == len(alone.cover.steps)
@@ -385,7 +385,7 @@ def test_no_image_of_drawn_patches_is_computed_twice(world, monkeypatch):
 
     monkeypatch.setattr(ImageEvaluator, "_compute", watched)
     monkeypatch.setattr(turning.AlternatingSearch, "_counts_under", watched_counts)
-    choose_postures(evaluator, few, POSTURES, build_lights(rig), candidates, PostureRequest(count=2))
+    choose_postures(evaluator, few, build_lights(rig), candidates, PostureRequest(count=2))
     assert len([where for where, _ in tried if where == "drawn patches"]) > 3
     # the rig's own positions are among the candidates
     assert len(computed) == len(set(computed)) > 0
@@ -394,13 +394,14 @@ def test_no_image_of_drawn_patches_is_computed_twice(world, monkeypatch):
 def test_where_positions_are_too_many_for_memory_the_turns_stay_on_drawn_patches(world, monkeypatch):
     rig, evaluator = world
     candidates = find_candidates(rig, step_deg=10.0)
+    evaluator = replace(evaluator, table=evaluator.table_of(POSTURES[:2]))
     few = replace(evaluator, table=drawn_patches(evaluator.table, 60))
-    ask = (evaluator, few, POSTURES[:2], build_lights(rig), candidates, PostureRequest(count=1))
+    ask = (evaluator, few, build_lights(rig), candidates, PostureRequest(count=1))
     free = choose_postures(*ask)
     assert free.on_all_patches
     assert free.converged
     # room for two candidate postures, not for six positions and their sums
-    monkeypatch.setattr(placing, "MOST_COUNT_BYTES", 2 * len(evaluator.patches) * 8)
+    monkeypatch.setattr(placing, "MOST_COUNT_BYTES", 2 * evaluator.needed * len(evaluator.patches) * 8)
     tight = choose_postures(*ask)
     assert not tight.on_all_patches
     assert not tight.converged
@@ -411,11 +412,11 @@ def test_where_positions_are_too_many_for_memory_the_turns_stay_on_drawn_patches
 def test_the_target_takes_as_few_postures_as_it_needs(world):
     rig, evaluator = world
     lights = build_lights(rig)
-    two = choose_postures(evaluator, evaluator, POSTURES, lights, None, PostureRequest(count=2))
-    found = choose_postures(evaluator, evaluator, POSTURES, lights, None, PostureRequest(target=two.cover.share))
+    two = choose_postures(evaluator, evaluator, lights, None, PostureRequest(count=2))
+    found = choose_postures(evaluator, evaluator, lights, None, PostureRequest(target=two.cover.share))
     assert len(found.postures) <= 2
     assert found.cover.share >= two.cover.share
-    never = choose_postures(evaluator, evaluator, POSTURES, lights, None, PostureRequest(target=1.0))
+    never = choose_postures(evaluator, evaluator, lights, None, PostureRequest(target=1.0))
     assert never.cover.share < 1.0
     assert never.cover.min_size is None
 
@@ -425,7 +426,7 @@ def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_
     few = replace(evaluator, table=build_patches(evaluator.scene, caster=evaluator.caster, budget=400))
     assert drawn_patches(few.table, 20_000) is few.table, "so few that none are drawn"
     assert len(few.patches) < len(few.table.patches)
-    choice = choose_postures(few, few, POSTURES, build_lights(rig), None, PostureRequest(target=1.0))
+    choice = choose_postures(few, few, build_lights(rig), None, PostureRequest(target=1.0))
     text = str(target_not_reached(1.0, choice, few, least=1))
     assert "contrast under noise" in text
     assert "never seen by the camera" not in text
@@ -515,14 +516,12 @@ def test_a_target_that_drawn_patches_fall_short_of_is_counted_on_all(world, move
     visible[:, poor] = evaluator.table.visible[:, poor]
     few = replace(evaluator, table=replace(evaluator.table, visible=visible))
     assert weights[poor].sum() > 0.0
-    by_number = [
-        choose_postures(evaluator, evaluator, POSTURES, lights, candidates, PostureRequest(count=n)) for n in (1, 2, 3)
-    ]
+    by_number = [choose_postures(evaluator, evaluator, lights, candidates, PostureRequest(count=n)) for n in (1, 2, 3)]
     target = by_number[1].cover.share
     assert by_number[0].cover.share < target
-    alone = choose_postures(few, few, POSTURES, lights, candidates, PostureRequest(target=target))
+    alone = choose_postures(few, few, lights, candidates, PostureRequest(target=target))
     assert alone.cover.share < target, "the drawn ones fall short"
-    found = choose_postures(evaluator, few, POSTURES, lights, candidates, PostureRequest(target=target))
+    found = choose_postures(evaluator, few, lights, candidates, PostureRequest(target=target))
     assert found.cover.share >= target
     assert len(found.postures) <= 3
 
@@ -571,12 +570,12 @@ def test_exposures_are_planned_where_they_add_enough(world, least):
 def test_a_target_that_only_further_exposures_reach_is_reached_by_no_more_of_them_than_it_takes(world):
     rig, evaluator = world
     lights = build_lights(rig)
-    without = choose_postures(evaluator, evaluator, POSTURES, lights, None, PostureRequest(target=1.0))
+    without = choose_postures(evaluator, evaluator, lights, None, PostureRequest(target=1.0))
     offered = replace(evaluator, exposures=(1.0, 0.25, 0.0625))
-    all_of_them = choose_postures(offered, offered, POSTURES, lights, None, PostureRequest(target=1.0)).cover
+    all_of_them = choose_postures(offered, offered, lights, None, PostureRequest(target=1.0)).cover
     assert all_of_them.all_covered > without.cover.all_covered
     target = 0.5 * (all_of_them.all_covered + without.cover.all_covered) / all_of_them.total
-    choice = choose_postures(offered, offered, POSTURES, lights, None, PostureRequest(target=target))
+    choice = choose_postures(offered, offered, lights, None, PostureRequest(target=target))
     assert choice.cover.share >= target
     panels = [lights] * len(choice.postures)
     requested = {"gain_points": 100.0}
@@ -602,7 +601,7 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     offered = (1.0, *rng.choice([4.0, 0.5, 0.25, 0.0625, 0.02], int(rng.integers(1, 4)), replace=False))
     points = float(rng.choice([0.0, 0.5, 1.0, 5.0]))
     lights, candidates = build_lights(rig), find_candidates(rig, step_deg=10.0)
-    ask = (evaluator, drawn, POSTURES, lights, candidates)
+    ask = (evaluator, drawn, lights, candidates)
     plain = choose_postures(*ask, PostureRequest(count=count))
     choice = choose_with_exposures(
         *ask, PostureRequest(count=count), exposures=offered, gain_points=points, run=RunContext()
@@ -644,7 +643,7 @@ def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
     rng = np.random.default_rng(seed)
     evaluator = replace(evaluator, table=drawn_patches(evaluator.table, int(rng.integers(60, 300))))
     lights, candidates = build_lights(rig), find_candidates(rig, step_deg=10.0)
-    ask = (evaluator, evaluator, POSTURES, lights, candidates)
+    ask = (evaluator, evaluator, lights, candidates)
     target = 0.9 * choose_postures(*ask, PostureRequest(count=3)).cover.share
     plain = choose_postures(*ask, PostureRequest(target=target))
     choice = choose_with_exposures(
@@ -658,7 +657,7 @@ def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
 
 def test_a_target_that_nothing_offered_reaches_has_no_exposures(world):
     rig, evaluator = world
-    ask = (evaluator, evaluator, POSTURES, build_lights(rig), None, PostureRequest(target=1.0))
+    ask = (evaluator, evaluator, build_lights(rig), None, PostureRequest(target=1.0))
     choice = choose_with_exposures(*ask, exposures=(1.0, 0.25), gain_points=1.0, run=RunContext())
     brackets = choice.brackets
     assert brackets is None
@@ -672,7 +671,7 @@ def test_a_number_and_a_target_that_takes_as_many_give_the_same_plan(world, leas
     rig, evaluator = world
     evaluator = deciding(evaluator, least)
     few = replace(evaluator, table=drawn_patches(evaluator.table, drawn))
-    ask = (evaluator, few, POSTURES, build_lights(rig), find_candidates(rig, step_deg=10.0))
+    ask = (evaluator, few, build_lights(rig), find_candidates(rig, step_deg=10.0))
     by_number = {n: choose_postures(*ask, PostureRequest(count=n)) for n in (1, 2, 3, 4)}
     for n, choice in by_number.items():
         found = choose_postures(*ask, PostureRequest(target=choice.cover.share))
@@ -689,13 +688,11 @@ def test_more_starts_are_never_worse_than_the_lights_as_they_stand_alone(world, 
     rig, evaluator = world
     wanted = PostureRequest(count=count)
     candidates = find_candidates(rig, step_deg=5.0)
-    turns = turning.AlternatingSearch(
-        evaluator, POSTURES, candidates, where="all patches", prove=True, run=RunContext()
-    )
+    turns = turning.AlternatingSearch(evaluator, candidates, where="all patches", prove=True, run=RunContext())
     lights = build_lights(rig)
     begin = turning.Solution(panels=lights, cover=turns.cover(lights, None, wanted), converged=False)
     alone = turns.improve(begin, 6, wanted)
-    found = choose_postures(evaluator, evaluator, POSTURES, build_lights(rig), candidates, wanted)
+    found = choose_postures(evaluator, evaluator, build_lights(rig), candidates, wanted)
     assert found.starts > 1
     assert found.cover.covered >= alone.cover.covered
     # nor does any single other posture better it

@@ -17,7 +17,7 @@ from lightopt.images import read_png
 from lightopt.lights import PanelLight, panel_corners, place_light
 from lightopt.optics import Reflectance, Sensor
 from lightopt.report import rig_drawing
-from lightopt.report._drawing import DPI, figure_image, fixed_style
+from lightopt.report._pictures import DPI, figure_image, fixed_style
 from lightopt.report._rig_drawing import draw_stage
 from lightopt.report._rig_elements import BORDER_STEPS, ParallelView, Pen, camera_shape, part_box, round_up
 from lightopt.scene import Scene, Stage, place_camera, project

@@ -13,11 +13,21 @@ from PIL import Image
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, direction
 from lightopt.design import LegendRow
-from lightopt.report._drawing import DPI, chart, figure_image, fixed_style, label_whole_numbers, shortened
-from lightopt.report._images import SATURATED_COLOUR, check_png_path, thumbnail, write_picture
+from lightopt.report._pictures import (
+    DPI,
+    SATURATED_COLOUR,
+    chart,
+    check_png_path,
+    figure_image,
+    fixed_style,
+    label_whole_numbers,
+    shortened,
+    thumbnail,
+    write_picture,
+)
 from lightopt.report._rig_elements import ParallelView, arc
 from lightopt.report.design._surface import _with_legend
-from lightopt.report.rig._verification import _gallery
+from lightopt.report.rig import _gallery
 
 
 @given(st.integers(1, 300), st.integers(1, 300), st.integers(8, 120))

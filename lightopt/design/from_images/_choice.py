@@ -249,8 +249,6 @@ _LEAST = 0.01  # weights below this share of an image's greatest are left out
 
 @dataclass(frozen=True)
 class Mixture:
-    """Images of several lights each."""
-
     weights: Float64  # of the lights at the exposures of their images, up to 1, shape (N, K)
     score: float
     bound: float

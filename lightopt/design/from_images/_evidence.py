@@ -156,7 +156,6 @@ class _Lights:
 def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) -> Evidence:
     """Measure how much each light shows of each defect.
 
-    false_alarms: Expected in the images of a posture of a good part
     Raises InputError: Without defects, no window of the part is seen by good samples.
     """
     windows = _Windows(samples)

@@ -10,35 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from lightopt import images as files
 from lightopt.config import RANGE_KEYS, RigConfig, copied_text, load_rig, with_list
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, counted, percent, refuse
 from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
 from lightopt.defects import DEFAULT_FALSE_ALARMS, false_alarms_problem
+from lightopt.design.from_images import _samples
 from lightopt.design.from_images._choice import DEFAULT_LIMIT, Choice, Mixture, choose_lights, mix_lights, score
 from lightopt.design.from_images._evidence import Evidence, measure_evidence
-from lightopt.design.from_images._samples import (
-    Agreement,
-    ChosenImage,
-    Samples,
-    chosen_images,
-    compare_captured,
-    quantised,
-    read_samples,
-    synthesise,
-    weights_of,
-)
-from lightopt.images import (
-    ImageEntry,
-    ImageSet,
-    ImageSetWriter,
-    Manifest,
-    ResultFolder,
-    posture_folder,
-    read_image_set,
-    remove_image_set,
-)
 
 RESULT_NAME, PROGRAMME_NAME, RIG_NAME = "result.json", "programme.yaml", "rig.optimized.yaml"
 REPORT_NAME, IMAGES_FOLDER = "report.html", "images"
@@ -50,8 +31,6 @@ _COMMENT = "Chosen by lightopt optimize --from-images"
 
 @dataclass(frozen=True, kw_only=True)
 class FromImagesOptions:
-    """How lights are chosen."""
-
     images: int = 4  # how many images of a part are to be taken
     mix: bool = False  # whether an image may show several lights with weights; one light each otherwise
     false_alarms: float = DEFAULT_FALSE_ALARMS
@@ -60,18 +39,17 @@ class FromImagesOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class FromImagesResult:
-    """The images to take, and what they show."""
-
-    samples: Samples
+    samples: _samples.Samples
     evidence: Evidence
     options: FromImagesOptions
     choice: Choice  # of single lights
     mixture: Mixture  # of several lights per image
-    images: tuple[ChosenImage, ...]  # those to take: of the choice, or of the mixture with `mix`
+    images: tuple[_samples.ChosenImage, ...]  # those to take: of the choice, or of the mixture with `mix`
     weights: Float64  # of theirs on the samples' images, shape (N, K)
     rig: RigConfig | None  # that takes the images as its programme
-    captured: ImageSet | None  # taken with a previous result of the same sets
-    agreement: tuple[str, tuple[Agreement, ...]] | None  # with its images: the set of the same sample, and each
+    captured: files.ImageSet | None  # taken with a previous result of the same sets
+    # with its images: the set of the same sample, and each
+    agreement: tuple[str, tuple[_samples.Agreement, ...]] | None
     warnings: tuple[str, ...]
 
     @property
@@ -92,7 +70,7 @@ class FromImagesResult:
     def proven(self) -> bool:
         return self.mixture.bound <= self.score if self.options.mix else self.choice.proven
 
-    def lights_text(self, image: ChosenImage) -> str:
+    def lights_text(self, image: _samples.ChosenImage) -> str:
         """The lights of an image with their weights, the brightest few."""
         lit = sorted(image.weights.items(), key=lambda one: -one[1])
         shown = [light if len(lit) == 1 else f"{light} {weight:.3g}" for light, weight in lit[:_SHOWN]]
@@ -119,7 +97,7 @@ def optimize_from_images(
     """
     run = run or RunContext()
     refuse(filter(None, [false_alarms_problem(options.false_alarms)]))
-    samples = read_samples(sets, region)
+    samples = _samples.read_samples(sets, region)
     loaded = None if rig is None else _rig_of(samples, rig)
     if not 1 <= options.images <= len(samples.channels):
         lights = f"1 to {len(samples.channels)}, the number of lights in the sets"
@@ -133,17 +111,17 @@ def optimize_from_images(
     weights = mixture.weights if options.mix else np.eye(evidence.lights)[list(choice.lights)]
     hardware = None if loaded is None else loaded.hardware
     levels = {} if hardware is None else {name: light.level for name, light in hardware.lights.items()}
-    images = chosen_images(samples, evidence.brightest, weights, levels)
-    taken = None if captured is None else read_image_set(captured)
-    agreement = None if taken is None else compare_captured(samples, images, taken)
+    chosen = _samples.chosen_images(samples, evidence.brightest, weights, levels)
+    taken = None if captured is None else files.read_image_set(captured)
+    agreement = None if taken is None else _samples.compare_captured(samples, chosen, taken)
     return FromImagesResult(
         samples=samples,
         evidence=evidence,
         options=options,
         choice=choice,
         mixture=mixture,
-        images=images,
-        weights=weights_of(samples, images),
+        images=chosen,
+        weights=_samples.weights_of(samples, chosen),
         rig=loaded,
         captured=taken,
         agreement=agreement,
@@ -153,7 +131,7 @@ def optimize_from_images(
 
 def write_from_images(
     result: FromImagesResult, folder: Path, *, force: bool = False, run: RunContext | None = None
-) -> ResultFolder:
+) -> files.ResultFolder:
     """Write the programme, the synthesised images of all sets and, with a rig, its file with the programme.
 
     The result is complete when :func:`finish_from_images` has written its JSON file.
@@ -161,7 +139,7 @@ def write_from_images(
     Raises InputError: The folder has other results, or the rig cannot take the programme.
     """
     run = run or RunContext()
-    output = ResultFolder(
+    output = files.ResultFolder(
         folder, _provenance(result), name=RESULT_NAME, format=_FORMAT, what="a choice of lights", force=force
     )
     programme = (
@@ -185,7 +163,7 @@ def write_from_images(
             raise
     output.write_text(PROGRAMME_NAME, "\n".join([f"# {_COMMENT}", "programme:", *(f"  - {e}" for e in entries), ""]))
     for previous in (output.folder / IMAGES_FOLDER).glob("*"):
-        remove_image_set(previous)
+        files.remove_image_set(previous)
         with suppress(OSError):  # something else is in it
             previous.rmdir()
     report = run.stage("synthesising images")
@@ -195,7 +173,7 @@ def write_from_images(
     return output
 
 
-def finish_from_images(output: ResultFolder, result: FromImagesResult, page: str | None) -> list[Path]:
+def finish_from_images(output: files.ResultFolder, result: FromImagesResult, page: str | None) -> list[Path]:
     """Write the report and result.json; returns what a person wants to open."""
     paths = [] if page is None else [output.write_text(REPORT_NAME, page)]
     output.finish(_document(result))
@@ -203,7 +181,7 @@ def finish_from_images(output: ResultFolder, result: FromImagesResult, page: str
     return [*paths, rig if rig.is_file() else output.folder / PROGRAMME_NAME, output.folder / IMAGES_FOLDER]
 
 
-def _rig_of(samples: Samples, path: Path) -> RigConfig:
+def _rig_of(samples: _samples.Samples, path: Path) -> RigConfig:
     rig = load_rig(path)
     if rig.programme is not None:
         raise InputError(f"{path}: has a programme; give the rig file without it, whose lights the sets show")
@@ -223,18 +201,20 @@ def _write_images(result: FromImagesResult, number: int, folder: Path) -> None:
     header = {name: getattr(own.manifest, name) for name in kept}
     # without a version: an inspection knows nothing of whether the sample is good
     made_from = {"synthesised_from": own.fingerprint, "images": facts}
-    writer = ImageSetWriter(folder, Manifest(kind="simulated", **header, provenance=made_from))
+    writer = files.ImageSetWriter(folder, files.Manifest(kind="simulated", **header, provenance=made_from))
     for p, posture in enumerate(samples.postures):
         for image in result.images:
-            levels, _ = synthesise(samples, number, image, posture)
+            levels, _ = _samples.synthesise(samples, number, image, posture)
             main = max(image.weights, key=lambda light: image.weights[light])
             source = next(e for e in own.images if (e.light, e.posture) == (main, posture))
             angles = source.light_elevation_deg, source.light_azimuth_deg
-            entry = ImageEntry(image.name, *angles, posture, image.exposure)
-            writer.add_image(entry, png=quantised(samples, levels))
+            entry = files.ImageEntry(image.name, *angles, posture, image.exposure)
+            writer.add_image(entry, png=_samples.quantised(samples, levels))
         if (labels := samples.labels[number, p]).max() >= 0:
             mask = np.where(labels >= 0, 255, 0).astype(np.uint8)
-            writer.add_levels(f"masks/{posture_folder(posture)}.png", mask, metadata={"posture": posture.as_dict()})
+            writer.add_levels(
+                f"masks/{files.posture_folder(posture)}.png", mask, metadata={"posture": posture.as_dict()}
+            )
 
 
 def _provenance(result: FromImagesResult) -> dict[str, Any]:
@@ -298,7 +278,6 @@ def _document(result: FromImagesResult) -> dict[str, Any]:
 
 
 def from_images_answer(result: FromImagesResult) -> tuple[str, str]:
-    """The figure of the answer, and what it is of."""
     gains = result.gains
     found = int((gains >= 1.0).sum())
     kind = counted(len(result.images), "image")

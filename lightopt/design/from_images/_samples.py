@@ -23,8 +23,6 @@ _TOUCHING = np.ones((3, 3), np.bool_)
 
 @dataclass(frozen=True)
 class Channel:
-    """A light whose images are used, and their exposure."""
-
     light: str
     exposure: float
 
@@ -54,7 +52,6 @@ class Samples:
         return self.manifest.max_level - self.manifest.black_level
 
     def entry(self, number: int, channel: Channel, posture: Posture) -> ImageEntry:
-        """The image of a set, a light and a posture."""
         key = (channel.light, posture, channel.exposure)
         return next(entry for entry in self.sets[number].images if entry.key == key)
 

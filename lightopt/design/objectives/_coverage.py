@@ -8,15 +8,10 @@ shaded nor saturated) and S the number in which it is saturated,
 
 in whole square micrometres. A patch's part in it depends on the classes of its levels only. Along the candidates of a
 light a patch is shaded, usable or saturated in runs. Over all lights its part in the score is constant on boxes, the
-products of runs, which are added up as differences: see :class:`Differences`. Patches whose classes change all
-the time are counted in packed bits, where 64 patches share a word. Usable and saturated images are counted by
-saturating bit counters, light after light; the weights of covered patches are added up bit by bit, each bit of the
-weights being a plane of words of its own.
+products of runs, which are added up as differences: see :class:`Differences`.
 """
 
 import itertools
-import math
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,11 +19,10 @@ import numpy as np
 from lightopt.core.arrays import Float64, Int32, Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.run_context import Share, WorkCounter
-from lightopt.core.threads import Task, blocks, run_all
+from lightopt.core.threads import blocks, run_all
 from lightopt.design.objectives._objective import Objective, inspectable_surface
 from lightopt.design.objectives._scores_by_units import Differences
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, level_range
-from lightopt.design.responses._pairs import Words, common_bits, count_flags, pack_flags
 
 BOUND_PATCHES = 1 << 16  # patches whose bound is computed at once
 SATURATED = 1 << 16  # added to a cell's count of usable images for each image in which it is saturated
@@ -41,14 +35,6 @@ _Runs = tuple[Int64, Int64, Int32, Int32]
 
 LEAST_USABLE = 2  # images that must show a patch usably
 MOST_SATURATED = 1  # images that may show it saturated
-
-# a patch goes to the packed bits when its classes make more than 1/512 of the table's number of cells: there the two
-# ways take about the same time
-BITS_SHARE = 512
-BLOCK_LEVELS = 1 << 25  # levels that are packed at once
-LEAST_PATCHES = 4096  # of a block, however many candidates there are
-TASK_WORDS = 100_000_000  # words that a task reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard
-_Classes = tuple[Words, Words]  # of the usable and of the saturated images
 
 
 @dataclass(frozen=True)
@@ -81,18 +67,28 @@ class CoverageObjective(Objective):
     def scores(
         self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds, threads: int, progress: Share | None
     ) -> Int64:
-        """By runs of candidates where a patch's class stays, or by packed bits."""
-        levels = matrix.levels
-        products = run_products(levels, thresholds)
-        cells = math.prod(len(layer) for layer in levels)
-        simple = products <= max(64.0, cells / BITS_SHARE)
-        # in boxes; of the packed bits as many cells take about as long as one
-        work = WorkCounter(products[simple].sum() + np.count_nonzero(~simple) * cells / BITS_SHARE, progress)
-        table = np.zeros(cells, np.int64)
-        for scores, some in ((run_scores, simple), (bit_scores, ~simple)):
-            if some.any():
-                table += scores(levels, np.flatnonzero(some), weights, thresholds, threads, work)
-        return table
+        """By runs of candidates where a patch's class stays."""
+        sizes = [len(layer) for layer in matrix.levels]
+        limits = thresholds.shade, thresholds.saturation
+        # number of boxes of each patch: the product over the lights of its numbers of runs
+        boxes = np.prod([_run_counts(layer, *limits) for layer in matrix.levels], axis=0, dtype=np.float64)
+        largest = int(boxes.max(initial=1.0))
+        differences = Differences(sizes, threads)
+        ends = _chunks(boxes, max(1, min(CHUNK_PATCHES, CHUNK_LEVELS // sum(sizes))))
+        work = WorkCounter(boxes.sum(), progress)
+
+        def add(start: int, end: int) -> None:
+            runs = [_runs(np.ascontiguousarray(layer[:, start:end]), *limits) for layer in matrix.levels]
+            first = np.stack([first for first, _, _ in runs])
+            place = np.concatenate([place for _, place, _ in runs])
+            kind = np.concatenate([kind for _, _, kind in runs])
+            offset = np.cumsum([0, *(len(place) for _, place, _ in runs)])[:-1]
+            with differences.borrowed() as (own,):
+                _scatter(own, differences.strides, (first, offset, place, kind), weights[start:end], largest)
+            work.add(float(boxes[start:end].sum()))
+
+        run_all(((add, pair) for pair in itertools.pairwise(ends)), threads=differences.workers, done=work.report)
+        return differences.summed()[0]
 
     def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """Patches that could be usable under two lights and need not be saturated under more than one."""
@@ -110,43 +106,6 @@ class CoverageObjective(Objective):
 
 
 COVERAGE = CoverageObjective()
-
-
-def run_products(levels: Sequence[Levels], thresholds: LevelThresholds) -> Float64:
-    """Number of boxes of each patch: the product over the lights of its numbers of runs, shape (p,)."""
-    product = np.ones(levels[0].shape[1])
-    for layer in levels:
-        product *= _run_counts(layer, thresholds.shade, thresholds.saturation)
-    return product
-
-
-def run_scores(
-    levels: Sequence[Levels], which: Int64, weights: Int64, thresholds: LevelThresholds, threads: int, work: WorkCounter
-) -> Int64:
-    """Scores of all combinations, of the `which` patches alone.
-
-    weights: Of all patches, shape (p,).
-    work: Counts boxes.
-    """
-    sizes = [len(layer) for layer in levels]
-    products = run_products(levels, thresholds)[which]
-    largest = int(products.max(initial=1.0))
-    differences = Differences(sizes, threads)
-    ends = _chunks(products, max(1, min(CHUNK_PATCHES, CHUNK_LEVELS // sum(sizes))))
-
-    def add(start: int, end: int) -> None:
-        some = which[start:end]
-        runs = [_runs(layer.take(some, axis=1), thresholds.shade, thresholds.saturation) for layer in levels]
-        first = np.stack([first for first, _, _ in runs])
-        place = np.concatenate([place for _, place, _ in runs])
-        kind = np.concatenate([kind for _, _, kind in runs])
-        offset = np.cumsum([0, *(len(place) for _, place, _ in runs)])[:-1]
-        with differences.borrowed() as (own,):
-            _scatter(own, differences.strides, (first, offset, place, kind), weights[some], largest)
-        work.add(float(products[start:end].sum()))
-
-    run_all(((add, pair) for pair in itertools.pairwise(ends)), threads=differences.workers, done=work.report)
-    return differences.summed()[0]
 
 
 def _chunks(products: Float64, most: int) -> list[int]:
@@ -221,79 +180,3 @@ def _scatter(differences: Int64, strides: Int64, all_runs: _Runs, weights: Int64
         for box in range(size):
             if count[box]:
                 differences[at[box]] += weights[p] * count[box]
-
-
-def bit_scores(
-    levels: Sequence[Levels], which: Int64, weights: Int64, thresholds: LevelThresholds, threads: int, work: WorkCounter
-) -> Int64:
-    """As :func:`lightopt.design.objectives._coverage.run_scores`; at least two lights."""
-    sizes = [len(layer) for layer in levels]
-    table = np.zeros(math.prod(sizes), np.int64)
-    for start, end in blocks(len(which), max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
-        # heavy patches first, so that the planes of the high bits are short
-        some = which[start:end][np.argsort(-weights[which[start:end]], kind="stable")]
-        run_all(_tasks(levels, some, weights[some], thresholds, table, work), threads=threads, done=work.report)
-    return table
-
-
-def _tasks(
-    levels: Sequence[Levels], some: Int64, heavy: Int64, thresholds: LevelThresholds, table: Int64, work: WorkCounter
-) -> Iterator[Task]:
-    """Tasks that add the scores of some patches, of descending weights `heavy`, to a table."""
-    bits = max(1, int(heavy.max(initial=0)).bit_length())
-    planes = pack_flags(np.stack([(heavy >> k) & 1 == 1 for k in range(bits)]))
-    lengths = np.array([-(-int((heavy >= (1 << k)).sum()) // 64) for k in range(bits)], np.int64)
-    classes: list[_Classes] = []
-    # lights that stand still first: they are counted once, and the last two together
-    for layer in sorted(levels, key=lambda layer: len(layer) > 1):
-        taken = layer.take(some, axis=1)
-        usable = pack_flags((taken >= thresholds.shade) & (taken < thresholds.saturation))
-        classes.append((usable, pack_flags(taken >= thresholds.saturation)))
-    *outer, (usable, saturated), final = classes
-    columns, words = final[0].shape
-    cells = table.reshape(-1, len(usable), columns)
-    # row k: usable, or saturated, in more than k images so far
-    used, spoilt = (np.zeros((count, words), np.uint64) for count in (LEAST_USABLE, MOST_SATURATED + 1))
-    while outer and len(outer[0][0]) == 1:
-        still_used, still_spoilt = outer.pop(0)
-        count_flags(used, still_used[0])
-        count_flags(spoilt, still_spoilt[0])
-
-    def fill(index: int, prefix: tuple[int, ...], start: int, end: int) -> None:
-        use, spoil = used.copy(), spoilt.copy()
-        for (more_used, more_spoilt), candidate in zip(outer, prefix, strict=True):
-            count_flags(use, more_used[candidate])
-            count_flags(spoil, more_spoilt[candidate])
-        here = slice(start, end)
-        _last_two((use, spoil), (usable[here], saturated[here]), final, planes, lengths, cells[index, here])
-        work.add((end - start) * columns * len(some) / BITS_SHARE)
-
-    rows = max(1, TASK_WORDS // (columns * (words + int(lengths.sum()))))
-    prefixes = itertools.product(*(range(len(more)) for more, _ in outer))
-    for index, prefix in enumerate(prefixes):
-        for start, end in blocks(len(usable), rows):
-            yield fill, (index, prefix, start, end)
-
-
-@kernel
-def _last_two(
-    counters: _Classes, images: _Classes, last: _Classes, planes: Words, lengths: Int64, table: Int64
-) -> None:
-    (used, spoilt), (usable, saturated), (last_usable, last_saturated) = counters, images, last
-    words = planes.shape[1]
-    covered = np.empty(words, np.uint64)
-    for c in range(len(usable)):
-        use, spoil = used.copy(), spoilt.copy()
-        count_flags(use, usable[c])
-        count_flags(spoil, saturated[c])
-        enough, too_many = use[-1], spoil[-1]
-        almost, at_limit = use[-2], spoil[-2]  # one image more carries these over
-        for d in range(len(last_usable)):
-            for w in range(words):
-                covered[w] = (enough[w] | (almost[w] & last_usable[d, w])) & ~(
-                    too_many[w] | (at_limit[w] & last_saturated[d, w])
-                )
-            total = 0
-            for k in range(len(lengths)):
-                total += common_bits(covered[: lengths[k]], planes[k, : lengths[k]]) << k
-            table[c, d] += total

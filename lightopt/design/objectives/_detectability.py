@@ -50,8 +50,6 @@ def deciding_text(min_images: int) -> str:
 
 @dataclass(frozen=True)
 class DetectabilityObjective(Objective):
-    """Defects that the inspection is expected to find; see the module's text."""
-
     defects: tuple[PlannedDefect, ...]
     min_images: int = 1  # images that must show a defect
     false_alarms: float = DEFAULT_FALSE_ALARMS  # of the inspection, in a posture of a good part
@@ -67,7 +65,6 @@ class DetectabilityObjective(Objective):
 
     @property
     def needed(self) -> int:
-        """Units of evidence of a defect that counts as found."""
         return units_needed(self.min_images)
 
     @property

@@ -182,7 +182,6 @@ def minimum_tasks(
     layers, greatest: Capped levels of each light, shape (candidates, p), and the greatest over its candidates, shape
         (p,).
     top: The highest usable capped level.
-    lock: Held while the table changes.
     work: Counts combinations times patches.
     """
     # a patch that one of the lights never reaches adds nothing; at the cap the least level is only where all can be

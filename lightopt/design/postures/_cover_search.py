@@ -29,8 +29,6 @@ BATCH = 16  # candidates whose gains are computed at once, whatever the number o
 
 @dataclass(frozen=True, kw_only=True)
 class CoverStep:
-    """One candidate of a cover."""
-
     candidate: int
     gain: int  # what it adds to the benefit of those before it
     benefit: int  # of those before it and itself: Σ weight · min(k, units)
@@ -39,8 +37,6 @@ class CoverStep:
 
 @dataclass(frozen=True, kw_only=True)
 class Cover:
-    """A choice of candidates."""
-
     steps: tuple[CoverStep, ...]  # the chosen ones, in the order in which they were chosen
     k: int  # units of evidence that a pair needs
     total: int  # weight of all pairs

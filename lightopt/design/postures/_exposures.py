@@ -41,8 +41,6 @@ Images = Words  # units of evidence by the image of each light of a posture, sha
 
 @dataclass(frozen=True, kw_only=True)
 class FurtherExposure:
-    """A further exposure of a posture, all lights."""
-
     posture: Posture
     exposure: float  # relative to exposure 1
     gain: float  # share of the pairs that it adds to what is planned before it, or else to the whole plan
@@ -51,8 +49,6 @@ class FurtherExposure:
 
 @dataclass(frozen=True, kw_only=True)
 class Brackets:
-    """The further exposures that were considered."""
-
     before: float  # share of the pairs that is seen without them
     after: float  # share that is seen with those that are planned
     further: tuple[FurtherExposure, ...]  # the planned ones in the order in which they were chosen, then the others
@@ -68,8 +64,6 @@ class Brackets:
 
 @dataclass(frozen=True, eq=False)
 class CandidateExposure:
-    """A further exposure of a posture that may be planned."""
-
     posture: int  # index of the posture
     exposure: float  # relative to exposure 1
     images: Images  # its units of evidence, shape (lights, units, p, words)
@@ -95,7 +89,7 @@ def select_exposures(
     while True:
         gains = planned.gains(left)
         short = target is not None and planned.covered < target * total
-        chosen, reason = _next(planned, left, gains, least_gain * total, short)
+        chosen, reason = planned.next(left, gains, least_gain * total, short)
         if not chosen:
             break
         # of two the one first that adds more alone
@@ -107,28 +101,6 @@ def select_exposures(
     further += [considered(one, gain, None) for one, (gain, _) in zip(left, gains, strict=True)]
     shares = {"before": before / total, "after": planned.covered / total}
     return Brackets(**shares, further=tuple(further), least_gain=least_gain, found=tuple(planned.found().tolist()))
-
-
-def _next(
-    planned: "_PlannedImages",
-    candidates: Sequence[CandidateExposure],
-    gains: Sequence[_Gain],
-    least: float,
-    short: bool,
-) -> tuple[tuple[int, ...], Reason]:
-    """Indices of what to plan next, and why; none where nothing is enough and the target is met or out of reach."""
-    best = max(range(len(candidates)), key=lambda i: gains[i][0], default=None)
-    if best is None:
-        return (), "gain"
-    alone = gains[best][0]
-    if alone >= max(1.0, least):
-        return (best,), "gain"
-    # in vain where two do not add twice as much; with the target out of reach alone, any gain will do
-    enough = 1 if short and alone == 0 else max(1, math.ceil(2.0 * least))
-    pair = planned.best_pair(candidates, gains, at_least=enough)
-    if pair is not None:
-        return pair[1], "pair" if pair[0] >= 2.0 * least else "target"
-    return ((best,), "target") if short and alone > 0 else ((), "gain")
 
 
 class _PlannedImages:
@@ -153,14 +125,27 @@ class _PlannedImages:
             gains.append((more, benefit - self._benefit - more))
         return gains
 
-    def best_pair(
-        self, candidates: Sequence[CandidateExposure], gains: Sequence[_Gain], *, at_least: int
-    ) -> tuple[int, tuple[int, int]] | None:
-        """The two candidates that add most together, the first of equals: how much, and their indices.
+    def next(
+        self, candidates: Sequence[CandidateExposure], gains: Sequence[_Gain], least: float, short: bool
+    ) -> tuple[tuple[int, ...], Reason]:
+        """Indices of what to plan next, and why; none where nothing is enough and the target is met or out of reach."""
+        if not candidates:
+            return (), "gain"
+        best = max(range(len(candidates)), key=lambda i: gains[i][0])
+        alone = gains[best][0]
+        if alone >= max(1.0, least):
+            return (best,), "gain"
+        # in vain where two do not add twice as much; with the target out of reach alone, any gain will do
+        enough = 1 if short and alone == 0 else max(1, math.ceil(2.0 * least))
+        if (pair := self._best_pair(candidates, gains, enough)) is not None:
+            return pair[1], "pair" if pair[0] >= 2.0 * least else "target"
+        return ((best,), "target") if short and alone > 0 else ((), "gain")
 
-        The one that adds more alone stands first. Two that add less than `at_least` are not searched for.
-        """
-        # what both are needed for is nearer with either
+    def _best_pair(
+        self, candidates: Sequence[CandidateExposure], gains: Sequence[_Gain], at_least: int
+    ) -> tuple[int, tuple[int, int]] | None:
+        # The two candidates that add most together, the first of equals: how much, and their indices, first of that
+        # which adds more alone. What both are needed for is nearer with either
         most = {
             (i, j): gains[i][0] + gains[j][0] + min(gains[i][1], gains[j][1])
             for i, j in combinations(range(len(candidates)), 2)

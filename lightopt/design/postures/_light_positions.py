@@ -35,8 +35,6 @@ MOST_COUNT_BYTES = 1_500_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class LightPositions:
-    """One position of each light."""
-
     candidates: tuple[int, ...]  # index of each light's position
     covered: int  # weight of the pairs that are found
     benefit: int  # Σ weight · min(needed, units); decides between positions that cover the same
@@ -151,10 +149,7 @@ def position_counts_fit(evaluator: ImageEvaluator, candidates: Candidates | None
 def position_counts(
     evaluator: ImageEvaluator, postures: Sequence[ExposedPosture], candidates: Candidates, progress: Share
 ) -> list[PositionCounts]:
-    """Units of evidence by each position of each light in postures, of each light of shape (positions, k, p, words).
-
-    k is what is needed.
-    """
+    """Units of evidence, up to what is needed, by each position of each light in postures: (positions, k, p, words)."""
     empty = evaluator.weights.zero_counts(evaluator.needed)
     totals = [np.repeat(empty[None], len(some), axis=0) for some in candidates.panels]
     for done, (posture, exposures) in enumerate(postures, start=1):
@@ -174,7 +169,6 @@ def best_positions(
     limit: int = _exact_search.DEFAULT_LIMIT,
     progress: Share | None = None,
 ) -> LightPositions:
-    """The positions of the lights that show most in postures."""
     counted = len(postures) / (len(postures) + 1)
     counts = position_counts(evaluator, postures, candidates, part_of(progress, 0.0, counted))
     weights, space, rest = evaluator.weights, candidates.space, part_of(progress, counted, 1.0)

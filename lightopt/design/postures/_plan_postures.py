@@ -17,24 +17,8 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import CheckFailed, counted, percent
 from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
-from lightopt.design._blind_spots import (
-    BlindReason,
-    DefectVisibility,
-    blind_spots,
-    blind_text,
-    by_light,
-    defect_visibility,
-)
+from lightopt.design import _blind_spots, _problem
 from lightopt.design._candidates import Candidates, Curve, place_of, score_curves
-from lightopt.design._problem import (
-    DEFECT_OBJECTIVE,
-    OptimizeOptions,
-    PlanOptions,
-    candidates_of,
-    detection_model_of,
-    posture_grid,
-    usable_postures,
-)
 from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, places_of, way_through
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import share_text
@@ -56,7 +40,6 @@ MOST_ITERATIONS = 2  # of the lights for the images as they are planned, at the 
 def choose_with_exposures(
     whole: ImageEvaluator,
     drawn: ImageEvaluator,
-    postures: Sequence[Posture],
     start: Sequence[PanelLight],
     candidates: Candidates | None,
     request: PostureRequest,
@@ -66,17 +49,16 @@ def choose_with_exposures(
 ) -> PostureChoice:
     """Choose postures and lights, and which further exposures are planned; figures are of the planned images.
 
-    whole, drawn, postures, start, candidates, request, run: As for :func:`choose_postures`;
-        evaluators of exposure 1.
+    whole, drawn, start, candidates, request, run: As for :func:`choose_postures`; evaluators of exposure 1.
     Returns the choice of the planned images; bounds and all candidates' share hold for any of the exposures. Where a
     target cannot be reached, what was chosen for all exposures, without brackets.
     """
     levels = tuple(dict.fromkeys((1.0, *exposures)))
     if len(levels) == 1:
-        return choose_postures(whole, drawn, postures, start, candidates, request, run=run)
+        return choose_postures(whole, drawn, start, candidates, request, run=run)
 
     def chosen_on(every: ImageEvaluator, some: ImageEvaluator, stage: str) -> PostureChoice:
-        choice = choose_postures(every, some, postures, start, candidates, request, run=run.within(stage))
+        choice = choose_postures(every, some, start, candidates, request, run=run.within(stage))
         return replace(choice, images=None)  # they are of other exposures than those that will be planned
 
     single = chosen_on(whole, drawn, "exposure 1")
@@ -88,8 +70,8 @@ def choose_with_exposures(
     planner = _JointPlanner(every, candidates, request, gain_points / 100.0, run)
     best = max((planner.add_exposures(one) for one in both if one.postures), key=planner.merit)
     best = planner.place_lights(best)
-    cover = planner.cover(best, postures)
-    chosen = tuple(postures[step.candidate] for step in cover.steps)
+    cover = planner.cover(best)
+    chosen = tuple(whole.table.postures[step.candidate] for step in cover.steps)
     return replace(best, postures=chosen, cover=cover, initial=single.initial)
 
 
@@ -137,9 +119,9 @@ class _JointPlanner:
             plan = better
         return plan
 
-    def cover(self, plan: PostureChoice, postures: Sequence[Posture]) -> Cover:
+    def cover(self, plan: PostureChoice) -> Cover:
         """What the planned images show, posture by posture; bounds are of all postures at any of the exposures."""
-        weights = self.whole.weights
+        weights, postures = self.whole.weights, self.whole.table.postures
         indices = [postures.index(posture) for posture in plan.postures]
         every = [self._counts(plan, posture, self.whole.exposures) for posture in postures]
         free = greedy_cover(every, weights, count=len(indices), threads=self.whole.threads)
@@ -175,7 +157,6 @@ def planned_answers(
     candidates: Positions of the lights that the result is of.
     free: All positions to choose from: the curves go through them, where the chosen ones are among them; None where
         no light moves.
-    progress: Called with the share of the curves that is done.
     """
     first = result.answers[0].objective
     assert isinstance(first, DetectabilityObjective)
@@ -258,7 +239,7 @@ def target_not_reached(target: float, choice: PostureChoice, evaluator: ImageEva
         )
     lost = _lost(choice, evaluator, least)
     # more light helps where there is too little of it
-    dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
+    dim = lost.get(_blind_spots.BlindReason.CONTRAST, 0.0) + lost.get(_blind_spots.BlindReason.SHADOWED, 0.0)
     longer = max(evaluator.exposures) <= 1.0 and dim > 0.5 * sum(lost.values())
     hint = "Longer exposures may show some of it: add them, such as option 'exposures' 1,4,16. " * longer
     lights = "the best lights found (others may show more)" if choice.iterations else "the present light positions"
@@ -278,36 +259,37 @@ def target_not_reached(target: float, choice: PostureChoice, evaluator: ImageEva
 def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[int, float]:
     # surface × defects by reason, over all candidate postures, under the chosen lights
     thresholds = LevelThresholds.of_sensor(evaluator.scene.sensor, shade_share=0.0)
-    seen: list[DefectVisibility] = []
+    seen: list[_blind_spots.DefectVisibility] = []
     for posture in evaluator.table.postures:
         matrices = evaluator.matrices(posture, [[panel] for panel in choice.panels], exposures=evaluator.exposures)
-        seen.append(defect_visibility(by_light(matrices), thresholds, least=least))
+        seen.append(_blind_spots.defect_visibility(_blind_spots.by_light(matrices), thresholds, least=least))
     # the shares are of the surface that the camera sees in one of them
     areas = np.zeros(len(evaluator.table.patches))
     areas[evaluator.patches] = evaluator.table.patches.areas[evaluator.patches]
-    return blind_spots(areas, seen).by_reason()
+    return _blind_spots.blind_spots(areas, seen).by_reason()
 
 
 def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
     whole = max(sum(lost.values()), 1e-12)
     names = [panel.name for panel in choice.panels]
     ordered = sorted(lost.items(), key=lambda item: (-item[1], item[0]))
-    return ", ".join(f"{percent(share / whole, 0)} {blind_text(code, names)}" for code, share in ordered if share > 0.0)
+    return ", ".join(
+        f"{percent(share / whole, 0)} {_blind_spots.blind_text(code, names)}" for code, share in ordered if share > 0.0
+    )
 
 
 def plan_postures(
-    rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, run: RunContext
+    rig: RigConfig, part: PartConfig, options: _problem.OptimizeOptions, plan: _problem.PlanOptions, run: RunContext
 ) -> ChosenPostures:
-    """Choose the postures, and the light positions that go with them."""
-    candidates = candidates_of(rig, options)
+    candidates = _problem.candidates_of(rig, options)
     scene = build_scene(rig, part, points=options.points, defects=False)
     scene = replace(scene, camera=replace(scene.camera, obstructions=None))
-    grid = posture_grid(rig, part, step_deg=plan.posture_step_deg)
+    grid = _problem.posture_grid(rig, part, step_deg=plan.posture_step_deg)
     caster = cast_rays_at(scene)
     lights = build_lights(rig, None, options.points)
     positions = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
     everywhere = replace(scene, postures=grid)
-    postures, left_out = usable_postures(everywhere, positions, allow_outside_px=plan.allow_outside_px)
+    postures, left_out = _problem.usable_postures(everywhere, positions, allow_outside_px=plan.allow_outside_px)
     few = plan.choose_postures is not None and len(postures) < plan.choose_postures
     shortfall = f", fewer than the {plan.choose_postures} requested" if few else ""
     run.inform(
@@ -316,12 +298,12 @@ def plan_postures(
     )
     scene = replace(scene, postures=postures)
     table = build_patches(scene, caster=caster, budget=options.patch_budget, edges=False, threads=run.threads)
-    detection = detection_model_of(scene, part, options)
+    detection = _problem.detection_model_of(scene, part, options)
     whole = ImageEvaluator(scene, table, caster, detection, shadows=options.shadows, threads=run.threads)
     drawn = replace(whole, table=drawn_patches(table, DRAWN_PATCHES))
     request = PostureRequest(count=plan.choose_postures, target=plan.target, limit=options.limit)
     further = plan.all_exposures, plan.exposure_gain
-    choice = choose_with_exposures(whole, drawn, postures, lights, candidates, request, *further, run)
+    choice = choose_with_exposures(whole, drawn, lights, candidates, request, *further, run)
     if plan.target is not None and choice.cover.share < plan.target:
         all_exposures = replace(drawn, exposures=plan.all_exposures)
         raise target_not_reached(plan.target, choice, all_exposures, least=options.min_images)
@@ -332,15 +314,15 @@ def plan_postures(
             "'min_images', or change the lights"
         )
     travel = way_through(rig, choice.postures), pace_text(rig)
-    return ChosenPostures(choice, whole, detection, len(drawn.patches), left_out, *travel, plan)
+    return ChosenPostures(choice, whole, len(drawn.patches), left_out, *travel, plan)
 
 
-def with_chosen(options: OptimizeOptions, rig: RigConfig, chosen: ChosenPostures) -> OptimizeOptions:
+def with_chosen(options: _problem.OptimizeOptions, rig: RigConfig, chosen: ChosenPostures) -> _problem.OptimizeOptions:
     """The options with chosen postures and the light positions that go with them."""
     places = tuple(place_of(light) for light in rig.lights)
     if chosen.choice.lights is not None:
-        free = candidates_of(rig, options)
+        free = _problem.candidates_of(rig, options)
         assert free is not None
         places = tuple(some[k] for some, k in zip(free.places, chosen.choice.lights, strict=True))
-    objectives, postures = options.objectives or (DEFECT_OBJECTIVE,), chosen.way.order
+    objectives, postures = options.objectives or (_problem.DEFECT_OBJECTIVE,), chosen.way.order
     return replace(options, objectives=objectives, postures=postures, common_lights=True, places=places)

@@ -22,15 +22,9 @@ from lightopt.core.run_context import RunContext, Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
+from lightopt.design.postures import _light_positions
 from lightopt.design.postures._cover_search import Cover, best_set, greedy_cover, improve_by_exchange
 from lightopt.design.postures._exposures import Brackets
-from lightopt.design.postures._light_positions import (
-    MOST_COUNT_BYTES,
-    LightPositions,
-    best_positions,
-    first_allowed,
-    position_counts_fit,
-)
 from lightopt.design.responses._image_evaluator import ImageCache, ImageEvaluator
 from lightopt.design.responses._pairs import Counts, refuse_memory
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
@@ -57,8 +51,6 @@ class PostureRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Light positions, and the postures chosen for them."""
-
     panels: tuple[PanelLight, ...]  # the lights, world frame
     cover: Cover  # the postures, with their gains and bound, over all patches and candidate postures, with these lights
     lights: Lights = None  # index of each one's candidate; None where they keep their initial positions
@@ -69,8 +61,6 @@ class Solution:
 
 @dataclass(frozen=True, kw_only=True)
 class PostureChoice(Solution):
-    """The postures and lights that were chosen, on all patches."""
-
     postures: tuple[Posture, ...]  # in the order in which they were chosen
     starts: int  # number of starting positions of the search
     # what the rig's lights show in their initial positions, of the drawn patches at exposure 1, in postures that are
@@ -105,8 +95,7 @@ def merit(cover: Cover, request: PostureRequest) -> tuple[float, ...]:
 class AlternatingSearch:
     """Alternating search on the patches of an evaluator; results for lights or postures are cached."""
 
-    evaluator: ImageEvaluator
-    postures: Sequence[Posture]  # to choose from
+    evaluator: ImageEvaluator  # of the postures to choose from
     candidates: Candidates | None  # positions of the lights to choose from; None where no light moves
     _: KW_ONLY
     where: str  # the patches, for progress messages
@@ -114,9 +103,10 @@ class AlternatingSearch:
     run: RunContext
 
     def __post_init__(self) -> None:
+        self.postures = self.evaluator.table.postures
         self._passes = 0
         self._counts: dict[Lights, list[Counts]] = {}
-        self._positions: dict[tuple[int, ...], LightPositions] = {}
+        self._positions: dict[tuple[int, ...], _light_positions.LightPositions] = {}
 
     def improve(self, solution: Solution, most: int, request: PostureRequest) -> Solution:
         """Place lights for the postures and choose postures for the lights, while that gains; `most` times at most."""
@@ -165,7 +155,7 @@ class AlternatingSearch:
         same = [cover.bounds for cover in covers if len(cover.bounds) == len(best.bounds)]
         return replace(best, bounds=tuple(min(bounds) for bounds in zip(*same, strict=True)))
 
-    def lights(self, chosen: Sequence[int], request: PostureRequest) -> LightPositions:
+    def lights(self, chosen: Sequence[int], request: PostureRequest) -> _light_positions.LightPositions:
         assert self.candidates is not None
         key = tuple(sorted(chosen))
         if key not in self._positions:
@@ -173,7 +163,9 @@ class AlternatingSearch:
             # images of all positions of the lights are kept
             evaluator = replace(self.evaluator, keeps_images=True)
             postures, where = [(self.postures[i], evaluator.exposures) for i in key], self._stage("lights for postures")
-            found = best_positions(evaluator, postures, self.candidates, limit=request.limit, progress=where)
+            found = _light_positions.best_positions(
+                evaluator, postures, self.candidates, limit=request.limit, progress=where
+            )
             self._positions[key] = found
         return self._positions[key]
 
@@ -205,7 +197,6 @@ class AlternatingSearch:
 def choose_postures(
     whole: ImageEvaluator,
     drawn: ImageEvaluator,
-    postures: Sequence[Posture],
     start: Sequence[PanelLight],
     candidates: Candidates | None,
     request: PostureRequest,
@@ -214,16 +205,16 @@ def choose_postures(
 ) -> PostureChoice:
     """Choose postures and light positions.
 
-    whole, drawn: All patches, and those that the first iterations use; both of all postures.
-    postures: To choose from, at least one.
+    whole, drawn: All patches, and those that the first iterations use; both of the postures to choose from.
     start: The lights in their initial positions, world frame.
     candidates: Positions to choose from; None where no light moves.
     Raises InputError: More postures than memory is meant for; lights that collide in every combination.
     """
-    size = len(postures) * whole.needed * len(whole.patches) * whole.weights.masks.shape[1] * 8
-    what = f"counts: {len(postures)} postures × {len(whole.patches):,} patches"
-    refuse_memory(what, size, MOST_COUNT_BYTES, "raise option 'posture_step_deg'")
-    search = partial(AlternatingSearch, postures=postures, candidates=candidates, run=run or RunContext())
+    postures = len(whole.table.postures)
+    size = postures * whole.needed * len(whole.patches) * whole.weights.masks.shape[1] * 8
+    what = f"counts: {postures} postures × {len(whole.patches):,} patches"
+    refuse_memory(what, size, _light_positions.MOST_COUNT_BYTES, "raise option 'posture_step_deg'")
+    search = partial(AlternatingSearch, candidates=candidates, run=run or RunContext())
     # the chosen postures are looked at again when they are found
     full = on_drawn = search(replace(whole, images=ImageCache(CACHED_BYTES)), where="all patches", prove=True)
     if drawn.table is not whole.table:
@@ -239,7 +230,7 @@ class _MultiStartSearch:
     ) -> None:
         self.full_search, self.drawn_search, self.start, self.request = full, drawn, start, request
         self.candidates, self.starts = full.candidates, 1
-        self.on_all_patches = drawn is full or position_counts_fit(full.evaluator, full.candidates)
+        self.on_all_patches = drawn is full or _light_positions.position_counts_fit(full.evaluator, full.candidates)
         self._drawn: dict[int, Solution] = {}
 
     def choice(self) -> PostureChoice:
@@ -320,6 +311,9 @@ class _MultiStartSearch:
             return (None,)
         one = self.drawn_search.cover(self.start, None, replace(request, count=1, target=None))
         space = self.candidates.space
-        ends = (first_allowed(space, space.groups[0]), first_allowed(space, [rows[::-1] for rows in space.groups[-1]]))
+        ends = (
+            _light_positions.first_allowed(space, space.groups[0]),
+            _light_positions.first_allowed(space, [rows[::-1] for rows in space.groups[-1]]),
+        )
         alone = [self.drawn_search.lights(one.chosen, request).candidates] if one.chosen else []
         return tuple(dict.fromkeys([None, *alone, *(end for end in ends if end is not None)]))

@@ -75,7 +75,6 @@ _Camera = tuple[float, float, float, float, float]
 
 
 def units_needed(min_images: int) -> int:
-    """Units of evidence of a defect that counts as found."""
     return UNITS_OF_IMAGE if min_images == 1 else (UNITS_OF_IMAGE + 1) * (min_images - 1)
 
 
@@ -99,8 +98,6 @@ def spare_units(levels: Sequence[Levels], sensor: Sensor, min_images: int) -> UI
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DetectionModel:
-    """The defects that images are tested for, and when one counts as found."""
-
     catalogue: PlannedCatalogue
     sensor: Sensor
     full_scale: float  # grey level that makes a full-scale sensor level at exposure 1
@@ -289,13 +286,9 @@ class PatchEvidence:
                 [scene.waviness.correlated_pixels(footprint, one.scales_px(footprint), walls=True) for one in entries]
             )
         unchanged = np.ones(len(slopes))
-        self._variants = rendering.surface_variants(
-            slope=np.concatenate([*(one.slope for one in entries), slopes]),
-            direction=np.concatenate([*(one.direction for one in entries), directions]),
-            R_d_factor=np.concatenate([*(one.R_d_factor for one in entries), unchanged]),
-            sigma_factor=np.concatenate([*(one.sigma_factor for one in entries), unchanged]),
-            reflectances=scene.reflectances,
-        )
+        wavy = {"slope": slopes, "direction": directions, "R_d_factor": unchanged, "sigma_factor": unchanged}
+        all_of = {name: np.concatenate([*(getattr(one, name) for one in entries), wavy[name]]) for name in wavy}
+        self._variants = rendering.surface_variants(**all_of, reflectances=scene.reflectances)
 
     def evaluate(
         self,
@@ -311,26 +304,17 @@ class PatchEvidence:
         panels: Part frame; channels of a light are worked out together
         Yields levels at exposure 1 [grey level], shape (p,), and per exposure flags of shape (units, p, words).
         """
+        lights, surface = [rendering.panel_to_shade(panel, caster) for panel in panels], self._surface
         found = rendering.shade_variants(
-            self._surface,
-            self._references,
-            [rendering.panel_to_shade(panel, caster) for panel in panels],
-            self._variants,
-            caster=blocker,
-            dtype=np.float32,
-            threads=threads,
+            surface, self._references, lights, self._variants, caster=blocker, dtype=np.float32, threads=threads
         )
         passed = self._passed
         plain_levels = [one.good for one in found]
         exact = [i for i, panel in enumerate(panels) if panel.points == "auto"]
         if exact:
+            lit, shadows, reflectances = [panels[i] for i in exact], blocker is not None, self._scene.reflectances
             levels = rendering.shade_isolated(
-                self._surface,
-                [panels[i] for i in exact],
-                reflectances=self._scene.reflectances,
-                caster=caster,
-                shadows=blocker is not None,
-                threads=threads,
+                surface, lit, reflectances=reflectances, caster=caster, shadows=shadows, threads=threads
             )
             for i, level in zip(exact, levels, strict=True):
                 plain_levels[i] = level

@@ -23,17 +23,9 @@ from lightopt.core.errors import counted
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
+from lightopt.design.responses import _pairs
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, PatchEvidence, units_needed
 from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Visibility, area_units
-from lightopt.design.responses._pairs import (
-    Counts,
-    PairWeights,
-    Words,
-    narrow_words,
-    refuse_memory,
-    weight_planes,
-    widen_octets,
-)
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import expose
@@ -126,12 +118,12 @@ class ImageEvaluator:
         return np.flatnonzero(self.table.inspectable_anywhere)
 
     @cached_property
-    def weights(self) -> PairWeights:
+    def weights(self) -> _pairs.PairWeights:
         """Weights of the pairs of these patches and the planned defects."""
         assert self.detection is not None
         units = area_units(self.table.patches.areas[self.patches])
-        masks, factors = weight_planes(self.detection.catalogue.defects)
-        return PairWeights(areas=units, masks=masks, factors=factors)
+        masks, factors = _pairs.weight_planes(self.detection.catalogue.defects)
+        return _pairs.PairWeights(areas=units, masks=masks, factors=factors)
 
     def table_of(self, postures: Sequence[Posture]) -> PatchTable:
         rows = [self.table.postures.index(posture) for posture in postures]
@@ -159,7 +151,7 @@ class ImageEvaluator:
         positions = sum(len(some) for some in panels)
         what = f"luminance matrix of a posture: {counted(positions, 'position')} × {len(seen):,} patches"
         size = positions * self._position_bytes(len(seen), len(exposures))
-        refuse_memory(what, size, most_bytes, "raise option 'step_deg'")
+        _pairs.refuse_memory(what, size, most_bytes, "raise option 'step_deg'")
         shape, dtype = (len(exposures), positions), np.uint8 if self.scene.sensor.bit_depth <= 8 else np.uint16
         levels = np.zeros((*shape, len(seen)), dtype)
         words = np.zeros((*shape, UNITS_OF_IMAGE, len(seen), self._words), np.uint64)
@@ -170,12 +162,12 @@ class ImageEvaluator:
             if image is None:
                 missing.append(at)
             else:
-                levels[:, at], words[:, at] = image[0], widen_octets(image[1], self._words)
+                levels[:, at], words[:, at] = image[0], _pairs.widen_octets(image[1], self._words)
         if missing:
             self._compute(posture, flat, missing, exposures, (levels, words), progress)
         if self.images is not None and self.keeps_images:
             for at in missing:
-                self.images.keep(posture, exposures, flat[at], levels[:, at], narrow_words(words[:, at]))
+                self.images.keep(posture, exposures, flat[at], levels[:, at], _pairs.narrow_words(words[:, at]))
         areas, grazing = self.table.patches.areas[seen], self.table.left_out(posture)
         ends = np.cumsum([len(some) for some in panels])[:-1]
         grazing_mm2 = float(self.table.patches.areas[grazing].sum())
@@ -196,7 +188,7 @@ class ImageEvaluator:
         panels: Sequence[PanelLight],
         missing: Sequence[int],
         exposures: Sequence[float],
-        images: tuple[Levels, Words],
+        images: tuple[Levels, _pairs.Words],
         progress: Share | None,
     ) -> None:
         """Levels and flags of the `missing` of some panels, written to their rows of `images`."""
@@ -279,7 +271,7 @@ class ImageEvaluator:
         for start in range(0, len(places), most):
             yield self.matrices(posture, [places[start : start + most]], exposures=exposures)
 
-    def flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
+    def flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[_pairs.Words, ...]:
         """Evidence of the pairs by the images: of each light an array of shape (positions, units, p, words)."""
         found = [np.zeros((len(some), UNITS_OF_IMAGE, len(self.patches), self._words), np.uint64) for some in panels]
         if sum(map(len, panels)) <= self.positions_at_once(posture, self.exposures):
@@ -296,11 +288,10 @@ class ImageEvaluator:
 
     @property
     def needed(self) -> int:
-        """Units of evidence that a pair needs to count as found."""
         assert self.detection is not None
         return units_needed(self.detection.min_images)
 
-    def counts(self, posture: Posture, panels: Sequence[PanelLight]) -> Counts:
+    def counts(self, posture: Posture, panels: Sequence[PanelLight]) -> _pairs.Counts:
         """Units of evidence of each pair by the images of a posture, one of each light, up to what is needed."""
         images = self.flags(posture, [[panel] for panel in panels])
         return self.weights.sum_counts((layer[0] for layer in images), self.needed)
@@ -336,7 +327,7 @@ def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[Sur
     return SurfacePoints(points, normals, facets, views, front, material=material, across=across), seen
 
 
-def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, light: int, place: int) -> Words:
+def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, light: int, place: int) -> _pairs.Words:
     """An image's units of evidence in another numbering of the patches, shape (units, p, words).
 
     `matrices` have the visibility of some of the patches, one for each exposure of the image: the best of them counts

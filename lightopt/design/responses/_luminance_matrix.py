@@ -53,7 +53,6 @@ class Visibility:
 
     @cached_property
     def planes(self) -> tuple[Words, Int64]:
-        """The defects' weights in binary: see :func:`weight_planes`."""
         return weight_planes(self.defects)
 
     def rows(self, rows: Sequence[Int64]) -> "Visibility":
@@ -160,7 +159,6 @@ class LuminanceMatrix:
         return tuple(len(layer) for layer in self.levels)
 
     def rows(self, rows: Sequence[Int64]) -> "LuminanceMatrix":
-        """Some candidates of each light, given by ascending indices."""
         levels, seen = tuple(map(select_rows, self.levels, rows)), self.visibility
         return replace(self, levels=levels, visibility=seen and seen.rows(rows))
 

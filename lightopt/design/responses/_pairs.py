@@ -150,17 +150,6 @@ def _add_units(total: Words, more: Words) -> None:
 
 
 @kernel
-def count_flags(counters: Words, more: Words) -> None:
-    """Count one image more: row j of `counters` (k, w) has the flags that are set in more than j images (w,)."""
-    for w in range(counters.shape[1]):
-        carry = more[w]
-        for k in range(len(counters)):
-            both = counters[k, w] & carry
-            counters[k, w] |= carry
-            carry = both
-
-
-@kernel
 def _count_bits(word: np.uint64) -> np.uint64:
     """Number of flags that are set in a word: bits of pairs, of fours, of bytes, then the sum of the bytes."""
     x = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
@@ -180,15 +169,6 @@ def word_weight(flags: np.uint64, word: int, masks: Words, factors: Int64) -> np
     for g in range(len(factors)):
         total += factors[g] * np.int64(_count_bits(flags & masks[g, word]))
     return total
-
-
-@kernel
-def common_bits(left: Words, right: Words) -> np.int64:
-    """Number of flags that are set in both of two rows of words."""
-    total = np.uint64(0)
-    for w in range(len(left)):
-        total += _count_bits(left[w] & right[w])
-    return np.int64(total)
 
 
 def weight_planes(hypotheses: Sequence[PlannedDefect]) -> tuple[Words, Int64]:

@@ -152,7 +152,6 @@ class PostureMatrices:
         return self.evaluator(None).matrices(posture, candidates.panels, progress=stage)[0]
 
     def evaluator(self, detection: DetectionModel | None) -> ImageEvaluator:
-        """The part and its patches; `detection` as for :class:`ImageEvaluator`."""
         scene, caster, shadows = self.problem.scene, self.problem.caster, self.problem.options.shadows
         evaluator = ImageEvaluator(scene, self.patches(), caster, detection, shadows=shadows, threads=self.run.threads)
         return evaluator if detection is None else replace(evaluator, images=self.images)

@@ -60,7 +60,7 @@ def answer_set(
     for objective in objectives:
         found = _search(matrices, postures, candidates.space, objective, source)
         chosen = [matrix.combination(found.best.candidates) for matrix in matrices]
-        answer = _answer(found, chosen, matrices, objective, objectives, thresholds)
+        answer = _answer(found, chosen, matrices, objective, source)
         if answer.scores[objective.name] != found.best.score:
             scores = f"{found.best.score:,} in the search and {answer.scores[objective.name]:,} by its definition"
             raise LightoptError(f"internal error: objective {objective.name} scores the best set {scores}")
@@ -123,7 +123,7 @@ def search_other_objectives(
 
     `candidates` are all positions; `results` have one position of each light, which was chosen before.
     """
-    objectives, thresholds, places = source.problem.objectives, source.problem.thresholds, source.problem.options.places
+    objectives, places = source.problem.objectives, source.problem.options.places
     assert places is not None
     at = tuple(some.index(place) for some, place in zip(candidates.places, places, strict=True))
     completed: list[SetResult] = []
@@ -139,7 +139,7 @@ def search_other_objectives(
             panels = candidates.panels_at(found.best.candidates)
             evaluator = source.evaluator(source.detection)
             matrices = [evaluator.matrices(one, [[panel] for panel in panels])[0] for one in result.postures]
-            answers.append(_answer(found, matrices, levels, objective, objectives, thresholds))
+            answers.append(_answer(found, matrices, levels, objective, source))
         completed.append(replace(result, answers=tuple(answers)))
         _warn_of_limit(answers[1:], result.postures, source)
     return tuple(completed)
@@ -156,18 +156,14 @@ def _search(
 
 
 def _answer(
-    found: SearchResult,
-    chosen: _Matrices,
-    matrices: _Matrices,
-    objective: Objective,
-    objectives: Sequence[Objective],
-    thresholds: LevelThresholds,
+    found: SearchResult, chosen: _Matrices, matrices: _Matrices, objective: Objective, source: PostureMatrices
 ) -> ObjectiveResult:
     # `chosen` have the best combination only, `matrices` all candidates; one of each per posture
+    thresholds = source.problem.thresholds
     return ObjectiveResult(
         objective=objective,
         found=found,
-        scores={other.name: _score(chosen, other, thresholds) for other in objectives},
+        scores={other.name: _score(chosen, other, thresholds) for other in source.problem.objectives},
         details=objective.details(chosen, [objective.weights(matrix.areas) for matrix in chosen]),
         nothing=_reason_for_zero(matrices, thresholds, found) if found.best.score == 0 else None,
     )

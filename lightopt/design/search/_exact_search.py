@@ -292,12 +292,9 @@ class _Boxes:
     """The boxes that are left, ordered by bound."""
 
     def __init__(self, scorer: "_BoxScorer", groups: Sequence[Rows], table_cells: int) -> None:
-        self._scorer = scorer
-        self._table_cells = table_cells
-        self._serial = itertools.count()
+        self._scorer, self._table_cells, self._serial = scorer, table_cells, itertools.count()
         self._heap: list[tuple[int, int, Rows]] = []
-        self.halved = 0
-        self.cells = 0
+        self.halved = self.cells = 0
         for rows in groups:
             # a single box that is enumerated anyway needs no bound
             self._push(rows, 0 if len(groups) == 1 and _cells(rows) <= table_cells else scorer.bound(rows))
@@ -335,22 +332,22 @@ class _Boxes:
         self.cells += _cells(rows)
 
 
+@dataclass(eq=False)
 class _BoxScorer:
     """The matrices of the postures together, as the objective sees them."""
 
-    def __init__(
-        self, matrices: Sequence[LuminanceMatrix], objective: Objective, thresholds: LevelThresholds, threads: int
-    ) -> None:
-        self.matrices = matrices
-        self.objective = objective
-        self.thresholds = thresholds
-        self.threads = threads
-        self.weights = [objective.weights(matrix.areas) for matrix in matrices]
-        self.area = sum(int(area_units(matrix.areas).sum()) for matrix in matrices)
-        weighted = list(zip(matrices, self.weights, strict=True))
+    matrices: Sequence[LuminanceMatrix]
+    objective: Objective
+    thresholds: LevelThresholds
+    threads: int
+
+    def __post_init__(self) -> None:
+        self.weights = [self.objective.weights(matrix.areas) for matrix in self.matrices]
+        self.area = sum(int(area_units(matrix.areas).sum()) for matrix in self.matrices)
+        layers = zip(*(matrix.levels for matrix in self.matrices), strict=True)
         self.usable = [
-            np.sum([usable_sums(matrix.levels[light], weights, thresholds) for matrix, weights in weighted], axis=0)
-            for light in range(len(matrices[0].levels))
+            np.sum([usable_sums(*own, self.thresholds) for own in zip(of_light, self.weights, strict=True)], axis=0)
+            for of_light in layers
         ]
 
     def scores(self, rows: Rows, progress: Share) -> Int64:

@@ -63,8 +63,6 @@ class Maximum(Coefficients):
 
 @dataclass(frozen=True, kw_only=True)
 class ScanPoint(Coefficients):
-    """The best fit at one σ."""
-
     x: Float64
     value: float  # criterion at the scan's pixels [nat]
     drop: float  # how far twice the criterion of the estimate is below its maximum there [nat]
@@ -91,8 +89,6 @@ class Optimum:
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate(Coefficients):
-    """The best fit and its uncertainty."""
-
     x: Float64  # parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._vector`
     free: tuple[int, ...]  # places of the k parameters that were fitted
     covariance: Float64  # of those, shape (k, k), if the model is right

@@ -52,7 +52,6 @@ class Criterion(Protocol):
 
 
 def parameter_count(samples: Samples) -> int:
-    """Number of parameters K of a criterion of samples."""
     return FIRST_GAIN + len(samples.lights) + 2
 
 

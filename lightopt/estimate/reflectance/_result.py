@@ -27,8 +27,6 @@ DIFFUSE_KEYS = {"exponent": "diffuse_exponent", "oren-nayar": "oren_nayar_roughn
 
 @dataclass(frozen=True)
 class FittedValue:
-    """A coefficient and its uncertainty."""
-
     # ``R_d``, ``R_s``, ``sigma_rad``, or ``half_angle_rad``, the angle at which the highlight of a point light stops
     # being saturated
     name: str
@@ -52,8 +50,6 @@ class FittedValue:
 
 @dataclass(frozen=True, kw_only=True)
 class FitResult:
-    """Fitted reflectance."""
-
     kind: Literal["diffuse", "specular"]
     method: Literal["likelihood", "paper"]
     model: SpecularModel  # the specular lobe
@@ -99,7 +95,6 @@ class FitResult:
 
     @property
     def placement(self) -> Placement | None:
-        """Where the part was found to lie; None where it was taken as in its file."""
         return None if self.registration is None else self.registration.placement
 
     @property
@@ -115,7 +110,6 @@ class FitResult:
         return (*(name for name, value in freed.items() if value is not None), *form)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form, without provenance."""
         found = self.estimate
         scan = () if found is None else found.scan
         best = max((point.value for point in scan), default=0.0)

@@ -30,8 +30,6 @@ PAPER_PIXELS = 150_000  # pixels per image that the paper's procedure counts
 
 @dataclass(frozen=True, kw_only=True)
 class FitOptions:
-    """How to fit."""
-
     method: Literal["likelihood", "paper"] = "likelihood"
     joint: bool = False
     gain: bool = False  # whether it is freed as well, and the dark level
@@ -49,7 +47,6 @@ class FitOptions:
 
     @property
     def freed(self) -> FreeParameters:
-        """What a specular fit may change."""
         return FreeParameters(diffuse=self.joint, gain=self.gain, dark=self.dark)
 
 

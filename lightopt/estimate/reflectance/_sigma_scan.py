@@ -38,8 +38,6 @@ SCAN_TOLERANCE, SCAN_STEPS, FIRST_STEPS = 0.1, 30, 5
 
 @dataclass(frozen=True)
 class SigmaScan:
-    """Least squares over all σ."""
-
     samples: Samples  # those of the scan; `criterion` and `profile` are without dust
     free: tuple[int, ...]  # places of the parameters that are fitted, those of the likelihood's noise last
     # ln σ of the profile, and where the climbs at each began, shape (K,)
@@ -238,7 +236,6 @@ def profile_outwards(
 
 
 def peaks(profile: Sequence[Maximum]) -> list[Maximum]:
-    """The local maxima along a profile over σ, the best first."""
     values = [-np.inf, *(one.value for one in profile), -np.inf]
     tops = [one for k, one in enumerate(profile) if one.value >= max(values[k], values[k + 2])]
     return sorted(tops, key=lambda one: -one.value)

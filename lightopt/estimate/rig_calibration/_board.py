@@ -45,8 +45,6 @@ class Board:
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """Points of a board found in one image."""
-
     name: str  # of the image, for messages
     posture: Posture  # readings of the stage
     ids: Index = field(repr=False)  # points' numbers, shape (n,)
@@ -72,7 +70,6 @@ INSTALL = "pip install 'lightopt[opencv]'"
 
 
 def board_grid(target: BoardTargetConfig) -> Board:
-    """The inner corners of a printed board."""
     columns, rows = target.squares
     return Board(
         columns=columns - 1,
@@ -178,8 +175,6 @@ FORMAT = "lightopt-corners/1"
 
 @dataclass(frozen=True, eq=False)
 class BoardImage:
-    """An image of the board."""
-
     name: str
     posture: Posture
     pixels: Any  # grey levels, shape (height, width), or with colours (height, width, 3)

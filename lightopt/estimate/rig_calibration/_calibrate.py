@@ -37,8 +37,6 @@ CELL_SHARE = 1 / 40  # side of a plate's cell, of the image's width
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RigCalibration:
-    """What the image sets of a calibration folder show of a rig."""
-
     rig: RigConfig  # as it was filed
     folder: Path  # with the image sets and targets.yaml
     board: BoardFit | None  # as the others, None where there is no such image set

@@ -311,7 +311,6 @@ def intervals(found: RigCalibration) -> Iterator[tuple[str, Interval]]:
 
 
 def figures(found: RigCalibration) -> dict[str, Any]:
-    """JSON form of a calibration, without its covariance."""
     document: dict[str, Any] = {
         "format": "lightopt-calibration/1",
         "rig": {"file": found.rig.source.path.name, "sha256": found.rig.source.sha256},
@@ -320,25 +319,18 @@ def figures(found: RigCalibration) -> dict[str, Any]:
         "warnings": list(found.warnings),
     }
     if (board := found.board) is not None:
-        of_board: dict[str, Any] = {
+        document["board"] = {
             "views": [
-                {
-                    "posture": view.posture.as_dict(),
-                    "corners": view.corners,
-                    "median_px": view.median,
-                    "outliers": view.outliers,
-                    "faulty": view.faulty,
-                }
+                {"posture": view.posture.as_dict(), "corners": view.corners, "median_px": view.median}
+                | {"outliers": view.outliers, "faulty": view.faulty}
                 for view in board.residuals
             ],
             "freed": list(board.freed),
             "corner_noise_px": board.noise,
             "predicted_rms_px": board.predicted_rms,
             "reading_error_deg": board.angle_error_deg,
+            **({} if board.next_posture is None else {"next_posture": board.next_posture[0].as_dict()}),
         }
-        if board.next_posture is not None:
-            of_board["next_posture"] = board.next_posture[0].as_dict()
-        document["board"] = of_board
     if found.ball is not None:
         document["ball"] = {
             "radius_mm": found.ball.radius,
@@ -347,18 +339,11 @@ def figures(found: RigCalibration) -> dict[str, Any]:
             "left_out": [{"posture": posture.as_dict(), "light": name} for posture, name in found.ball.left_out],
         }
     if (plate := found.plate) is not None:
-        document["plate"] = {
-            "brightness": plate.brightness.value,
-            "fall_off": plate.fall_off,
-            "fall_off_decided": plate.fall_off_decided,
-            "emission_fitted": plate.emission_fitted,
-            "rms": plate.rms,
-        }
+        names = ("fall_off", "fall_off_decided", "emission_fitted", "rms")
+        document["plate"] = {"brightness": plate.brightness.value, **{name: getattr(plate, name) for name in names}}
     if (sensor := found.sensor) is not None:
-        document["sensor"] = {
-            "saturation_level": sensor.saturation_level,
-            "linearity_error_percent": sensor.linearity_error if math.isfinite(sensor.linearity_error) else None,
-        }
+        error = sensor.linearity_error if math.isfinite(sensor.linearity_error) else None
+        document["sensor"] = {"saturation_level": sensor.saturation_level, "linearity_error_percent": error}
     return document
 
 

@@ -67,7 +67,6 @@ class Sightings:
 
 
 def sightings(board: Board, ids: list[Index], readings: Float64) -> Sightings:
-    """Sight of the points of each view; readings [rad], shape (K, 2)."""
     points = board.points
     view = np.repeat(np.arange(len(ids)), [len(i) for i in ids])
     return Sightings(points[np.concatenate(ids)], np.abs(points).max(axis=0), view, readings)
@@ -167,15 +166,9 @@ def _image(x: Float64, points: Float64) -> tuple[Float64, Float64, Float64]:
     by_lens[:, 0, 0], by_lens[:, 1, 0] = lens_a, aspect * lens_b
     by_lens[:, 0, 1] = by_lens[:, 1, 2] = 1.0
     by_lens[:, 1, 3] = f * lens_b
-    for i, (da, db) in enumerate(
-        [
-            (a * r2, b * r2),
-            (a * r2**2, b * r2**2),
-            (2.0 * a * b, r2 + 2.0 * b * b),
-            (r2 + 2.0 * a * a, 2.0 * a * b),
-            (a * r2**3, b * r2**3),
-        ]
-    ):
+    by_radial = [(a * power, b * power) for power in (r2, r2**2, r2**3)]
+    by_tangential = [(2.0 * a * b, r2 + 2.0 * b * b), (r2 + 2.0 * a * a, 2.0 * a * b)]
+    for i, (da, db) in enumerate([*by_radial[:2], *by_tangential, by_radial[2]]):
         by_lens[:, 0, 4 + i], by_lens[:, 1, 4 + i] = f * da, f * aspect * db
     return np.column_stack([f * lens_a + cx, f * aspect * lens_b + cy]), by_point, by_lens
 
@@ -227,8 +220,6 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """What is fitted: points of the board and the pixels where they were found, shape (N, 2)."""
-
     seen: Sightings
     pixels: Float64
 

@@ -33,8 +33,6 @@ COLLAPSED = 0.5  # share of the expected variance below which a frame is saturat
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FramePair:
-    """Two frames of a still scene under the same light."""
-
     first: NDArray[Any]  # delivered levels, whole numbers, shape (H, W) [sensor level]
     second: NDArray[Any]
     exposure: float  # exposure time, in any unit that is common to all pairs

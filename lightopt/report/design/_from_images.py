@@ -12,17 +12,11 @@ _DEFECTS = 500  # rows
 
 
 def chosen_table(result: FromImagesResult) -> _page.Table:
-    """The images to take."""
     alone = result.evidence.gains
-    rows = [
-        [
-            image.name,
-            result.lights_text(image),
-            f"{image.exposure:.3g}",
-            str(int((alone(result.weights[[i]]) >= 1.0).sum())),
-        ]
-        for i, image in enumerate(result.images)
-    ]
+    rows: list[list[str]] = []
+    for image, weights in zip(result.images, result.weights, strict=True):
+        found = int((alone(weights[None]) >= 1.0).sum())
+        rows.append([image.name, result.lights_text(image), f"{image.exposure:.3g}", str(found)])
     return _page.Table(
         header=["image", "lights", "exposure", "found alone"],
         rows=rows,
@@ -33,7 +27,6 @@ def chosen_table(result: FromImagesResult) -> _page.Table:
 
 
 def scores_table(result: FromImagesResult) -> _page.Table:
-    """Scores and bounds, of single lights and of several lights per image."""
     choice, mixture = result.choice, result.mixture
     rows = [
         ["one light per image", percent(choice.score, 2), percent(choice.bound, 2), f"{choice.scored:,}"],
@@ -61,7 +54,6 @@ def defects_table(result: FromImagesResult, most: int = _DEFECTS) -> _page.Table
 
 
 def from_images_report(result: FromImagesResult) -> str:
-    """The report as HTML."""
     figure, text = from_images_answer(result)
     lead = [_page.Answer(figure=figure, text=f"{text}."), _page.Warnings(texts=result.warnings)]
     sections = [
@@ -72,46 +64,33 @@ def from_images_report(result: FromImagesResult) -> str:
     if result.agreement is not None:
         name, found = result.agreement
         rows = [
-            [
-                one.image,
-                str(one.posture),
-                f"{one.exposure:g}",
-                f"{one.pixels:,}",
-                f"{one.rms:.2f}",
-                f"{one.means_rms:.2f}",
-            ]
+            [one.image, str(one.posture), f"{one.exposure:g}", f"{one.pixels:,}"]
+            + [f"{rms:.2f}" for rms in (one.rms, one.means_rms)]
             for one in found
         ]
         header = ["image", "posture", "exposure", "pixels", "rms [levels]", "rms of means"]
-        blocks = [
-            _page.Note(text=f"{agreement_text(name, found)}."),
-            _page.Table(header=header, rows=rows, numbers_from=2),
-        ]
+        note = _page.Note(text=f"{agreement_text(name, found)}.")
+        blocks = [note, _page.Table(header=header, rows=rows, numbers_from=2)]
         sections.append(_page.Section(heading="Against captured images", blocks=blocks))
+    title = "Lights chosen from images"
     subtitle = f"{len(result.samples.sets)} image sets, {len(result.samples.channels)} lights"
-    return _page.page_html(
-        _page.Page(title="Lights chosen from images", subtitle=subtitle, lead=lead, sections=sections)
-    )
+    return _page.page_html(_page.Page(title=title, subtitle=subtitle, lead=lead, sections=sections))
 
 
 def _gallery(result: FromImagesResult) -> _page.Gallery:
     samples = result.samples
     order = sorted(range(len(samples.sets)), key=lambda i: (not samples.defects[i], i))[:_SETS]
-    rows: list[tuple[str, list[_page.Picture | None]]] = []
-    posture = samples.postures[0]
-    for number in order:
-        row: list[_page.Picture | None] = []
-        for image in result.images:
-            levels, _ = synthesise(samples, number, image, posture)
-            row.append(
-                _page.camera_picture(
-                    levels / samples.manifest.max_level,
-                    levels >= samples.manifest.saturated_from,
-                    limit=_SIDE,
-                    alt=f"{samples.names[number]}, {image.name}",
-                    caption=image.name,
-                )
-            )
-        rows.append((samples.names[number], row))
+    posture, manifest = samples.postures[0], samples.manifest
+
+    def picture(number: int, place: int) -> _page.Picture:
+        image = result.images[place]
+        levels, _ = synthesise(samples, number, image, posture)
+        texts = {"alt": f"{samples.names[number]}, {image.name}", "caption": image.name}
+        shown = levels / manifest.max_level, levels >= manifest.saturated_from
+        return _page.camera_picture(*shown, limit=_SIDE, **texts)
+
+    rows = [
+        (samples.names[number], [picture(number, place) for place in range(len(result.images))]) for number in order
+    ]
     caption = f"Posture {posture}; red: saturated pixels."
     return _page.Gallery(header=[image.name for image in result.images], rows=rows, caption=caption)

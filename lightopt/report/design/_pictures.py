@@ -3,25 +3,13 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
-from PIL import Image
-
+from lightopt import design
 from lightopt.core.errors import InputError, counted
-from lightopt.design import (
-    AXES,
-    Curve,
-    DesignOutput,
-    DesignResult,
-    DetectabilityObjective,
-    SetResult,
-    place_of,
-    place_text,
-    places_of,
-)
 from lightopt.images import ImageEntry, ImageSet, read_image_set, read_png
+from lightopt.report import _pictures as pictures
 from lightopt.report._contact_sheet import degrees, entry_thumbnail, light_position, saturation_text
-from lightopt.report._drawing import COLOURS, chart, figure_image, fixed_style, name_lines, printable
-from lightopt.report._images import png_bytes, shrunk
 from lightopt.report._page import Block, Gallery, Note, Picture, Table
 from lightopt.report._rig_drawing import rig_image
 from lightopt.report.design._plan import postures_text
@@ -30,7 +18,7 @@ from lightopt.rig.capture import cycle_time
 SIDE = 300  # longest side of an image in the report [px]
 
 
-def capture_text(result: DesignResult) -> str:
+def capture_text(result: design.DesignResult) -> str:
     """How many images and seconds a part takes with the lights of a design, or why that is unknown."""
     answered = [one for one in result.results if one.answers[0].nothing is None]
     exposures = {posture: result.plan.exposures_of(posture) for one in answered for posture in one.postures}
@@ -43,28 +31,26 @@ def capture_text(result: DesignResult) -> str:
         return f"these postures and exposures cannot be captured on this rig: {error.messages[0]}"
 
 
-def setting_blocks(output: DesignOutput) -> list[Block]:
+def setting_blocks(output: design.DesignOutput) -> list[Block]:
     """A table of the lights for each set of positions, and a drawing of the rig with the first set."""
-    sets: dict[tuple[int, ...], list[SetResult]] = {}
+    sets: dict[tuple[int, ...], list[design.SetResult]] = {}
     for result in output.result.results:
         if result.answers[0].nothing is None:
             sets.setdefault(result.answers[0].found.best.candidates, []).append(result)
-    blocks: list[Block] = []
-    if len(sets) > 1:
-        text = f"The postures have {len(sets)} different sets of positions: move the lights between the postures."
-        blocks.append(Note(text=text))
+    text = f"The postures have {len(sets)} different sets of positions: move the lights between the postures."
+    blocks: list[Block] = [Note(text=text)] if len(sets) > 1 else []
     blocks += [_setting_table(output.result, results, name_postures=len(sets) > 1) for results in sets.values()]
     return [*blocks, *(_setting_drawing(output.result, results) for results in list(sets.values())[:1])]
 
 
-def _setting_table(design: DesignResult, results: Sequence[SetResult], *, name_postures: bool) -> Table:
+def _setting_table(whole: design.DesignResult, results: Sequence[design.SetResult], *, name_postures: bool) -> Table:
     rows: list[list[str]] = []
     best = results[0].answers[0].found.best
-    panels, found = design.candidates.panels_at(best.candidates), places_of(design.candidates, best)
-    for panel, place, light in zip(panels, found, design.rig.lights, strict=True):
-        now = place_of(light)
+    panels, found = whole.candidates.panels_at(best.candidates), design.places_of(whole.candidates, best)
+    for panel, place, light in zip(panels, found, whole.rig.lights, strict=True):
+        now = design.place_of(light)
         centre = [f"{coordinate:.1f}".replace("-", "−") for coordinate in panel.centre]
-        before = "stays" if now == place else place_text(now)
+        before = "stays" if now == place else design.place_text(now)
         angles = degrees(place[0]), degrees(place[1])
         rows.append([panel.name, *angles, f"{panel.distance:g} mm", ", ".join(centre), before])
     caption = (
@@ -77,32 +63,23 @@ def _setting_table(design: DesignResult, results: Sequence[SetResult], *, name_p
     return Table(header=header, rows=rows, caption=caption)
 
 
-def _setting_drawing(design: DesignResult, results: Sequence[SetResult]) -> Picture:
+def _setting_drawing(whole: design.DesignResult, results: Sequence[design.SetResult]) -> Picture:
     best = results[0].answers[0].found.best
     postures = tuple(posture for result in results for posture in result.postures)
-    lights = zip(design.candidates.names, places_of(design.candidates, best), strict=True)
-    places = "; ".join(f"{name} {place_text(place)}" for name, place in lights)
-    scene = replace(design.scene, lights=design.candidates.panels_at(best.candidates), postures=postures)
-    return Picture(
-        png=png_bytes(rig_image(scene)),
-        alt=f"The rig: {places}",
-        caption=f"The rig with the lights there, the part in {postures[0]}.",
-    )
+    lights = zip(whole.candidates.names, design.places_of(whole.candidates, best), strict=True)
+    places = "; ".join(f"{name} {design.place_text(place)}" for name, place in lights)
+    scene = replace(whole.scene, lights=whole.candidates.panels_at(best.candidates), postures=postures)
+    caption = f"The rig with the lights there, the part in {postures[0]}."
+    return Picture(png=pictures.png_bytes(rig_image(scene)), alt=f"The rig: {places}", caption=caption)
 
 
-def image_blocks(output: DesignOutput) -> list[Block]:
+def image_blocks(output: design.DesignOutput) -> list[Block]:
     """The images that the camera would deliver, a row for each posture, and where their highlights overlap."""
     sets = [read_image_set(output.result.folder / one["folder"], verify=False) for one in output.document["images"]]
     if not sets:
         return [Note(text="Not rendered: images were switched off.")]
     maps = {
-        (overlap.posture, overlap.exposure): Picture(
-            png=png_bytes(
-                Image.fromarray(shrunk(read_png(output.result.folder / listed["map"], colour=True), limit=SIDE))
-            ),
-            alt="Map of the highlights",
-            caption=f"{overlap.pixels:,} px saturated in two or more",
-        )
+        (overlap.posture, overlap.exposure): _overlap_map(output.result.folder / listed["map"], overlap.pixels)
         for listed, overlap in zip(output.document["overlaps"], output.overlaps, strict=True)
     }
     rows: list[tuple[str, list[Picture | None]]] = []
@@ -111,11 +88,11 @@ def image_blocks(output: DesignOutput) -> list[Block]:
         levels = {entry.exposure for entry in images.images}
         for posture, exposure in shots:
             own = [one for one in images.images if (one.posture, one.exposure) == (posture, exposure)]
-            pictures = [_picture(images, one) for one in own]
+            each = [_picture(images, one) for one in own]
             # one light has no others for its highlights to overlap with
             together = [maps[posture, exposure]] if maps else []
             at = f", exposure {exposure:.9g}" * (levels != {1.0})
-            rows.append((f"posture {posture}{at}", [*pictures, *together]))
+            rows.append((f"posture {posture}{at}", [*each, *together]))
     which = "the planned exposures" if output.document.get("exposures") else "exposure 1"
     right = " On the right: blue where one image is saturated, red where several are." * bool(maps)
     header = [*output.result.candidates.names, *(["highlights together"] if maps else [])]
@@ -126,48 +103,49 @@ def image_blocks(output: DesignOutput) -> list[Block]:
     return [Gallery(header=header, rows=rows, caption=caption)]
 
 
+def _overlap_map(path: Path, pixels: int) -> Picture:
+    png = pictures.png_bytes(pictures.shrunk(read_png(path, colour=True), limit=SIDE))
+    return Picture(png=png, alt="Map of the highlights", caption=f"{pixels:,} px saturated in two or more")
+
+
 def _picture(images: ImageSet, entry: ImageEntry) -> Picture:
-    small = entry_thumbnail(images, entry, SIDE)
-    return Picture(
-        png=png_bytes(Image.fromarray(small.picture)),
-        alt=f"{entry.light} at {light_position(entry)}",
-        caption=f"{light_position(entry)}; {saturation_text(small)}",
-    )
+    small, at = entry_thumbnail(images, entry, SIDE), light_position(entry)
+    png = pictures.png_bytes(small.picture)
+    return Picture(png=png, alt=f"{entry.light} at {at}", caption=f"{at}; {saturation_text(small)}")
 
 
-def curve_blocks(output: DesignOutput) -> list[Block]:
+def curve_blocks(output: design.DesignOutput) -> list[Block]:
     """The score against angles and distances, one chart for each set and axis."""
-    blocks: list[Block] = []
-    for result in output.result.results:
-        for axis in AXES:
-            curves = [curve for curve in result.curves if curve.axis == axis]
-            if curves:
-                blocks.append(_chart(result, axis, curves))
-    if blocks:
-        text = (
-            "The score as one light moves and all else stays as in the best set; or, where it says so, with all lights "
-            "that move at the same elevation. Where a curve stays near the best score the choice is free."
-        )
-        blocks.insert(0, Note(text=text))
-    return blocks
+    charts = [
+        _chart(result, axis, curves)
+        for result in output.result.results
+        for axis in design.AXES
+        if (curves := [curve for curve in result.curves if curve.axis == axis])
+    ]
+    text = (
+        "The score as one light moves and all else stays as in the best set; or, where it says so, with all lights "
+        "that move at the same elevation. Where a curve stays near the best score the choice is free."
+    )
+    return [Note(text=text), *charts] if charts else []
 
 
-@fixed_style()
-def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
+@pictures.fixed_style()
+def _chart(result: design.SetResult, axis: str, curves: list[design.Curve]) -> Picture:
     best = result.answers[0]
     where = postures_text(result.postures)
     area = best.objective.share_of is not None
-    surface = f"inspectable surface{' × defects' * isinstance(best.objective, DetectabilityObjective)}"
+    surface = f"inspectable surface{' × defects' * isinstance(best.objective, design.DetectabilityObjective)}"
     label = f"% of the {surface}" if area else best.objective.unit
-    figure, (panel,) = chart(
+    figure, (panel,) = pictures.chart(
         title=f"{best.objective.name}, {where}",
         x_label=f"{axis} [{'mm' if axis == 'distance' else '°'}]",
         labels=[f"score [{label}]"],
     )
-    for curve, colour in zip(curves, itertools.cycle(COLOURS)):
+    for curve, colour in zip(curves, itertools.cycle(pictures.COLOURS)):
         shares = [best.objective.share_of_whole(score, result.area) for score in curve.scores]
         scores = [score if share is None else 100.0 * share for score, share in zip(curve.scores, shares, strict=True)]
-        panel.plot(curve.values, scores, ".-", color=colour, label=printable(curve.name))
-    name_lines(panel)
+        panel.plot(curve.values, scores, ".-", color=colour, label=pictures.printable(curve.name))
+    pictures.name_lines(panel)
     names = ", ".join(curve.name for curve in curves)
-    return Picture(png=png_bytes(figure_image(figure)), alt=f"Score against {axis} for {where}: {names}")
+    png = pictures.png_bytes(pictures.figure_image(figure))
+    return Picture(png=png, alt=f"Score against {axis} for {where}: {names}")

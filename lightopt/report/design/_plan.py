@@ -129,7 +129,6 @@ def posture_facts(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]
 
 
 def exposure_blocks(output: DesignOutput) -> list[Block]:
-    """Which further exposures add enough to be planned."""
     planned = output.document.get("exposures")
     if planned is None:
         return []
@@ -253,5 +252,4 @@ def _postures(postures: Sequence[Mapping[str, Any]]) -> str:
 
 
 def postures_text(postures: Sequence[Posture]) -> str:
-    """The postures of a set, short."""
     return f"posture {postures[0]}" if len(postures) == 1 else f"all {len(postures)} postures"

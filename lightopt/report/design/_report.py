@@ -22,7 +22,6 @@ def design_report(output: design.DesignOutput) -> str:
 
 
 def design_page(output: design.DesignOutput) -> Page:
-    """The report of an optimisation as plain values."""
     sections = [
         Section(heading="Set the lights", blocks=setting_blocks(output), own_page=True),
         Section(heading="What the images show", blocks=surface_blocks(output)),

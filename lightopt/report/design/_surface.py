@@ -10,9 +10,9 @@ from lightopt import design
 from lightopt.core.arrays import UInt8
 from lightopt.core.transforms import Posture
 from lightopt.rendering import GRAZING_DEG, grain_of, trace_samples
-from lightopt.report._drawing import DPI, POINT, SOFT, figure_image, fixed_style, hex_colour
 from lightopt.report._page import Block, Note, SurfaceView, Table
-from lightopt.report._surface import ColouredSurface, SurfaceLayer, first_view, surface_classes
+from lightopt.report._pictures import DPI, POINT, SOFT, figure_image, fixed_style, hex_colour
+from lightopt.report._surface import SurfaceLayer, standing_surface, surface_classes
 from lightopt.scene import view_from_part
 
 # images that must show a patch usably, and may show it saturated: the paper's section 5.1, as the objective `coverage`
@@ -78,18 +78,10 @@ def surface_blocks(output: design.DesignOutput) -> list[Block]:
     layers = [*defects, *levels] if of_defects else [*levels, *defects]
     if not layers:
         return []
-    view = SurfaceView(
-        surface=ColouredSurface(
-            vertices=output.patches.patches.vertices,
-            triangles=output.patches.patches.triangles,
-            layers=tuple(layers),
-            up=np.array([0.0, 0.0, 1.0]),
-            toward=first_view(output.result.scene.camera),
-        ),
-        alt=f"{output.result.part.name}, coloured by what the images of the best set show of it",
-        caption=_caption(output),
-    )
-    return [view, *summary]
+    patches, camera = output.patches.patches, output.result.scene.camera
+    surface = standing_surface(patches.vertices, patches.triangles, tuple(layers), camera)
+    alt = f"{output.result.part.name}, coloured by what the images of the best set show of it"
+    return [SurfaceView(surface=surface, alt=alt, caption=_caption(output)), *summary]
 
 
 def _caption(output: design.DesignOutput) -> str:
@@ -245,13 +237,9 @@ def _with_legend(picture: UInt8, title: str, rows: Sequence[design.LegendRow]) -
         tuple(Patch(facecolor=hex_colour(one), edgecolor=SOFT) for one in row.colours) for row in rows
     ]
     labels = [f"{row.label}: {row.amount}" for row in rows]
-    style: dict[str, Any] = {
-        "handler_map": {tuple: HandlerTuple(ndivide=None)},
-        "frameon": False,
-        "handlelength": 3.0,
-        "handleheight": 1.0,
-    }
-    style |= {"fontsize": size * POINT, "title_fontsize": size * POINT, "alignment": "left"}
+    style: dict[str, Any] = {"handler_map": {tuple: HandlerTuple(ndivide=None)}, "frameon": False}
+    style |= {"handlelength": 3.0, "handleheight": 1.0, "alignment": "left"}
+    style |= {"fontsize": size * POINT, "title_fontsize": size * POINT}
     figure.legend(swatches, labels, title=title, loc="center left", **style)
     wide = np.pad(picture, ((0, 0), (0, width - picture.shape[1]), (0, 0)), constant_values=255)
     return np.concatenate([wide, np.asarray(figure_image(figure))])

@@ -11,10 +11,9 @@ from scipy import ndimage
 
 from lightopt import inspection
 from lightopt.core.arrays import Bool, Float64, Int32
-from lightopt.report._drawing import font_file, hex_colour
-from lightopt.report._images import png_bytes, shrunk, write_picture
 from lightopt.report._page import Block, Gallery, Picture, SurfaceView
-from lightopt.report._surface import ColouredSurface, SurfaceLayer, first_view, surface_classes
+from lightopt.report._pictures import font_file, hex_colour, png_bytes, shrunk, write_picture
+from lightopt.report._surface import SurfaceLayer, standing_surface, surface_classes
 
 BOX_MARGIN_PX = 3
 LABEL_SIZE, LABEL_GAP_PX = 15, 3
@@ -78,7 +77,6 @@ def overlay_image(
 
 
 def enlarged(image: Image.Image, times: int) -> Image.Image:
-    """A picture whose pixels are squares of so many."""
     return image.resize((times * image.width, times * image.height), Image.Resampling.NEAREST)
 
 
@@ -137,7 +135,7 @@ def _times(size: tuple[int, ...], limit: int) -> int:
 def _small(image: Image.Image, limit: int) -> bytes:
     if max(image.size) <= limit:
         return png_bytes(image)
-    return png_bytes(Image.fromarray(shrunk(np.asarray(image, np.uint8), limit=limit)))
+    return png_bytes(shrunk(np.asarray(image, np.uint8), limit=limit))
 
 
 PART_COLOUR = "#c9ced6"
@@ -169,14 +167,9 @@ def marked_part(result: inspection.InspectionResult, name: str) -> SurfaceView:
     amounts = ["", *(str(sum(defect.best.kind == kind for defect in result.defects)) for kind in WORDS)]
     legend = surface_classes(kinds, amounts)
     layer = SurfaceLayer(name="defects", classes=legend, of_face=np.concatenate(classes))
+    shape = np.concatenate(vertices), np.concatenate(triangles)
     return SurfaceView(
-        surface=ColouredSurface(
-            vertices=np.concatenate(vertices),
-            triangles=np.concatenate(triangles),
-            layers=(layer,),
-            up=np.array([0.0, 0.0, 1.0]),
-            toward=first_view(result.nominal.camera),
-        ),
+        surface=standing_surface(*shape, (layer,), result.nominal.camera),
         alt=f"{name} with a ball at each of its defects",
         caption=f"{name} at posture (0°, 0°), Z up. A ball has the length of its defect as diameter, but "
         f"at least {2.0 * LEAST_SHARE * size:.2g} mm.",

@@ -13,9 +13,8 @@ from lightopt import inspection
 from lightopt.core.errors import counted, percent
 from lightopt.estimate.registration import Placement
 from lightopt.rendering import GRAZING_DEG
-from lightopt.report._drawing import COLOURS, SOFT, chart, figure_image, fixed_style, name_lines
-from lightopt.report._images import png_bytes
 from lightopt.report._page import Answer, Block, Facts, Note, Page, Picture, Section, Table, Warnings, page_html
+from lightopt.report._pictures import COLOURS, SOFT, chart, figure_image, fixed_style, name_lines, png_bytes
 from lightopt.report.inspection._pictures import image_blocks, marked_part
 
 LINE_COLOURS = (*COLOURS[1:], COLOURS[0])
@@ -34,7 +33,6 @@ def inspection_report(
 ) -> str:
     """The report of an inspection as HTML.
 
-    part, rig: Names.
     provenance: From :func:`lightopt.inspection.inspection_provenance`.
     truth: From :func:`lightopt.inspection.summarise`; None where nothing is known of the part.
     """
@@ -107,7 +105,6 @@ def batch_report(
 ) -> str:
     """The report of several parts as HTML: a row each, in the order of the sets.
 
-    part, rig: Names.
     truth: As :func:`inspection_report` takes it, over all sets.
     """
     good = sum(row.verdict is not None and row.verdict.good for row in rows)
@@ -267,13 +264,11 @@ def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
     """The summary of :func:`lightopt.inspection.summarise`, for people."""
     area = summary["roc_auc"]
     hidden = ", ".join(summary["hidden"])
+    unseen = f"{hidden}: out of view, at an edge, or narrower than a pixel" if hidden else "none"
     facts = [
         ("found", f"{summary['found']} of {summary['defects']} defects in view"),
         ("missed", "; ".join(missed_defects(summary)) or "none"),
-        (
-            "without an evaluable pixel",
-            f"{hidden}: out of view, at an edge, or narrower than a pixel" if hidden else "none",
-        ),
+        ("without an evaluable pixel", unseen),
         ("false alarms", f"{summary['false_alarms_per_posture']:g} per posture"),
         ("area under the pixels' ROC", "-" if area is None else f"{area:.4f}"),
     ]
@@ -322,10 +317,8 @@ def _chart(summary: Mapping[str, Any]) -> Block:
         probability = 1.0 / (1.0 + np.exp(-(curve["intercept"] + curve["steepness"] * np.log(x))))
         panel.plot(x, probability, color=colour, label=kind)
     name_lines(panel)
-    return Picture(
-        png=png_bytes(figure_image(figure)),
-        alt=f"Curves of detection against size: {', '.join(curves)}; dots are single defects",
-    )
+    alt = f"Curves of detection against size: {', '.join(curves)}; dots are single defects"
+    return Picture(png=png_bytes(figure_image(figure)), alt=alt)
 
 
 def _shown(size: float | None) -> str:

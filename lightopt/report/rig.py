@@ -1,7 +1,13 @@
-"""The report of a calibration: what was measured and how well, where it does not fit, what would help; its boards."""
+"""Pages, tables and charts of ``lightopt calibrate`` and ``lightopt verify``; printable boards.
+
+A calibration: what was measured and how well, where it does not fit, what would help. A verification: the answer, the
+causes, each light, pictures of what differs; runs over time.
+"""
+
+from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -10,12 +16,13 @@ import numpy as np
 from PIL import Image
 
 from lightopt.config import BoardTargetConfig
+from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError, counted
 from lightopt.estimate.rig_calibration import BoardFit, Measured, RigCalibration, white_areas
+from lightopt.estimate.verification import Finding, LightComparison, Verification
 from lightopt.images import write_bytes_atomic
-from lightopt.report._drawing import figure_image, fixed_style
-from lightopt.report._images import png_bytes
-from lightopt.report._page import Answer, Block, Facts, Note, Page, Picture, Section, Table, Warnings, page_html
+from lightopt.images.comparison import diverging
+from lightopt.report import _page, _pictures as pictures
 from lightopt.scene import build_lights
 
 _MM_PER_INCH = 25.4
@@ -58,18 +65,20 @@ def _half(measured: Measured) -> float:
 
 def calibration_report(found: RigCalibration, figures: Mapping[str, Any]) -> str:
     """The page as HTML; `figures` is the content of calibration.json."""
-    lead: list[Block] = [Answer(figure=f"{what.capitalize()}:", text=text) for what, text in calibration_lines(found)]
+    lead: list[_page.Block] = [
+        _page.Answer(figure=f"{what.capitalize()}:", text=text) for what, text in calibration_lines(found)
+    ]
     if unobservable := found.unobservable:
-        lead.append(Warnings(texts=[f"the images do not show {name}; it is as filed" for name in unobservable]))
-    lead.append(Warnings(texts=found.warnings))
+        lead.append(_page.Warnings(texts=[f"the images do not show {name}; it is as filed" for name in unobservable]))
+    lead.append(_page.Warnings(texts=found.warnings))
     rows = [[name, f"{low:.6g}", f"{high:.6g}"] for name, (low, high) in figures["intervals_95"].items()]
-    values = Section(heading="Intervals", blocks=[Table(header=["value", "from", "to"], rows=rows)])
+    values = _page.Section(heading="Intervals", blocks=[_page.Table(header=["value", "from", "to"], rows=rows)])
     subtitle = f"{found.rig.source.path.name}; intervals hold with a probability of 95 %"
     title = f"Calibration of {found.rig.name}"
-    return page_html(Page(title=title, subtitle=subtitle, lead=lead, sections=[*_sections(found), values]))
+    return _page.page_html(_page.Page(title=title, subtitle=subtitle, lead=lead, sections=[*_sections(found), values]))
 
 
-def _sections(found: RigCalibration) -> Iterator[Section]:
+def _sections(found: RigCalibration) -> Iterator[_page.Section]:
     if (board := found.board) is not None:
         rows: list[list[str]] = []
         for view in board.residuals:
@@ -78,16 +87,14 @@ def _sections(found: RigCalibration) -> Iterator[Section]:
             rows.append([str(view.posture), str(view.corners), *pixels, str(view.outliers), fault])
         header = ["posture", "corners", "median [px]", "rms [px]", "left out", ""]
         shown = "Found less predicted corners of all views, on the image; a pattern means another lens or a bent board."
-        png = png_bytes(residual_map(board, found.camera.width, found.camera.height))
-        blocks: list[Block] = [Picture(png=png, alt=shown, caption=shown), Table(header=header, rows=rows)]
+        png = pictures.png_bytes(residual_map(board, found.camera.width, found.camera.height))
+        picture = _page.Picture(png=png, alt=shown, caption=shown)
+        blocks: list[_page.Block] = [picture, _page.Table(header=header, rows=rows)]
         if board.next_posture is not None:
             posture, rms = board.next_posture
-            text = (
-                f"Of further postures {posture} would help most: pixels would be predicted to "
-                f"{rms:.2g} px instead of {board.predicted_rms:.2g} px."
-            )
-            blocks.append(Note(text=text))
-        yield Section(heading="Camera and stage", blocks=blocks)
+            predicted = f"pixels would be predicted to {rms:.2g} px instead of {board.predicted_rms:.2g} px"
+            blocks.append(_page.Note(text=f"Of further postures {posture} would help most: {predicted}."))
+        yield _page.Section(heading="Camera and stage", blocks=blocks)
     if (ball := found.ball) is not None:
         header = ["light", "centre [mm]", "±", "direction ± [°]", "size [mm]", "moved by [mm]"]
         filed = {light.name: light for light in build_lights(found.rig)}
@@ -98,8 +105,8 @@ def _sections(found: RigCalibration) -> Iterator[Section]:
             moved = float(np.linalg.norm(light.centre - filed[light.name].centre))
             rows.append([light.name, centre, f"{place:.2f}", f"{turn:.2f}", size, f"{moved:.2f}"])
         texts = [f"Left out, since it fits no pose: {name} at {posture}." for posture, name in ball.left_out]
-        left_out = [Note(text=text) for text in texts]
-        yield Section(heading="Panels", blocks=[Table(header=header, rows=rows), *left_out])
+        left_out = [_page.Note(text=text) for text in texts]
+        yield _page.Section(heading="Panels", blocks=[_page.Table(header=header, rows=rows), *left_out])
     if (plate := found.plate) is not None:
         rows = [
             [light.name, f"{gain.value:.4f}", f"{_half(gain):.4f}"]
@@ -114,7 +121,9 @@ def _sections(found: RigCalibration) -> Iterator[Section]:
             ("vignetting", f"1 {v2}·ρ² {v4}·ρ⁴"),
             ("residuals, in the errors claimed", f"{plate.rms:.2f}"),
         ]
-        yield Section(heading="Light", blocks=[Table(header=["light", "gain", "±"], rows=rows), Facts(rows=facts)])
+        yield _page.Section(
+            heading="Light", blocks=[_page.Table(header=["light", "gain", "±"], rows=rows), _page.Facts(rows=facts)]
+        )
     if (sensor := found.sensor) is not None:
         columns = sensor.exposures, sensor.means, sensor.variances, sensor.fitted
         rows = [
@@ -123,10 +132,12 @@ def _sections(found: RigCalibration) -> Iterator[Section]:
         ]
         header = ["exposure", "level above black", "variance [levels²]", ""]
         facts = [("deviation from a straight line", f"{sensor.linearity_error:.2g} % of the range")]
-        yield Section(heading="Sensor", blocks=[Table(header=header, rows=rows, numbers_from=0), Facts(rows=facts)])
+        yield _page.Section(
+            heading="Sensor", blocks=[_page.Table(header=header, rows=rows, numbers_from=0), _page.Facts(rows=facts)]
+        )
 
 
-@fixed_style()
+@pictures.fixed_style()
 def residual_map(board: BoardFit, width: int, height: int) -> Image.Image:
     """Found less predicted corners of all views as arrows on the image, with a scale."""
     from matplotlib.figure import Figure
@@ -141,7 +152,7 @@ def residual_map(board: BoardFit, width: int, height: int) -> Image.Image:
     )
     axes.quiverkey(arrows, 0.9, 1.03, 2.0 * usual, f"{2.0 * usual:.2g} px", labelpos="E")
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal", xlabel="column [px]", ylabel="row [px]")
-    return figure_image(figure)
+    return pictures.figure_image(figure)
 
 
 def board_sheet(target: BoardTargetConfig, path: str | Path, *, paper: str | None = None) -> None:
@@ -169,7 +180,7 @@ def board_sheet(target: BoardTargetConfig, path: str | Path, *, paper: str | Non
             f"the board needs {least[0]:g} × {least[1]:g} mm, and {paper} has {sheet[0]:g} × {sheet[1]:g} mm. Choose "
             "larger paper, or smaller or fewer squares"
         )
-    with fixed_style():
+    with pictures.fixed_style():
         figure = Figure(figsize=(sheet[0] / _MM_PER_INCH, sheet[1] / _MM_PER_INCH), dpi=_DPI, facecolor="white")
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
@@ -195,3 +206,97 @@ def board_sheet(target: BoardTargetConfig, path: str | Path, *, paper: str | Non
 
 def _rectangle(left: float, bottom: float, right: float, top: float) -> tuple[list[float], list[float]]:
     return [left, right, right, left], [bottom, bottom, top, top]
+
+
+FULL_COLOUR = 10.0  # standard deviations
+MOST_PX = 300  # no side of a picture is longer
+
+
+def findings_table(result: Verification) -> _page.Table:
+    """Causes with their sizes and limits, those that exceed them first."""
+
+    def cells(one: Finding) -> list[str]:
+        return [one.cause, one.amount, one.limit_text, "beyond" if one.exceeds else "within"]
+
+    return _page.Table(header=["cause", "size", "limit", ""], rows=list(map(cells, result.findings)), numbers_from=4)
+
+
+def lights_table(result: Verification) -> _page.Table:
+    """Predicted against captured, a row for each light."""
+
+    def cells(one: LightComparison) -> list[str]:
+        overlap = "-" if one.overlap is None else f"{one.overlap:.3f}"
+        rest = (one.offset_px, one.offset_deg, one.residual, one.explained)
+        return [one.light, overlap, *("-" if value is None else f"{value:.2f}" for value in rest)]
+
+    return _page.Table(
+        header=["light", "overlap (IoU)", "offset [px]", "offset [°]", "residual/noise", "explained"],
+        rows=[cells(one) for one in result.lights],
+        caption="Overlap of saturated areas; offset of the highlights, in the image and as a direction of light; "
+        "residual over noise, and the same with the causes in the prediction.",
+    )
+
+
+def verification_report(result: Verification, *, part: str, rig: str, provenance: Mapping[str, Any]) -> str:
+    """The report as HTML; `part` and `rig` are names, `provenance` is that of the result folder."""
+    remedies = [f"To tell {f.cause}: {f.remedy}." for f in result.findings if f.remedy]
+    unseen = "Not observable in these images: " + (", ".join(result.unseen) or "nothing") + "."
+    inputs: Mapping[str, Any] = provenance["inputs"]
+    facts = [(name, f"{inputs[name]['file']}, sha256 {inputs[name]['sha256'][:16]}") for name in ("rig", "part")]
+    facts.append(("compared with", "a known good set" if "baseline" in inputs else "the model"))
+    facts += [(f"limit {name}", f"{value:g}") for name, value in vars(result.limits).items()]
+    word = "Within tolerances" if result.within_tolerances else "Out of tolerances"
+    causes = findings_table(result) if result.findings else _page.Note(text="Nothing differs.")
+    sections = [
+        _page.Section(heading="Causes", blocks=[causes, *(_page.Note(text=text) for text in (*remedies, unseen))]),
+        _page.Section(heading="Lights", blocks=[lights_table(result)]),
+        _page.Section(heading="What differs", blocks=[_gallery(result, 0, "as the rig file has it")]),
+        _page.Section(heading="What the causes leave", blocks=[_gallery(result, 1, "with the causes")]),
+        _page.Section(heading="Inputs and limits", blocks=[_page.Facts(rows=facts)]),
+    ]
+    lead = [_page.Answer(figure=word, text=result.answer), _page.Warnings(texts=result.warnings)]
+    subtitle = f"{part} on {rig}, lightopt {provenance['lightopt']}"
+    return _page.page_html(_page.Page(title=f"{word}: {rig}", subtitle=subtitle, lead=lead, sections=sections))
+
+
+def _gallery(result: Verification, number: int, what: str) -> _page.Gallery:
+    lights = list(dict.fromkeys(light for _, light, _ in result.differences))
+    rows = dict.fromkeys((posture, exposure) for posture, _, exposure in result.differences)
+    several = len({exposure for _, exposure in rows}) > 1
+    table: list[tuple[str, list[_page.Picture | None]]] = []
+    for posture, exposure in rows:
+        found = [result.differences.get((posture, light, exposure)) for light in lights]
+        pictures = [_picture(one, number, light) for one, light in zip(found, lights, strict=True)]
+        table.append((f"posture {posture}{f' ×{exposure:g}' if several else ''}", pictures))
+    return _page.Gallery(
+        header=lights,
+        rows=table,
+        caption=f"Captured minus predicted {what}: blue darker, red brighter, full colour at {FULL_COLOUR:g} standard "
+        "deviations of noise and model; white where equal, saturated or off the part.",
+    )
+
+
+def _picture(difference: Float32 | None, number: int, light: str) -> _page.Picture | None:
+    if difference is None:
+        return None
+    pixels = pictures.shrunk(diverging(np.clip(difference[number] / FULL_COLOUR, -1.0, 1.0)), limit=MOST_PX)
+    return _page.Picture(png=pictures.png_bytes(pixels), alt=f"captured minus predicted, {light}")
+
+
+@pictures.fixed_style()
+def history_chart(rows: Sequence[Mapping[str, str]], path: Path) -> Path:
+    """Draw the rows of ``append_history``: faults as shares of their limits, offset and residual of each light."""
+    labels = ("size of each fault over its limit", "offset of the highlights [px]", "residual over noise")
+    figure, panels = pictures.chart(title="Verifications of the rig", x_label="run", labels=labels)
+    kinds = (("/limit", 0.0), (" offset_px", math.nan), (" residual", math.nan))
+    for panel, (suffix, missing) in zip(panels, kinds, strict=True):
+        names = list(dict.fromkeys(name for row in rows for name in row if name.endswith(suffix)))
+        for number, name in enumerate(names):
+            values = [float(row.get(name) or missing) for row in rows]
+            label, color = name.removesuffix(suffix), pictures.COLOURS[number % len(pictures.COLOURS)]
+            panel.plot(range(1, len(rows) + 1), values, ".-", color=color, label=label)
+        if names:
+            pictures.name_lines(panel)
+    panels[0].axhline(1.0, color=pictures.MARK, linestyle="--")
+    pictures.label_whole_numbers(panels[-1].xaxis)
+    return pictures.write_picture(path, pictures.figure_image(figure))
