@@ -311,7 +311,8 @@ def light_at(
         group = [panels[names[i]] for i in groups[number]]
         if beside is None:
             verdicts = rendering.visibility_of_lights(some, group, caster, moving=True, threads=1)
-            whole, known = verdicts == rendering.WHOLE, verdicts != rendering.LEFT_OUT
+            whole = verdicts == rendering.WHOLE
+            known = whole | (verdicts == rendering.UNLIT)
         else:
             before = np.stack([beside[number_of[panel.name], hits.ray // pixels.rays] for panel in group])
             whole, known = before > 0.0, np.isfinite(before)
