@@ -147,6 +147,7 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
     problem = SimpleNamespace(
         rig=SimpleNamespace(lights=lights),
         candidates=candidates,
+        objectives=[OBJECTIVES["paper"]],
         thresholds=LevelThresholds(shade=10, saturation=255),
         options=OptimizeOptions(rows=2, limit=1),
     )

@@ -53,6 +53,8 @@ class _SigmakokiFirmware(StageFirmware):
     def _question(self, line: str, now: float) -> str | None:
         if line == "Q:":
             return self._status(now)
+        if line == "!:":
+            return "B" if self._axes_move(now) else "R"
         return self.VERSION if line == "?:V" else None
 
     def _obey(self, line: str, now: float) -> bool:
@@ -125,6 +127,11 @@ class ShotFirmware(_SigmakokiFirmware):
     MOVES = ("A", "M")
     SPEED = 10_000.0
     HOME = "([12])|W"
+
+    def _question(self, line: str, now: float) -> str | None:
+        if line == "?:SW":  # divisions of a full step
+            return ",".join("2" for _ in self._axes)
+        return super()._question(line, now)
 
     def _obey(self, line: str, now: float) -> bool:
         return ":" in line and super()._obey(line, now)
