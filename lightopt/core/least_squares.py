@@ -23,9 +23,11 @@ SAME_SPREAD = 0.03  # a spread that changes by less than this share ends the rou
 # a solution has converged when the predicted decrease of the cost is less than this: 0.05 standard errors
 DECREASE_TOLERANCE = 1e-3
 
-STALLED_TOLERANCE = 0.05  # the same where no step lowers the cost: a step of 0.3 standard errors
+# the same where no step lowers the cost, since slopes are differences: a step of 0.45 standard errors
+STALLED_TOLERANCE = 0.1
 
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-4, 1e5
+SHORTER_DAMPING = 0.1  # less damping hardly shortens a step that was refused
 # A direction that is held at nominal is released where its information is this many times what it must be. At the
 # start, where the spread is still that of a misfit, the information is less than in the end.
 RELEASE_FACTOR = 2.0
@@ -233,7 +235,8 @@ class _Solver:
                 return here, True
             before = here
             while here is before:
-                if self._iterations >= most_iterations or damping > MOST_DAMPING:
+                shorter = predicted_decrease / (1.0 + damping)  # about the decrease by a damped step
+                if self._iterations >= most_iterations or damping > MOST_DAMPING or shorter < DECREASE_TOLERANCE:
                     return here, predicted_decrease < STALLED_TOLERANCE
                 self._iterations += 1
                 change = basis @ (_damped(inner, outer, damping) / scale)
@@ -244,7 +247,7 @@ class _Solver:
                     here = there
                     damping = max(LEAST_DAMPING, 0.1 * damping)
                 else:
-                    damping *= 10.0
+                    damping = max(SHORTER_DAMPING, 10.0 * damping)
 
     def _point(self, x: Float64) -> _Point:
         with np.errstate(over="ignore", invalid="ignore"):

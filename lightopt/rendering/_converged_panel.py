@@ -17,9 +17,9 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Index, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
-from lightopt.core.vectors import Vector
+from lightopt.core.vectors import vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import PanelLight, SurfaceLight, panel_grid, panel_numbers
+from lightopt.lights import PanelLight, PanelNumbers, SurfaceLight, panel_grid, panel_numbers
 from lightopt.optics import LAMBERT, Reflectance
 from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
 from lightopt.rendering._penumbra import ConvergedLight, shade_penumbra
@@ -107,23 +107,33 @@ def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> Con
     light: Part frame
     centre, radius: Sphere around the part, part frame [mm]
     """
-    panel = panel_numbers(light)
     towards = light.centre - centre
     towards = towards / np.linalg.norm(towards)
-    positions = [Vector(*(centre + radius * np.array(d))) for d in itertools.product((-0.57, 0.57), repeat=3)]
+    positions = centre + radius * np.array([*itertools.product((-0.57, 0.57), repeat=3)])
     # facing the panel, leaning, and so steep that the panel reaches below the horizon
     leanings = [a * side for side in (light.across, light.along) for a in (1.5, 5.0, -5.0)]
-    tilts = [towards, *(towards + leaning for leaning in leanings)]
-    normals = [Vector(*(tilt / np.linalg.norm(tilt))) for tilt in tilts]
-    places = [SurfacePoint(p, n, n, 1.0) for p, n in itertools.product(positions, normals)]
-    exact = [rectangle_diffuse(at, panel, WHOLE_PANEL, LAMBERT, 24) for at in places]
-    count = 0
-    for count in (2, 3, 4, 6, 8, 12, 16, 20):
-        found = [rectangle_diffuse(at, panel, WHOLE_PANEL, LAMBERT, count) for at in places]
-        if max(abs(a - b) for a, b in zip(found, exact, strict=True)) <= DIFFUSE_TOLERANCE:
-            break
+    normals = np.array([towards, *(towards + leaning for leaning in leanings)])
+    count = _least_nodes(positions, normals / np.linalg.norm(normals, axis=1, keepdims=True), panel_numbers(light))
     distance = float(np.linalg.norm(light.centre - centre))
     return ConvergedPanel(light, count, max(0.0, distance - radius))
+
+
+@kernel
+def _least_nodes(positions: Float64, normals: Float64, panel: PanelNumbers) -> int:
+    # nodes a side with which the diffuse light is right at all positions with each of the normals
+    exact, count = np.zeros((len(positions), len(normals))), 0
+    for count in (24, 2, 3, 4, 6, 8, 12, 16, 20):
+        worst = 0.0
+        for i in range(len(positions)):
+            for j in range(len(normals)):
+                p, n = vector_at(positions, i), vector_at(normals, j)
+                found = rectangle_diffuse(SurfacePoint(p, n, n, 1.0), panel, WHOLE_PANEL, LAMBERT, count)
+                if count == 24:
+                    exact[i, j] = found
+                worst = max(worst, abs(found - exact[i, j]))
+        if count != 24 and worst <= DIFFUSE_TOLERANCE:
+            break
+    return count
 
 
 def shade_converged(

@@ -215,6 +215,12 @@ class PixelSet:
             rays=rays,
         )
 
+    def some(self, most: int) -> "PixelSet":
+        """So many of them at most, spread over all."""
+        at = np.linspace(0, len(self.row) - 1, min(most, len(self.row)), dtype=np.intp)
+        levels, saturated = self.levels[:, at], self.saturated[:, at]
+        return replace(self, row=self.row[at], column=self.column[at], levels=levels, saturated=saturated)
+
     @property
     def positions(self) -> tuple[Float64, Float64]:
         """Columns and rows of the rays [px], pixel after pixel; shape (n · rays,)."""

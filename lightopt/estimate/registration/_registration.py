@@ -150,7 +150,7 @@ FIRST_SHIFT_MM = 2.5  # the search begins at the best of the nominal place and o
 TRUNCATED = 0.4
 LEAST_DIFFUSE, LEAST_LIT = 0.2, 50
 FIRST_STEP_MM, FIRST_STEP_RAD = 1.0, math.radians(1.0)
-SEARCH_STEPS = 80
+SEARCH_STEPS, SEARCH_PIXELS = 80, 8000  # pixels of all postures together
 # penalty of a rotation by this much: it decides where the images do not, for a body of revolution
 LIKELY_TURN_RAD, TURN_PULL = math.radians(2.0), 1e-4
 STAGES = 4  # pixels are chosen anew where the part moved, so many times at most
@@ -222,6 +222,7 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
 
     # height and tilt are left to the refinement
     frame, progress = replace(PoseFrame.of(scene), freedoms=3), run.stage("registering the part")
+    sets = [pixels.some(SEARCH_PIXELS // len(sets)) for pixels in sets]
     done = 0
 
     def misfit(pose: Float64) -> float:
