@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError
 from lightopt.core.least_squares import weighted_sums
+from lightopt.core.threads import in_threads
 from lightopt.estimate import registration
 from lightopt.estimate.registration import Agreement, PixelSet, agreement
 from lightopt.estimate.verification._parameters import CoarseImage, Group, Parameters, Predictions, Work, blurred
@@ -113,7 +114,8 @@ class Model:
         """
         # the mean of a cubic over the centres of n pixels is that of its values at two points
         off = math.sqrt((1.0 - 1.0 / self._work.side**2) / 12.0)
-        some = [self._light_at(theta, (x, y))[0][0] for x, y in dict.fromkeys(product((-off, off), repeat=2))]
+        places = [(x, y) for x, y in dict.fromkeys(product((-off, off), repeat=2))]
+        some = in_threads(lambda place: self._light_at(theta, place)[0][0], places, self._work.run.threads)
         return np.mean(some, axis=0) + theta[self.parameters.nuisance[-1]] * self._blur
 
     def _light_at(
@@ -129,7 +131,6 @@ class Model:
         # the light of rigs that hardly differ.
         own, (factor_s, factor_sigma) = self.scene.reflectance, self.parameters.lobe_factors(theta)
         sigmas = [own.sigma * factor_sigma * width for width in widths]
-        caster, threads = self._work.caster, self._work.run.threads
         levels, speculars, seen = [np.zeros((len(widths), 0))], [np.zeros((len(widths), 0))], list[Float64]()
         for number, pixels in enumerate(self._sets):
             view = self.parameters.view(self.scene, pixels.posture, theta)
@@ -137,7 +138,7 @@ class Model:
             view = replace(view, camera=replace(view.camera, principal_point=(column - place[0], row - place[1])))
             known = None if beside is None else beside[number]
             diffuse, specular = registration.light_at(
-                self.scene, pixels, view, caster, sigmas=sigmas, beside=known, threads=threads
+                self.scene, pixels, view, self._work.caster, sigmas=sigmas, beside=known, threads=1
             )
             seen.append(diffuse)
             specular = max(own.R_s, registration.LEAST_R_S) * factor_s * specular.reshape(len(widths), -1)
@@ -155,14 +156,18 @@ class Model:
         changes = np.zeros((len(level), p.size))
         # panels are moved all at once: each image is of one of them
         moving = [group for group in p.groups if group.step > 0.0]
-        for kind in dict.fromkeys(group.kind for group in moving):
+        kinds = {group.kind: group.size for group in moving}
+
+        def change(kind: str, axis: int) -> None:
             together = [group for group in moving if group.kind == kind]
-            for axis in range(together[0].size):
-                there = theta.copy()
-                there[[group.first + axis for group in together]] += together[0].step
-                change = (self._light_at(there, beside=seen)[0][0] - level) / together[0].step
-                for group in together:
-                    changes[:, group.first + axis] = np.where(self._rows_of(group), change, 0.0)
+            there = theta.copy()
+            there[[group.first + axis for group in together]] += together[0].step
+            by_step = (self._light_at(there, beside=seen)[0][0] - level) / together[0].step
+            for group in together:
+                changes[:, group.first + axis] = np.where(self._rows_of(group), by_step, 0.0)
+
+        steps = [(kind, axis) for kind, size in kinds.items() for axis in range(size)]
+        in_threads(lambda step: change(*step), steps, self._work.run.threads)
         changes[:, p.nuisance] = np.stack([specular, (wider - level) / math.log1p(SIGMA_STEP), self._blur], axis=1)
         self._kept = [(theta, changes)]
         return changes

@@ -305,7 +305,9 @@ class Work:
         for there, kept in self._kept:
             if self.alike(theta, there, blocks=SAME_BLOCKS, share=SAME_SHARE):
                 return kept
-        found = {posture: self._render(theta, posture) for posture in self.scene.postures}
+        postures = self.scene.postures
+        images = in_threads(lambda posture: self._render(theta, posture), postures, self.run.threads)
+        found = dict(zip(postures, images, strict=True))
         self._kept.append((theta, found))
         return found
 
@@ -315,7 +317,7 @@ class Work:
         return bool(max(lobe) < share and blur < SAME_BLUR) and self.moved_blocks(a, b) <= blocks
 
     def _render(self, theta: Float64, posture: Posture) -> CoarsePrediction:
-        scene, threads = self.coarse, self.run.threads
+        scene = self.coarse
         view = self.parameters.view(scene, posture, theta)
         world = replace(
             self.parameters.reflecting(scene, theta),
@@ -324,8 +326,8 @@ class Work:
             defects=(),
             waviness=None,
         )
-        images = render_posture(world, posture, caster=self.caster, threads=threads)
-        masks = mask_pixels(world, posture, self.caster, threads=threads)
+        images = render_posture(world, posture, caster=self.caster, threads=1)
+        masks = mask_pixels(world, posture, self.caster, threads=1)
         hit = images.geometry.hit
         width = math.sqrt(max(float(theta[self.parameters.nuisance[-1]]), 0.0)) / self.side
         return CoarsePrediction(

@@ -20,6 +20,7 @@ from lightopt.core.arrays import Float32, Float64
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
+from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, observed_postures, read_observations
 from lightopt.estimate.verification import _comparison, _findings
@@ -139,8 +140,11 @@ def verify_observations(
         plain[p.group(kind).where] = theta[p.group(kind).where]
     predictions = work.predict(plain)
     compare = partial(_comparison.compare_image, work, fit, good)
-    before = [compare(number, plain, predictions) for number in range(len(images))]
-    after = [compare(number, theta, fit.predictions) for number in range(len(images))]
+    found = fit.predictions  # as those of the known good set, before threads need them
+    _ = good and good.predictions
+    numbers, threads = range(len(images)), work.run.threads
+    before = in_threads(lambda number: compare(number, plain, predictions), numbers, threads)
+    after = in_threads(lambda number: compare(number, theta, found), numbers, threads)
     spots, many = _comparison.find_spots(work, fit, after)
     blur = p.nuisance[-1]
     blur_error = float(np.sqrt(fit.covariance[blur, blur]))
