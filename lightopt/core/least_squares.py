@@ -233,9 +233,8 @@ class _Solver:
             predicted_decrease = 0.5 * float(outer @ _damped(inner, outer, LEAST_DAMPING))
             if predicted_decrease < DECREASE_TOLERANCE:
                 return here, True
-            before = here
+            before, shorter = here, predicted_decrease
             while here is before:
-                shorter = predicted_decrease / (1.0 + damping)  # about the decrease by a damped step
                 if self._iterations >= most_iterations or damping > MOST_DAMPING or shorter < DECREASE_TOLERANCE:
                     return here, predicted_decrease < STALLED_TOLERANCE
                 self._iterations += 1
@@ -248,6 +247,7 @@ class _Solver:
                     damping = max(LEAST_DAMPING, 0.1 * damping)
                 else:
                     damping = max(SHORTER_DAMPING, 10.0 * damping)
+                    shorter = predicted_decrease / (1.0 + damping)  # about the decrease by a step with this damping
 
     def _point(self, x: Float64) -> _Point:
         with np.errstate(over="ignore", invalid="ignore"):

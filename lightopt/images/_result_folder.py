@@ -35,11 +35,14 @@ def paths_inside(folder: Path, names: Iterable[object]) -> Iterator[Path]:
 def remove_listed(folder: Path, names: Iterable[object]) -> int:
     """Remove files by their names in a folder, and folders in it that this leaves empty; returns their number."""
     removed, home = 0, folder.resolve()
-    for path in paths_inside(folder, names):
-        removed += path.is_file() and remove_file(path)
-        with suppress(OSError):  # something else is in it, or it is gone
-            for parent in path.parents[: -len(home.parts)]:
-                parent.rmdir()
+    for name in names:
+        with suppress(OSError, ValueError, RuntimeError):  # no path; or something else is in the folder, or it is gone
+            # a link itself, and not what it leads to
+            path = (folder / str(name)).parent.resolve() / Path(str(name)).name
+            if home in path.parents and (path.is_file() or path.is_symlink()):
+                removed += remove_file(path)
+                for parent in path.parents[: -len(home.parts)]:
+                    parent.rmdir()
     return removed
 
 

@@ -15,11 +15,12 @@ from lightopt import build_scene, render
 from lightopt.config import PlacementConfig
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, PoseFrame, part_file_placement, place_part, register
-from lightopt.estimate.registration._placement import NAMES, light_at, view_of_placed
+from lightopt.estimate.registration._placement import NAMES, PixelSet, light_at, view_of_placed
 from lightopt.estimate.registration._refinement import RefinementProblem, choose_pixels, start_parameters
 from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, Stage, project, view_from_part
+from lightopt.scene._scene import PartRegion
 
 PIVOT = np.array([2.0, -3.0, 5.0])
 TRUTH = Placement(x=0.7, y=-0.5, turn=math.radians(0.6))
@@ -119,9 +120,10 @@ def test_pixels_keep_what_they_see_of_the_lights_while_the_part_moves(tmp_path, 
         np.testing.assert_array_equal(np.isfinite(problem.residuals(moved)), used)
         # what is seen of the lights is searched for, or known: the same light where neither sees less
         view = view_of_placed(scene, inner[0].posture, frame.placement(moved[:3]))
-        nominal, _ = light_at(scene, inner[0], view_of_placed(scene, inner[0].posture, Placement()), caster)
-        searched, _ = light_at(scene, inner[0], view, caster)
-        known, _ = light_at(scene, inner[0], view, caster, beside=nominal)
+        there = view_of_placed(scene, inner[0].posture, Placement())
+        nominal, _, verdicts = light_at(scene, inner[0], there, caster)
+        searched, *_ = light_at(scene, inner[0], view, caster)
+        known, *_ = light_at(scene, inner[0], view, caster, verdicts=verdicts)
         both = (searched > 0.0) & (nominal > 0.0)
         np.testing.assert_array_equal(known[both], searched[both])
         np.testing.assert_array_equal(np.isnan(known), np.isnan(nominal))
@@ -129,6 +131,23 @@ def test_pixels_keep_what_they_see_of_the_lights_while_the_part_moves(tmp_path, 
         changed += np.count_nonzero(known[~np.isnan(known)] > 0.0)
     assert lost > 10
     assert changed > 1000
+
+
+def test_verdicts_are_of_lights_and_not_of_levels(scene: Scene) -> None:
+    """A region without diffuse light is lit where only its highlights show it."""
+    dark = replace(scene.reflectance, R_d=0.0)
+    regions = np.ones(len(scene.mesh.faces), np.uint8)
+    whole = PartRegion(name="mirror", reflectance=dark)
+    mirror = replace(scene, mesh=replace(scene.mesh, material=regions), regions=(whole,))
+    caster, posture = cast_rays_at(mirror), mirror.postures[0]
+    rows, columns = (a.ravel().astype(np.int32) for a in np.mgrid[20:100:3, 30:130:3])
+    pixels = PixelSet.look_up(posture, rows, columns, [captured(scene, exposures=(1.0,))[0]], 0.0)
+    view = view_of_placed(mirror, posture, Placement())
+    diffuse, searched, verdicts = light_at(mirror, pixels, view, caster, sigmas=[0.0475])
+    _, known, _ = light_at(mirror, pixels, view, caster, sigmas=[0.0475], verdicts=verdicts)
+    assert np.nanmax(diffuse) == 0.0
+    assert np.nanmax(searched) > 0.1
+    np.testing.assert_array_equal(known, searched)
 
 
 @pytest.mark.slow

@@ -68,3 +68,19 @@ def test_no_result_goes_to_the_folder_of_an_image_set(tmp_path):
     (tmp_path / "manifest.json").write_text("{}", encoding="utf-8")
     with pytest.raises(InputError, match="is the folder of an image set; choose another one for a trial"):
         folder(tmp_path, {"seed": 1}, force=True)
+
+
+def test_a_link_is_removed_and_not_what_it_leads_to(tmp_path):
+    """Images may be links into a store of data."""
+    path = written(tmp_path / "a", {"seed": 1}, "images/one.txt")
+    store = tmp_path / "store.txt"
+    store.write_text("kept", encoding="utf-8")
+    link = path.parent / "images" / "one.txt"
+    link.unlink()
+    try:
+        link.symlink_to(store)
+    except OSError:
+        pytest.skip("links need rights here")
+    written(path.parent, {"seed": 1}, "two.txt")
+    assert store.read_text(encoding="utf-8") == "kept"
+    assert not (path.parent / "images").exists()

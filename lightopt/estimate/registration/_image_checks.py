@@ -59,7 +59,7 @@ def refuse_useless_images(
     shown: list[Bool] = []
     for pixels in sets:
         view = view_of_placed(scene, pixels.posture, Placement())
-        light, _ = light_at(scene, pixels, view, caster, threads=threads)
+        light, *_ = light_at(scene, pixels, view, caster, threads=threads)
         shown.append(~np.isfinite(light) | (light > 0.0))
     if not any(lit.any() for lit in shown):
         raise InputError(f"{where}: no pixel of the {images} shows the part lit; check placement, postures and lights")

@@ -9,7 +9,7 @@ import numpy as np
 
 from lightopt import rendering
 from lightopt.config import PlacementConfig
-from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.arrays import Bool, Float64, Int32, UInt8
 from lightopt.core.threads import available_processors, in_threads
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_z
 from lightopt.estimate.registration._observations import Observation
@@ -216,8 +216,8 @@ class PixelSet:
         )
 
     def some(self, most: int) -> "PixelSet":
-        """So many of them at most, spread over all."""
-        at = np.linspace(0, len(self.row) - 1, min(most, len(self.row)), dtype=np.intp)
+        """So many of them at most, at random, the same ones each time."""
+        at = np.sort(np.random.default_rng(0).permutation(len(self.row))[:most])
         levels, saturated = self.levels[:, at], self.saturated[:, at]
         return replace(self, row=self.row[at], column=self.column[at], levels=levels, saturated=saturated)
 
@@ -279,19 +279,18 @@ def light_at(
     caster: RayCaster,
     *,
     sigmas: Sequence[float] = (),
-    beside: Float64 | None = None,
+    verdicts: UInt8 | None = None,
     threads: int | None = None,
-) -> tuple[Float64, Float64]:
-    """Diffuse and specular light of each pixel under the light of each image, per unit of R_d and R_s.
+) -> tuple[Float64, Float64, UInt8]:
+    """Diffuse and specular light of each pixel under the light of each image, per unit of R_d and R_s; and verdicts.
 
-    beside: Diffuse light of these pixels at a view that hardly differs, shape (images, n). What they saw of each light
-        there is taken: no shadow rays are cast.
+    verdicts: What each ray sees of each light, as found at a view that hardly differs: no shadow rays are cast.
 
     These, and σ, are those of the scene's first reflectance; where they change, those of regions change with them by
     the same factors. A first R_d or R_s of almost nothing counts as `LEAST_R_D` or `LEAST_R_S`.
 
-    Arrays of shape (images, n) and (sigmas, images, n); 0 where a ray misses the part or no light arrives, NaN where
-    only some of a panel is seen.
+    Arrays of shape (images, n), (sigmas, images, n) and (images, n · rays). Light is 0 where a ray misses the part or
+    no light arrives, NaN where only some of a panel is seen.
     """
     columns, rows = pixels.positions
     hits, surface = rendering.trace_samples(caster, scene.mesh, view.camera, columns, rows, neighbours=True)
@@ -305,6 +304,7 @@ def light_at(
         shape=(scene.camera.height, scene.camera.width),
     )
     light = np.zeros((1 + len(sigmas), len(pixels.images), len(columns)))
+    seen = np.full((len(pixels.images), len(columns)), rendering.UNLIT, np.uint8)
     names = list(dict.fromkeys(image.light for image in pixels.images))
     panels = {panel.name: panel for panel in view.lights}
     number_of = {image.light: i for i, image in enumerate(pixels.images)}
@@ -315,22 +315,21 @@ def light_at(
 
     def shade(number: int) -> None:
         group = [panels[names[i]] for i in groups[number]]
-        if beside is None:
-            verdicts = rendering.visibility_of_lights(some, group, caster, moving=True, threads=1)
-            whole = verdicts == rendering.WHOLE
-            known = whole | (verdicts == rendering.UNLIT)
+        if verdicts is None:
+            own = rendering.visibility_of_lights(some, group, caster, moving=True, threads=1)
         else:
-            before = np.stack([beside[number_of[panel.name], hits.ray // pixels.rays] for panel in group])
-            whole, known = before > 0.0, np.isfinite(before)
+            own = np.stack([verdicts[number_of[panel.name], hits.ray] for panel in group])
+        whole = own == rendering.WHOLE
+        known = whole | (own == rendering.UNLIT)
         found = np.stack([np.where(known, 0.0, np.nan)] * (1 + len(sigmas)))
-        seen = np.flatnonzero(whole.any(axis=0))
-        layers = _layers(surface.take(seen), group, caster, scene.reflectances, sigmas, threads_of_group)
+        lit = np.flatnonzero(whole.any(axis=0))
+        layers = _layers(surface.take(lit), group, caster, scene.reflectances, sigmas, threads_of_group)
         for place, level in enumerate(layers):
-            found[place][:, seen] = np.where(whole[:, seen], level, found[place][:, seen])
+            found[place][:, lit] = np.where(whole[:, lit], level, found[place][:, lit])
         for i, image in enumerate(pixels.images):
-            for panel, own in zip(group, found.swapaxes(0, 1), strict=True):
+            for panel, level, verdict in zip(group, found.swapaxes(0, 1), own, strict=True):
                 if image.light == panel.name:
-                    light[:, i, hits.ray] = own
+                    light[:, i, hits.ray], seen[i, hits.ray] = level, verdict
 
     in_threads(shade, range(len(groups)), threads)
     passed = lens_share(view.camera, columns, rows)
@@ -338,7 +337,7 @@ def light_at(
         light *= passed
     if pixels.rays > 1:
         light = light.reshape(*light.shape[:2], len(pixels.row), -1).mean(axis=3)
-    return light[0], light[1:]
+    return light[0], light[1:], seen
 
 
 def sensor_scale(scene: Scene, image: Observation) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.arrays import Bool, Float64, Int32, UInt8
 from lightopt.core.least_squares import Limits
 from lightopt.estimate.registration import _placement
 from lightopt.estimate.registration._observations import Observation
@@ -122,12 +122,14 @@ class RefinementProblem:
         self.weight = np.ones(len(self._measured))
         self._light_cache: tuple[Float64, Float64] | None = None
         self._derivative_cache: tuple[Placement, float, list[Float64]] | None = None
-        self._seen: list[Float64 | None] = [None] * len(self._sets)  # diffuse light of each set at the start
+        # what each set sees of the lights: as taken for all poses, and at the last one
+        self._verdicts: list[UInt8 | None] = [None] * len(self._sets)
+        self._seen: list[UInt8] = []
         self._used = np.ones(len(self._measured), np.bool_)
         self._noise = np.ones(len(self._measured))
         sensor = scene.sensor
         self._top = sensor.saturated_from - sensor.black_level - subtracted
-        here = self._levels(start)
+        here, seen = self._levels(start), self._seen
         noise = np.sqrt(sensor.noise_variance(np.where(np.isfinite(here), here, 0.0), frames=frames))
         full = _joined([p.saturated.ravel() for p in self._sets], np.bool_)
         inside = (here + CLEAR * noise < self._top) & (here + sensor.black_level > CLEAR * noise)
@@ -140,10 +142,7 @@ class RefinementProblem:
             self._weigh_outline(start, here)
         # Inner pixels see of the lights what they saw at the start: the cost jumps where a pixel is lost on the way.
         # Those that will see less are few, and outliers.
-        begin, diffuse = 0, self._light_at(start)[0]
-        for number, pixels in enumerate(inner):
-            self._seen[number] = diffuse[begin : begin + pixels.levels.size].reshape(pixels.levels.shape)
-            begin += pixels.levels.size
+        self._verdicts[: len(inner)] = seen[: len(inner)]
 
     def residuals(self, x: Float64) -> Float64:
         """Measured minus predicted in standard deviations, shape (n,); NaN where nothing is predicted."""
@@ -200,13 +199,15 @@ class RefinementProblem:
         # per unit of R_d, and of R_s for so much more ln σ each, shape (1 + len(wider), n), moved by `off` pixels
         sigmas = [math.exp(x[self._poses + SIGMA] + more) for more in wider]
         parts: list[Float64] = []
-        for pixels, seen in zip(self._sets, self._seen, strict=True):
+        self._seen = []
+        for pixels, verdicts in zip(self._sets, self._verdicts, strict=True):
             width = _OUTLINE_STEP if pixels.rays > 1 else _INNER_STEP
             place = self._frame.placement(x[: self._poses] + (0.0 if off is None else width * off))
             view = _placement.view_of_placed(self._scene, pixels.posture, place)
-            diffuse, specular = light_at(
-                self._scene, pixels, view, self._caster, sigmas=sigmas, beside=seen, threads=self._threads
+            diffuse, specular, seen = light_at(
+                self._scene, pixels, view, self._caster, sigmas=sigmas, verdicts=verdicts, threads=self._threads
             )
+            self._seen.append(seen)
             parts.append(np.concatenate([diffuse[None], specular]).reshape(1 + len(sigmas), -1))
         return np.concatenate(parts, axis=1) if parts else np.zeros((1 + len(sigmas), 0))
 

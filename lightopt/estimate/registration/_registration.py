@@ -150,7 +150,8 @@ FIRST_SHIFT_MM = 2.5  # the search begins at the best of the nominal place and o
 TRUNCATED = 0.4
 LEAST_DIFFUSE, LEAST_LIT = 0.2, 50
 FIRST_STEP_MM, FIRST_STEP_RAD = 1.0, math.radians(1.0)
-SEARCH_STEPS, SEARCH_PIXELS = 80, 8000  # pixels of all postures together
+SEARCH_STEPS = 80
+SEARCH_PIXELS, LEAST_SEARCH_PIXELS = 8000, 1000  # of all postures together, and of each
 # penalty of a rotation by this much: it decides where the images do not, for a body of revolution
 LIKELY_TURN_RAD, TURN_PULL = math.radians(2.0), 1e-4
 STAGES = 4  # pixels are chosen anew where the part moved, so many times at most
@@ -222,7 +223,7 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
 
     # height and tilt are left to the refinement
     frame, progress = replace(PoseFrame.of(scene), freedoms=3), run.stage("registering the part")
-    sets = [pixels.some(SEARCH_PIXELS // len(sets)) for pixels in sets]
+    sets = [pixels.some(max(LEAST_SEARCH_PIXELS, SEARCH_PIXELS // len(sets))) for pixels in sets]
     done = 0
 
     def misfit(pose: Float64) -> float:
@@ -234,7 +235,7 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
         seen: list[Float64] = []
         for pixels in sets:
             view = _placement.view_of_placed(scene, pixels.posture, place)
-            diffuse, _ = _placement.light_at(scene, pixels, view, caster, threads=run.threads)
+            diffuse, *_ = _placement.light_at(scene, pixels, view, caster, threads=run.threads)
             scales = np.array([[_placement.sensor_scale(scene, image)] for image in pixels.images])
             known = np.isfinite(diffuse)
             lit.append((diffuse * scales)[known])

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64
+from lightopt.core.arrays import Bool, Float64, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.least_squares import weighted_sums
 from lightopt.core.threads import in_threads
@@ -115,7 +115,8 @@ class Model:
         # the mean of a cubic over the centres of n pixels is that of its values at two points
         off = math.sqrt((1.0 - 1.0 / self._work.side**2) / 12.0)
         places = [(x, y) for x, y in dict.fromkeys(product((-off, off), repeat=2))]
-        some = in_threads(lambda place: self._light_at(theta, place)[0][0], places, self._work.run.threads)
+        tasks = len(places)
+        some = in_threads(lambda place: self._light_at(theta, place, tasks=tasks)[0][0], places, self._work.run.threads)
         return np.mean(some, axis=0) + theta[self.parameters.nuisance[-1]] * self._blur
 
     def _light_at(
@@ -124,23 +125,24 @@ class Model:
         place: tuple[float, float] = (0.0, 0.0),
         *,
         widths: Sequence[float] = (1.0,),
-        beside: Sequence[Float64] | None = None,
-    ) -> tuple[Float64, Float64, list[Float64]]:
+        verdicts: Sequence[UInt8] | None = None,
+        tasks: int = 1,  # so many of these at once
+    ) -> tuple[Float64, Float64, list[UInt8]]:
         # At a point so far off the middle of each block [block]: the grey level without the blur, and its specular
-        # part, of lobes that are so many times as wide, shape (widths, n); of each posture what `beside` stands for,
-        # the light of rigs that hardly differ.
+        # part, of lobes that are so many times as wide, shape (widths, n); of each posture what blocks see of the
+        # lights, which serves as `verdicts` for rigs that hardly differ.
         own, (factor_s, factor_sigma) = self.scene.reflectance, self.parameters.lobe_factors(theta)
         sigmas = [own.sigma * factor_sigma * width for width in widths]
-        levels, speculars, seen = [np.zeros((len(widths), 0))], [np.zeros((len(widths), 0))], list[Float64]()
+        levels, speculars, seen = [np.zeros((len(widths), 0))], [np.zeros((len(widths), 0))], list[UInt8]()
         for number, pixels in enumerate(self._sets):
             view = self.parameters.view(self.scene, pixels.posture, theta)
             column, row = view.camera.axis_px
             view = replace(view, camera=replace(view.camera, principal_point=(column - place[0], row - place[1])))
-            known = None if beside is None else beside[number]
-            diffuse, specular = registration.light_at(
-                self.scene, pixels, view, self._work.caster, sigmas=sigmas, beside=known, threads=1
+            known, threads = None if verdicts is None else verdicts[number], self._work.threads_within(tasks)
+            diffuse, specular, found = registration.light_at(
+                self.scene, pixels, view, self._work.caster, sigmas=sigmas, verdicts=known, threads=threads
             )
-            seen.append(diffuse)
+            seen.append(found)
             specular = max(own.R_s, registration.LEAST_R_S) * factor_s * specular.reshape(len(widths), -1)
             levels.append(max(own.R_d, registration.LEAST_R_D) * diffuse.ravel() + specular)
             speculars.append(specular)
@@ -162,7 +164,7 @@ class Model:
             together = [group for group in moving if group.kind == kind]
             there = theta.copy()
             there[[group.first + axis for group in together]] += together[0].step
-            by_step = (self._light_at(there, beside=seen)[0][0] - level) / together[0].step
+            by_step = (self._light_at(there, verdicts=seen, tasks=len(steps))[0][0] - level) / together[0].step
             for group in together:
                 changes[:, group.first + axis] = np.where(self._rows_of(group), by_step, 0.0)
 
@@ -212,10 +214,10 @@ class Model:
         deviations; rows that count, shape (n,).
         """
         p, sensor = self.parameters, self.scene.sensor
-        level = self.levels(theta)
+        changes, level = self._changes(theta), self.levels(theta)
         mean, share, noise = self._delivered(theta, level)
         unit = share * self._unit(theta)  # sensor level delivered per grey level
-        slope = unit[:, None] * self._changes(theta)
+        slope = unit[:, None] * changes
         for group in p.groups:
             if group.kind == "black":
                 slope[:, group.first] = share

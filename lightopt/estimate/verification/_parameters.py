@@ -18,7 +18,7 @@ from lightopt.config import RigConfig
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.errors import refuse
 from lightopt.core.run_context import RunContext
-from lightopt.core.threads import in_threads
+from lightopt.core.threads import available_processors, in_threads
 from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.estimate.registration import Observation, Placement
 from lightopt.estimate.rig_calibration import read_covariance, rig_deviations, square_root
@@ -306,7 +306,8 @@ class Work:
             if self.alike(theta, there, blocks=SAME_BLOCKS, share=SAME_SHARE):
                 return kept
         postures = self.scene.postures
-        images = in_threads(lambda posture: self._render(theta, posture), postures, self.run.threads)
+        threads = self.threads_within(len(postures))
+        images = in_threads(lambda posture: self._render(theta, posture, threads), postures, self.run.threads)
         found = dict(zip(postures, images, strict=True))
         self._kept.append((theta, found))
         return found
@@ -316,7 +317,11 @@ class Work:
         *lobe, blur = np.abs(a - b)[self.parameters.nuisance]
         return bool(max(lobe) < share and blur < SAME_BLUR) and self.moved_blocks(a, b) <= blocks
 
-    def _render(self, theta: Float64, posture: Posture) -> CoarsePrediction:
+    def threads_within(self, tasks: int) -> int:
+        """Threads for each of some tasks that run at once."""
+        return max(1, (self.run.threads or available_processors()) // max(1, tasks))
+
+    def _render(self, theta: Float64, posture: Posture, threads: int) -> CoarsePrediction:
         scene = self.coarse
         view = self.parameters.view(scene, posture, theta)
         world = replace(
@@ -326,8 +331,8 @@ class Work:
             defects=(),
             waviness=None,
         )
-        images = render_posture(world, posture, caster=self.caster, threads=1)
-        masks = mask_pixels(world, posture, self.caster, threads=1)
+        images = render_posture(world, posture, caster=self.caster, threads=threads)
+        masks = mask_pixels(world, posture, self.caster, threads=threads)
         hit = images.geometry.hit
         width = math.sqrt(max(float(theta[self.parameters.nuisance[-1]]), 0.0)) / self.side
         return CoarsePrediction(
