@@ -27,7 +27,7 @@ DECREASE_TOLERANCE = 1e-3
 STALLED_TOLERANCE = 0.1
 
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-4, 1e5
-SHORTER_DAMPING = 0.1  # less damping hardly shortens a step that was refused
+SHORTER_DAMPING = 0.1  # near the optimum less damping hardly shortens a step that was refused
 # A direction that is held at nominal is released where its information is this many times what it must be. At the
 # start, where the spread is still that of a misfit, the information is less than in the end.
 RELEASE_FACTOR = 2.0
@@ -245,9 +245,11 @@ class _Solver:
                 if there.cost < here.cost:
                     here = there
                     damping = max(LEAST_DAMPING, 0.1 * damping)
-                else:
+                elif predicted_decrease < STALLED_TOLERANCE:
                     damping = max(SHORTER_DAMPING, 10.0 * damping)
                     shorter = predicted_decrease / (1.0 + damping)  # about the decrease by a step with this damping
+                else:
+                    damping *= 10.0
 
     def _point(self, x: Float64) -> _Point:
         with np.errstate(over="ignore", invalid="ignore"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lightopt.rig.devices import Axis, open_stage
-from lightopt.rig.devices._stage import Stage
+from lightopt.rig.devices._stage import Clock, Stage
 from lightopt.rig.simulated import BenchProcess
 
 KINDS = ("shot", "gsc", "grbl", "zaber")
@@ -46,8 +46,8 @@ def firmware(kind: str) -> dict[str, Any]:
     return {"kind": kind, "options": options}
 
 
-def open_kind(kind: str, port: str, *, timeout_s: float = 0.5) -> Stage:
-    return open_stage(kind, port=port, axes=AXES[kind], timeout_s=timeout_s, home_timeout_s=5)
+def open_kind(kind: str, port: str, *, timeout_s: float = 0.5, clock: Clock | None = None) -> Stage:
+    return open_stage(kind, port=port, axes=AXES[kind], timeout_s=timeout_s, home_timeout_s=5, clock=clock)
 
 
 class Pool:

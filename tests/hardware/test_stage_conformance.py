@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from types import SimpleNamespace
 
 import pytest
 from faulty_bench import set_fault
@@ -15,7 +14,7 @@ from stage_worlds import AXES, DEVICE_AXES, HOMED, KINDS, STEP, Pool, open_kind
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.devices._stage import Stage
+from lightopt.rig.devices._stage import Clock, Stage
 
 WIRES = ["tcp"] if os.name == "nt" else ["pty", "tcp"]
 
@@ -108,15 +107,10 @@ def test_moves_and_stands_there(homed: World) -> None:
         assert homed.stage.state() == state
 
 
-def replace_sleep(monkeypatch: pytest.MonkeyPatch, sleep: Callable[[float], None]) -> None:
-    clock = SimpleNamespace(monotonic=time.monotonic, sleep=sleep)
-    monkeypatch.setattr("lightopt.rig.devices._stage.time", clock)
-
-
-def test_is_there_already(homed: World, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_is_there_already(homed: World) -> None:
     homed.stage.move_to(Posture(10.0, 20.0))
     waits: list[float] = []
-    replace_sleep(monkeypatch, waits.append)
+    homed.stage._clock = Clock(sleep=waits.append)
     homed.stage.move_to(Posture(10.0, 20.0))
     assert not waits
 
@@ -149,7 +143,7 @@ def test_travel_time(homed: World) -> None:
     assert 0.8 * expected < time.monotonic() - began < expected + 10.0
 
 
-def test_interrupted_in_the_middle_it_stops(homed: World, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_in_the_middle_it_stops(homed: World) -> None:
     looks = 0
 
     def interrupt(seconds: float) -> None:
@@ -159,7 +153,7 @@ def test_interrupted_in_the_middle_it_stops(homed: World, monkeypatch: pytest.Mo
             raise KeyboardInterrupt
         time.sleep(seconds)
 
-    replace_sleep(monkeypatch, interrupt)
+    homed.stage._clock = Clock(sleep=interrupt)
     began = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         homed.stage.move_to(Posture(40.0, 300.0))

@@ -16,7 +16,7 @@ from lightopt.rig.devices._light_display import CommandController, ScreenControl
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
 from lightopt.rig.devices._serial_link import SerialLink, SerialLog
-from lightopt.rig.devices._stage import Axis, Stage
+from lightopt.rig.devices._stage import Axis, Clock, Stage
 from lightopt.rig.devices._stage_grbl import GrblDialogue
 from lightopt.rig.devices._stage_sigmakoki import GscDialogue, ShotDialogue
 from lightopt.rig.devices._stage_zaber import ZaberDialogue
@@ -38,6 +38,7 @@ def open_stage(
     timeout_s: float = 1.0,
     home_timeout_s: float = 180.0,
     log: SerialLog | None = None,
+    clock: Clock | None = None,  # source of time, for tests
 ) -> Stage:
     """Open a stage; nothing moves. InputError for wrong axes or port, HardwareError when it does not answer."""
     kind = STAGE_DRIVERS[driver]
@@ -49,7 +50,7 @@ def open_stage(
     except LightoptError:
         link.close()
         raise
-    return Stage(driver=driver, dialogue=dialogue, axes=axes)
+    return Stage(driver=driver, dialogue=dialogue, axes=axes, clock=clock)
 
 
 def open_camera(

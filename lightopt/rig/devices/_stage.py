@@ -2,9 +2,9 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 from lightopt.core.errors import HardwareError, refuse
@@ -124,6 +124,14 @@ _HALT_S = 2.0  # a stage comes to rest within
 _ONE_STEP = 1 + 1e-6
 
 
+@dataclass
+class Clock:
+    """Source of time, which tests replace."""
+
+    now: Callable[[], float] = field(default=time.monotonic)
+    sleep: Callable[[float], None] = field(default=time.sleep)
+
+
 @dataclass(frozen=True)
 class StageState:
     """State of a stage; an axis that it lacks stands at 0°."""
@@ -145,10 +153,11 @@ class Stage:
     failed move it is refused until the stage has been homed. An axis that is not among `axes` stands at 0.
     """
 
-    def __init__(self, *, driver: str, dialogue: Dialogue, axes: Sequence[Axis]) -> None:
+    def __init__(self, *, driver: str, dialogue: Dialogue, axes: Sequence[Axis], clock: Clock | None = None) -> None:
         self._driver = driver
         self._dialogue = dialogue
         self._axes = tuple(axes)
+        self._clock = clock or Clock()
         self._link = dialogue.link
         self.events = self._link.events
         self._prepared = False
@@ -237,11 +246,11 @@ class Stage:
         with self._link.lock:
             self._left_at = None
             self._dialogue.halt()
-            until = time.monotonic() + _HALT_S
+            until = self._clock.now() + _HALT_S
             while (reading := self._dialogue.read()).moving:
-                if time.monotonic() > until:
+                if self._clock.now() > until:
                     raise self._link.failure(f"was told to stop and still moves {_HALT_S:g} s later: switch it off")
-                time.sleep(_POLL_S)
+                self._clock.sleep(_POLL_S)
             if reading.alarm is None:
                 self._left_at = dict(reading.units)
             return reading
@@ -283,12 +292,12 @@ class Stage:
 
     def _await_arrival(self, targets: Mapping[str, float], travel_s: float) -> Reading:
         """Watch a move that should take `travel_s` until the stage stands at its targets."""
-        started = time.monotonic()
+        started = self._clock.now()
         limit_s = 2 * travel_s + _MARGIN_S
         still_since: float | None = None
         while True:
             reading = self._dialogue.read()
-            now = time.monotonic()
+            now = self._clock.now()
             if reading.alarm is not None:
                 raise self._link.failure(f"alarm during the move: {reading.alarm}{self._where(reading, targets)}")
             if reading.moving:
@@ -304,7 +313,7 @@ class Stage:
                 if now - still_since > _SETTLE_S:
                     why = f"stalled, at a limit switch, or the command was not taken{self._where(reading, targets)}"
                     raise self._link.failure(f"stands still and is not where it should be: {why}")
-            time.sleep(_POLL_S if now - started < travel_s - _POLL_S else _NEAR_S)
+            self._clock.sleep(_POLL_S if now - started < travel_s - _POLL_S else _NEAR_S)
 
     def _where(self, reading: Reading, targets: Mapping[str, float]) -> str:
         """Where axes stand that are not at their targets, as the end of a message."""
@@ -316,12 +325,12 @@ class Stage:
         return "; " + ", ".join(parts) if parts else ""
 
     def _await_homing(self) -> Reading:
-        started, limit_s = time.monotonic(), self._dialogue.home_timeout_s
+        started, limit_s = self._clock.now(), self._dialogue.home_timeout_s
         moved = self._dialogue.HOMES_TO_END
         wrong_since: float | None = None
         while True:
             reading = self._dialogue.read()
-            now = time.monotonic()
+            now = self._clock.now()
             if reading.moving:
                 moved = True
                 wrong_since = None
@@ -334,7 +343,7 @@ class Stage:
                 wrong_since = now if wrong_since is None else wrong_since
                 if problem is not None and now - wrong_since > _SETTLE_S:
                     raise self._link.failure(f"has not found its origin: {problem}")
-            time.sleep(_POLL_S)
+            self._clock.sleep(_POLL_S)
 
     @contextmanager
     def _sent_once(self, evidence: str) -> Generator[None]:
