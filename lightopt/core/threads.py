@@ -37,6 +37,11 @@ def available_processors() -> int:
     return os.cpu_count() or 1
 
 
+def threads_each(tasks: int, threads: int | None = None) -> int:
+    """Threads for each of some tasks that run at once; `threads`: for all of them, of all processors by default."""
+    return max(1, (threads or available_processors()) // max(1, tasks))
+
+
 def blocks(count: int, most: int) -> Iterator[tuple[int, int]]:
     """(start, end) of blocks of `count` items, nearly equal and none larger than `most`."""
     number = -(-count // max(1, most))

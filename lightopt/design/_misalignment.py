@@ -18,7 +18,7 @@ import numpy as np
 
 from lightopt.config import RigConfig
 from lightopt.core.arrays import Bool, Int64
-from lightopt.core.threads import available_processors, in_threads
+from lightopt.core.threads import available_processors, in_threads, threads_each
 from lightopt.core.transforms import Posture, azimuth_tangent, elevation_tangent, rotation_from_vector
 from lightopt.design._candidates import Place, bodies_of, panels_of
 from lightopt.design._tolerances import EXACT, Offset, Offsets
@@ -103,8 +103,8 @@ class _Assessment(ABC):
     def __call__(self, pose: Offset, lights: Offsets) -> Int64:
         # images of other poses than this one and the exact one are not needed again
         self.images = {key: image for key, image in self.images.items() if key[1] in (pose, EXACT)}
-        postures, threads = range(len(self.setup.postures)), self.evaluator.threads or available_processors()
-        evaluator = replace(self.evaluator, threads=max(1, threads // len(postures)))
+        postures, threads = range(len(self.setup.postures)), self.evaluator.threads
+        evaluator = replace(self.evaluator, threads=threads_each(len(postures), threads))
         in_threads(lambda posture: self._compute_images(evaluator, posture, pose, lights), postures, threads)
         return self.scores(pose, lights)
 

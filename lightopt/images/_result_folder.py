@@ -22,12 +22,16 @@ def read_listing(path: Path, kind: str = "") -> dict[str, Any] | None:
     return found if fits else None
 
 
-def paths_inside(folder: Path, names: Iterable[object]) -> Iterator[Path]:
-    """The paths in a folder that names lead to; others, and what is no name, are left out."""
+def paths_inside(folder: Path, names: Iterable[object], *, follow: bool = True) -> Iterator[Path]:
+    """The paths in a folder that names lead to; others, and what is no name, are left out.
+
+    follow: Whether a name that is a link is what it leads to, and not the link itself.
+    """
     home = folder.resolve()
     for name in names:
         with suppress(OSError, ValueError, RuntimeError):  # NUL, loops of links
-            path = (folder / name).resolve() if isinstance(name, str) else home
+            path = folder / name if isinstance(name, str) else home
+            path = path.resolve() if follow else path.parent.resolve() / path.name
             if home in path.parents:
                 yield path
 
@@ -35,14 +39,12 @@ def paths_inside(folder: Path, names: Iterable[object]) -> Iterator[Path]:
 def remove_listed(folder: Path, names: Iterable[object]) -> int:
     """Remove files by their names in a folder, and folders in it that this leaves empty; returns their number."""
     removed, home = 0, folder.resolve()
-    for name in names:
-        with suppress(OSError, ValueError, RuntimeError):  # no path; or something else is in the folder, or it is gone
-            # a link itself, and not what it leads to
-            path = (folder / str(name)).parent.resolve() / Path(str(name)).name
-            if home in path.parents and (path.is_file() or path.is_symlink()):
-                removed += remove_file(path)
-                for parent in path.parents[: -len(home.parts)]:
-                    parent.rmdir()
+    for path in paths_inside(folder, names, follow=False):
+        if path.is_file() or path.is_symlink():
+            removed += remove_file(path)
+        with suppress(OSError):  # something else is in it, or it is gone
+            for parent in path.parents[: -len(home.parts)]:
+                parent.rmdir()
     return removed
 
 

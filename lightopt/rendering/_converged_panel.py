@@ -113,27 +113,25 @@ def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> Con
     # facing the panel, leaning, and so steep that the panel reaches below the horizon
     leanings = [a * side for side in (light.across, light.along) for a in (1.5, 5.0, -5.0)]
     normals = np.array([towards, *(towards + leaning for leaning in leanings)])
-    count = _least_nodes(positions, normals / np.linalg.norm(normals, axis=1, keepdims=True), panel_numbers(light))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    panel, count = panel_numbers(light), 0
+    exact = _diffuse_all_over(positions, normals, panel, 24)
+    for count in (2, 3, 4, 6, 8, 12, 16, 20):
+        if np.abs(_diffuse_all_over(positions, normals, panel, count) - exact).max() <= DIFFUSE_TOLERANCE:
+            break
     distance = float(np.linalg.norm(light.centre - centre))
     return ConvergedPanel(light, count, max(0.0, distance - radius))
 
 
 @kernel
-def _least_nodes(positions: Float64, normals: Float64, panel: PanelNumbers) -> int:
-    # nodes a side with which the diffuse light is right at all positions with each of the normals
-    exact, count = np.zeros((len(positions), len(normals))), 0
-    for count in (24, 2, 3, 4, 6, 8, 12, 16, 20):
-        worst = 0.0
-        for i in range(len(positions)):
-            for j in range(len(normals)):
-                p, n = vector_at(positions, i), vector_at(normals, j)
-                found = rectangle_diffuse(SurfacePoint(p, n, n, 1.0), panel, WHOLE_PANEL, LAMBERT, count)
-                if count == 24:
-                    exact[i, j] = found
-                worst = max(worst, abs(found - exact[i, j]))
-        if count != 24 and worst <= DIFFUSE_TOLERANCE:
-            break
-    return count
+def _diffuse_all_over(positions: Float64, normals: Float64, panel: PanelNumbers, count: int) -> Float64:
+    # at all positions with each of the normals, by so many nodes a side
+    found = np.empty((len(positions), len(normals)))
+    for i in range(len(positions)):
+        for j in range(len(normals)):
+            p, n = vector_at(positions, i), vector_at(normals, j)
+            found[i, j] = rectangle_diffuse(SurfacePoint(p, n, n, 1.0), panel, WHOLE_PANEL, LAMBERT, count)
+    return found
 
 
 def shade_converged(

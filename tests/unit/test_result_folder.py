@@ -84,3 +84,16 @@ def test_a_link_is_removed_and_not_what_it_leads_to(tmp_path):
     written(path.parent, {"seed": 1}, "two.txt")
     assert store.read_text(encoding="utf-8") == "kept"
     assert not (path.parent / "images").exists()
+
+
+def test_what_is_no_name_in_a_list_leads_nowhere(tmp_path):
+    """A list may be damaged; a folder whose file is gone goes, too."""
+    path = written(tmp_path, {"seed": 1}, "a.txt")
+    document = json.loads(path.read_text(encoding="utf-8"))
+    document["files"] += [None, 3, {"file": "a.txt"}, "..", "gone/one.txt"]
+    path.write_text(json.dumps(document), encoding="utf-8")
+    (tmp_path / "gone").mkdir()
+    for name in ("None", "3"):
+        (tmp_path / name).write_text("kept", encoding="utf-8")
+    written(tmp_path, {"seed": 1}, "b.txt")
+    assert {p.name for p in tmp_path.iterdir()} == {"None", "3", "b.txt", "trial.json"}

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Float32, Float64, Index
 from lightopt.core.errors import counted
 from lightopt.core.run_context import Share, WorkCounter
-from lightopt.core.threads import Task, available_processors, run_all
+from lightopt.core.threads import Task, available_processors, run_all, threads_each
 from lightopt.core.transforms import Posture
 from lightopt.design.responses import _pairs
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, PatchEvidence, units_needed
@@ -235,8 +235,7 @@ class ImageEvaluator:
                 )[0]
 
         together_groups = _channels_of_places(panels, missing)
-        threads = self.threads or available_processors()
-        threads_of_task = max(1, threads // max(1, len(together_groups)))
+        threads_of_task = threads_each(len(together_groups), self.threads)
 
         def tasks() -> Iterator[Task]:
             for together in together_groups:
@@ -246,7 +245,7 @@ class ImageEvaluator:
                 for group in groups:
                     yield evaluate, (together, group)
 
-        run_all(tasks(), threads=threads, done=work.report)
+        run_all(tasks(), threads=self.threads or available_processors(), done=work.report)
 
     @property
     def _words(self) -> int:

@@ -9,8 +9,8 @@ import numpy as np
 
 from lightopt import rendering
 from lightopt.config import PlacementConfig
-from lightopt.core.arrays import Bool, Float64, Int32, UInt8
-from lightopt.core.threads import available_processors, in_threads
+from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
+from lightopt.core.threads import in_threads, threads_each
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_z
 from lightopt.estimate.registration._observations import Observation
 from lightopt.geometry import RayCaster
@@ -216,8 +216,8 @@ class PixelSet:
         )
 
     def some(self, most: int) -> "PixelSet":
-        """So many of them at most, at random, the same ones each time."""
-        at = np.sort(np.random.default_rng(0).permutation(len(self.row))[:most])
+        """So many of them at most, at random."""
+        at = random_some(np.arange(len(self.row)), most)
         levels, saturated = self.levels[:, at], self.saturated[:, at]
         return replace(self, row=self.row[at], column=self.column[at], levels=levels, saturated=saturated)
 
@@ -230,6 +230,13 @@ class PixelSet:
         x, y = (np.arange(self.rays)[:, None] * _LATTICE).T
         along, down = (np.arange(len(self.row))[:, None] * _OFFSETS).T[:, :, None]
         return (self.column[:, None] + (x + along) % 1.0).ravel(), (self.row[:, None] + (y + down) % 1.0).ravel()
+
+
+def random_some(index: Index, most: int) -> Index:
+    """So many entries at most of ascending ones, at random, the same ones each time."""
+    if len(index) <= most:
+        return index
+    return np.sort(np.random.default_rng(0).choice(index, most, replace=False))
 
 
 def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> PartView:
@@ -310,8 +317,7 @@ def light_at(
     number_of = {image.light: i for i, image in enumerate(pixels.images)}
 
     groups = rendering.channel_groups([panels[name] for name in names])
-    threads = threads or available_processors()
-    threads_of_group = max(1, threads // max(1, len(groups)))
+    threads_of_group = threads_each(len(groups), threads)
 
     def shade(number: int) -> None:
         group = [panels[names[i]] for i in groups[number]]

@@ -72,9 +72,7 @@ def choose_pixels(
 
 def random_pixels(mask: Bool, most: int) -> tuple[Int32, Int32]:
     """Rows and columns of so many pixels of a mask, the same each time, or of all where they are fewer."""
-    index = np.flatnonzero(mask)
-    if len(index) > most:
-        index = np.sort(np.random.default_rng(0).choice(index, most, replace=False))
+    index = _placement.random_some(np.flatnonzero(mask), most)
     row, column = np.unravel_index(index, mask.shape)
     return row.astype(np.int32), column.astype(np.int32)
 
@@ -120,16 +118,15 @@ class RefinementProblem:
         subtracted = _joined([image[p.row, p.column].astype(np.float64) for image, p in parts])
         self.correlated = _joined([np.full(p.levels.size, p.rays > 1) for p in self._sets], np.bool_)
         self.weight = np.ones(len(self._measured))
-        self._light_cache: tuple[Float64, Float64] | None = None
         self._derivative_cache: tuple[Placement, float, list[Float64]] | None = None
-        # what each set sees of the lights: as taken for all poses, and at the last one
-        self._verdicts: list[UInt8 | None] = [None] * len(self._sets)
-        self._seen: list[UInt8] = []
+        self._verdicts: list[UInt8 | None] = [None] * len(self._sets)  # what each set sees of the lights in all poses
+        light, verdicts = self._layers_and_verdicts(start)
+        self._light_cache = start.copy(), light
         self._used = np.ones(len(self._measured), np.bool_)
         self._noise = np.ones(len(self._measured))
         sensor = scene.sensor
         self._top = sensor.saturated_from - sensor.black_level - subtracted
-        here, seen = self._levels(start), self._seen
+        here = self._levels(start)
         noise = np.sqrt(sensor.noise_variance(np.where(np.isfinite(here), here, 0.0), frames=frames))
         full = _joined([p.saturated.ravel() for p in self._sets], np.bool_)
         inside = (here + CLEAR * noise < self._top) & (here + sensor.black_level > CLEAR * noise)
@@ -142,7 +139,7 @@ class RefinementProblem:
             self._weigh_outline(start, here)
         # Inner pixels see of the lights what they saw at the start: the cost jumps where a pixel is lost on the way.
         # Those that will see less are few, and outliers.
-        self._verdicts[: len(inner)] = seen[: len(inner)]
+        self._verdicts[: len(inner)] = verdicts[: len(inner)]
 
     def residuals(self, x: Float64) -> Float64:
         """Measured minus predicted in standard deviations, shape (n,); NaN where nothing is predicted."""
@@ -191,25 +188,30 @@ class RefinementProblem:
 
     def _light_at(self, x: Float64) -> Float64:
         # per unit of R_d and of R_s, shape (2, n)
-        if self._light_cache is None or not np.array_equal(self._light_cache[0], x):
+        if not np.array_equal(self._light_cache[0], x):
             self._light_cache = x.copy(), self._layers(x)
         return self._light_cache[1]
 
     def _layers(self, x: Float64, *, off: Float64 | None = None, wider: Sequence[float] = (0.0,)) -> Float64:
-        # per unit of R_d, and of R_s for so much more ln σ each, shape (1 + len(wider), n), moved by `off` pixels
+        return self._layers_and_verdicts(x, off=off, wider=wider)[0]
+
+    def _layers_and_verdicts(
+        self, x: Float64, *, off: Float64 | None = None, wider: Sequence[float] = (0.0,)
+    ) -> tuple[Float64, list[UInt8]]:
+        # per unit of R_d, and of R_s for so much more ln σ each, shape (1 + len(wider), n), moved by `off` pixels; and
+        # what each set sees of the lights there
         sigmas = [math.exp(x[self._poses + SIGMA] + more) for more in wider]
-        parts: list[Float64] = []
-        self._seen = []
+        parts, seen = [np.zeros((1 + len(sigmas), 0))], list[UInt8]()
         for pixels, verdicts in zip(self._sets, self._verdicts, strict=True):
             width = _OUTLINE_STEP if pixels.rays > 1 else _INNER_STEP
             place = self._frame.placement(x[: self._poses] + (0.0 if off is None else width * off))
             view = _placement.view_of_placed(self._scene, pixels.posture, place)
-            diffuse, specular, seen = light_at(
+            diffuse, specular, own = light_at(
                 self._scene, pixels, view, self._caster, sigmas=sigmas, verdicts=verdicts, threads=self._threads
             )
-            self._seen.append(seen)
+            seen.append(own)
             parts.append(np.concatenate([diffuse[None], specular]).reshape(1 + len(sigmas), -1))
-        return np.concatenate(parts, axis=1) if parts else np.zeros((1 + len(sigmas), 0))
+        return np.concatenate(parts, axis=1), seen
 
     def _weigh_outline(self, start: Float64, here: Float64) -> None:
         # an outline that the images show counts as much as one that is known to OUTLINE_PX

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.least_squares import weighted_sums
-from lightopt.core.threads import in_threads
+from lightopt.core.threads import in_threads, threads_each
 from lightopt.estimate import registration
 from lightopt.estimate.registration import Agreement, PixelSet, agreement
 from lightopt.estimate.verification._parameters import CoarseImage, Group, Parameters, Predictions, Work, blurred
@@ -105,7 +105,7 @@ class Model:
         self._count = np.array([float(i.count) for i in images])[on]
         self._corrected = False
         self._correction = np.zeros(len(on))
-        self._kept: list[tuple[Float64, Float64]] = []  # changes per parameter, and where they were found
+        self._kept: tuple[Float64, Float64] | None = None  # changes per parameter, and where they were found
 
     def levels(self, theta: Float64) -> Float64:
         """Grey level of each row at exposure 1, shape (n,): means over the blocks.
@@ -114,9 +114,10 @@ class Model:
         """
         # the mean of a cubic over the centres of n pixels is that of its values at two points
         off = math.sqrt((1.0 - 1.0 / self._work.side**2) / 12.0)
-        places = [(x, y) for x, y in dict.fromkeys(product((-off, off), repeat=2))]
-        tasks = len(places)
-        some = in_threads(lambda place: self._light_at(theta, place, tasks=tasks)[0][0], places, self._work.run.threads)
+        places = list(dict.fromkeys(product((-off, off), (-off, off))))
+        threads = self._work.run.threads
+        light_at = partial(self._light_at, theta, threads=threads_each(len(places), threads))
+        some = in_threads(lambda place: light_at(place)[0][0], places, threads)
         return np.mean(some, axis=0) + theta[self.parameters.nuisance[-1]] * self._blur
 
     def _light_at(
@@ -126,7 +127,7 @@ class Model:
         *,
         widths: Sequence[float] = (1.0,),
         verdicts: Sequence[UInt8] | None = None,
-        tasks: int = 1,  # so many of these at once
+        threads: int | None = None,
     ) -> tuple[Float64, Float64, list[UInt8]]:
         # At a point so far off the middle of each block [block]: the grey level without the blur, and its specular
         # part, of lobes that are so many times as wide, shape (widths, n); of each posture what blocks see of the
@@ -138,7 +139,7 @@ class Model:
             view = self.parameters.view(self.scene, pixels.posture, theta)
             column, row = view.camera.axis_px
             view = replace(view, camera=replace(view.camera, principal_point=(column - place[0], row - place[1])))
-            known, threads = None if verdicts is None else verdicts[number], self._work.threads_within(tasks)
+            known = None if verdicts is None else verdicts[number]
             diffuse, specular, found = registration.light_at(
                 self.scene, pixels, view, self._work.caster, sigmas=sigmas, verdicts=known, threads=threads
             )
@@ -150,28 +151,33 @@ class Model:
 
     def _changes(self, theta: Float64) -> Float64:
         # of the grey level per parameter that moves a body or changes the lobe or the blur, shape (n, K)
-        for there, kept in self._kept:
+        if self._kept is not None:
+            there, kept = self._kept
             if self._work.alike(theta, there, blocks=ALIKE_BLOCKS, share=ALIKE_SHARE):
                 return kept
         p = self.parameters
-        (level, wider), (specular, _), seen = self._light_at(theta, widths=(1.0, 1.0 + SIGMA_STEP))
+        threads = self._work.run.threads
+        (level, wider), (specular, _), seen = self._light_at(theta, widths=(1.0, 1.0 + SIGMA_STEP), threads=threads)
         changes = np.zeros((len(level), p.size))
         # panels are moved all at once: each image is of one of them
-        moving = [group for group in p.groups if group.step > 0.0]
-        kinds = {group.kind: group.size for group in moving}
+        moving: dict[str, list[Group]] = {}
+        for group in p.groups:
+            if group.step > 0.0:
+                moving.setdefault(group.kind, []).append(group)
+        steps = [(together, axis) for together in moving.values() for axis in range(together[0].size)]
+        light_at = partial(self._light_at, verdicts=seen, threads=threads_each(len(steps), threads))
 
-        def change(kind: str, axis: int) -> None:
-            together = [group for group in moving if group.kind == kind]
+        def change(step: tuple[list[Group], int]) -> None:
+            together, axis = step
             there = theta.copy()
             there[[group.first + axis for group in together]] += together[0].step
-            by_step = (self._light_at(there, verdicts=seen, tasks=len(steps))[0][0] - level) / together[0].step
+            by_step = (light_at(there)[0][0] - level) / together[0].step
             for group in together:
                 changes[:, group.first + axis] = np.where(self._rows_of(group), by_step, 0.0)
 
-        steps = [(kind, axis) for kind, size in kinds.items() for axis in range(size)]
-        in_threads(lambda step: change(*step), steps, self._work.run.threads)
+        in_threads(change, steps, threads)
         changes[:, p.nuisance] = np.stack([specular, (wider - level) / math.log1p(SIGMA_STEP), self._blur], axis=1)
-        self._kept = [(theta, changes)]
+        self._kept = theta, changes
         return changes
 
     def _rows_of(self, group: Group) -> Bool:

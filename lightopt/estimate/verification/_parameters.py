@@ -18,7 +18,7 @@ from lightopt.config import RigConfig
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.errors import refuse
 from lightopt.core.run_context import RunContext
-from lightopt.core.threads import available_processors, in_threads
+from lightopt.core.threads import in_threads, threads_each
 from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.estimate.registration import Observation, Placement
 from lightopt.estimate.rig_calibration import read_covariance, rig_deviations, square_root
@@ -306,7 +306,7 @@ class Work:
             if self.alike(theta, there, blocks=SAME_BLOCKS, share=SAME_SHARE):
                 return kept
         postures = self.scene.postures
-        threads = self.threads_within(len(postures))
+        threads = threads_each(len(postures), self.run.threads)
         images = in_threads(lambda posture: self._render(theta, posture, threads), postures, self.run.threads)
         found = dict(zip(postures, images, strict=True))
         self._kept.append((theta, found))
@@ -316,10 +316,6 @@ class Work:
         """Whether images of two rigs differ in place by less than this [block], their lobes by less than this share."""
         *lobe, blur = np.abs(a - b)[self.parameters.nuisance]
         return bool(max(lobe) < share and blur < SAME_BLUR) and self.moved_blocks(a, b) <= blocks
-
-    def threads_within(self, tasks: int) -> int:
-        """Threads for each of some tasks that run at once."""
-        return max(1, (self.run.threads or available_processors()) // max(1, tasks))
 
     def _render(self, theta: Float64, posture: Posture, threads: int) -> CoarsePrediction:
         scene = self.coarse

@@ -140,8 +140,10 @@ def verify_observations(
         plain[p.group(kind).where] = theta[p.group(kind).where]
     predictions = work.predict(plain)
     compare = partial(_comparison.compare_image, work, fit, good)
-    found = fit.predictions  # as those of the known good set, before threads need them
-    _ = good and good.predictions
+    # rendered before threads need them
+    found = fit.predictions
+    if good is not None:
+        work.predict(good.theta)
     numbers, threads = range(len(images)), work.run.threads
     before = in_threads(lambda number: compare(number, plain, predictions), numbers, threads)
     after = in_threads(lambda number: compare(number, theta, found), numbers, threads)
