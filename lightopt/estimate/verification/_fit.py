@@ -26,14 +26,13 @@ from lightopt.estimate.verification._parameters import CoarseImage, Group, Param
 from lightopt.optics import clipped_mean
 
 SIGMA_STEP = 0.01
-MOST_ENTRIES = 2_500_000  # of the matrix of derivatives
 MISFIT_SHARE = 0.01  # of the predicted level: models are no better than that, even of the right part
-BLOCKS = 1500  # of each posture, if there are not too many images
+LEAST_BLOCKS = 200  # of each posture
 CLEAR = 4.0  # blocks that the model has this many standard deviations of a pixel below saturation are used
-CELLS = 24  # of neighbouring blocks, along the width of an image
 BLUR_PX = 1.5  # blur for the difference
+CELLS = 24  # of neighbouring blocks, along the width of an image
 # derivatives serve rigs whose images differ by less than this, and whose lobes by this share
-ALIKE_BLOCKS, ALIKE_SHARE = 0.05, 0.02
+ALIKE_BLOCKS, ALIKE_SHARE = 0.15, 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,13 +43,15 @@ class FitOptions:
     # has them, too
     deviations: Float64
     groups: tuple[Group, ...] | None = None  # faults that there are; None for those that the evidence is greatest for
-    blocks: int = BLOCKS
+    blocks: int = 1500  # of each posture, at most
+    rows: int = 16_000  # of all postures and lights together, about
     misfit_share: float = MISFIT_SHARE
     # blocks that change this many times as much as nine of ten do lie across the edge of a shadow or on the steep flank
     # of a highlight: few of them would outweigh all others
     steepest: float = 15.0
-    most_steps: int = 6
-    settled: float = 0.05  # a step is the last if it changes no parameter by more than this share of its limit
+    few_steps: int = 4  # at most so many with few blocks come first
+    most_steps: int = 6  # with all blocks
+    settled: float = 0.1  # a step is the last if it changes no parameter by more than this share of its limit
 
 
 class Model:
@@ -67,8 +68,8 @@ class Model:
     ) -> None:
         self._work, self._options = work, options
         self.scene, self.parameters = work.coarse, work.parameters
-        share = options.blocks / BLOCKS
-        budget = int(min(options.blocks, max(200, share * MOST_ENTRIES // (len(images) * self.parameters.size))))
+        kinds = len({(image.source.posture, image.source.light) for image in images})
+        budget = max(LEAST_BLOCKS, min(options.blocks, options.rows // kinds))
         self._sets: list[PixelSet] = []  # of each posture
         columns: list[list[NDArray[Any]]] = []  # of each image
         for posture, prediction in predictions.items():
@@ -106,6 +107,8 @@ class Model:
         self._corrected = False
         self._correction = np.zeros(len(on))
         self._kept: tuple[Float64, Float64] | None = None  # changes per parameter, and where they were found
+        # what blocks see of the lights at each place of `levels`, and where that was found
+        self._seen: tuple[Float64, list[list[UInt8]]] | None = None
 
     def levels(self, theta: Float64) -> Float64:
         """Grey level of each row at exposure 1, shape (n,): means over the blocks.
@@ -117,7 +120,15 @@ class Model:
         places = list(dict.fromkeys(product((-off, off), (-off, off))))
         threads = self._work.run.threads
         light_at = partial(self._light_at, theta, threads=threads_each(len(places), threads))
-        some = in_threads(lambda place: light_at(place)[0][0], places, threads)
+        seen = self._seen[1] if self._seen is not None and self._alike(theta, self._seen[0]) else None
+
+        def at(number: int) -> tuple[Float64, list[UInt8]]:
+            levels, _, found = light_at(places[number], verdicts=None if seen is None else seen[number])
+            return levels[0], found
+
+        some, found = zip(*in_threads(at, range(len(places)), threads), strict=True)
+        if seen is None:
+            self._seen = theta, list(found)
         return np.mean(some, axis=0) + theta[self.parameters.nuisance[-1]] * self._blur
 
     def _light_at(
@@ -153,7 +164,7 @@ class Model:
         # of the grey level per parameter that moves a body or changes the lobe or the blur, shape (n, K)
         if self._kept is not None:
             there, kept = self._kept
-            if self._work.alike(theta, there, blocks=ALIKE_BLOCKS, share=ALIKE_SHARE):
+            if self._alike(theta, there):
                 return kept
         p = self.parameters
         threads = self._work.run.threads
@@ -179,6 +190,9 @@ class Model:
         changes[:, p.nuisance] = np.stack([specular, (wider - level) / math.log1p(SIGMA_STEP), self._blur], axis=1)
         self._kept = theta, changes
         return changes
+
+    def _alike(self, a: Float64, b: Float64) -> bool:
+        return self._work.alike(a, b, blocks=ALIKE_BLOCKS, share=ALIKE_SHARE)
 
     def _rows_of(self, group: Group) -> Bool:
         # which a fault changes
@@ -252,8 +266,7 @@ HUBER, ROUNDS = 1.5, 5
 # another group explains as much if it leaves no more than this share of what the group explains, or this evidence
 SAME_SHARE, SAME_EVIDENCE = 0.05, 10.0
 STALE_BLOCKS = 0.5  # blocks are chosen anew, and images rendered, where the part's image has moved by more than this
-# a rig further away is approached in so many steps with this fraction of the blocks
-FEW_FROM_BLOCKS, FEW, FEW_STEPS = 1.0, 5, 3
+FEW = 4  # the rig is approached with this fraction of the blocks
 LEAST_ROWS = 300  # fewer blocks of all images determine nothing
 # an excess residual of more than this share of the level is not explained: the part may lie elsewhere
 UNEXPLAINED_SHARE = 0.15
@@ -417,30 +430,26 @@ def fit_faults(
 
 def descend(work: Work, images: _Images, good: Fit | None, options: FitOptions, origin: Float64, start: Float64) -> Fit:
     """Gauss–Newton steps from parameters to start at; what is found counts from the origin."""
-    p = work.parameters
-    limits = np.concatenate([np.full(g.size, g.limit) for g in p.groups])
+    limits = np.concatenate([np.full(g.size, g.limit) for g in work.parameters.groups])
     report = work.run.stage("comparing with the prediction")
-    at, predictions = start, work.predict(start)
-    model = _model(work, images, good, predictions, options)
-    theta, step = start, 0
-    while True:
+    few = replace(options, blocks=options.blocks // FEW, rows=options.rows // FEW)
+    at, theta = start, start
+    model = _model(work, images, good, at, few)
+    for _ in range(options.few_steps):
+        before, theta = theta, _step(model, theta, origin, few)[-1]
+        if work.moved_blocks(theta, before) <= STALE_BLOCKS:
+            break
+    for step in range(options.most_steps):
         if report is not None:
             report(step / options.most_steps)
+        moved = work.moved_blocks(theta, at) > STALE_BLOCKS
+        if step == 0 or moved:
+            at = theta if moved else at
+            model = _model(work, images, good, at, options)
         before = theta
         evidence, chosen, faults, covariance, theta = _step(model, before, origin, options)
-        step += 1
-        if (np.abs(theta - before)[: len(limits)] / limits).max() < options.settled or step == options.most_steps:
+        if (np.abs(theta - before)[: len(limits)] / limits).max() < options.settled:
             break
-        moved = work.moved_blocks(theta, at)
-        if moved > STALE_BLOCKS:
-            if step == 1 and moved > FEW_FROM_BLOCKS:
-                few = _model(work, images, good, predictions, replace(options, blocks=options.blocks // FEW))
-                for _ in range(FEW_STEPS):
-                    before, theta = theta, _step(few, theta, origin, options)[-1]
-                    if work.moved_blocks(theta, before) <= STALE_BLOCKS:
-                        break
-            at, predictions = theta, work.predict(theta)
-            model = _model(work, images, good, predictions, options)
     mean, noise = model.predicted(theta)
     black = work.scene.sensor.black_level
     known = np.isfinite(mean) & (evidence.weight > 0.0)
@@ -458,9 +467,9 @@ def _step(
     return evidence, chosen, faults, covariance, origin + faults + evidence.deviation(faults)
 
 
-def _model(
-    work: Work, images: Sequence[CoarseImage], good: Fit | None, predictions: Predictions, options: FitOptions
-) -> Model:
+def _model(work: Work, images: Sequence[CoarseImage], good: Fit | None, at: Float64, options: FitOptions) -> Model:
+    # of blocks that are clean with some faults
+    predictions = work.predict(at)
     model = Model(work, images, predictions, options)
     if good is not None:
         model.correct(Model(work, good.images, predictions, options), good.theta)

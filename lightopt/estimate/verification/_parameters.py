@@ -10,6 +10,7 @@ there are fewer rays to cast.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import ndimage
@@ -181,6 +182,8 @@ def moved_camera(camera: PinholeCamera, shift: Float64, turn: Float64) -> Pinhol
 
 def moved_light(light: PanelLight, shift: Float64, turn: Float64) -> PanelLight:
     # along its own axes, and about its own centre
+    if not (shift.any() or turn.any()):
+        return light
     axes = np.stack([light.across, light.along, light.outward], axis=1)
     rotation = rotation_from_vector(axes[:, :2] @ turn)
     return light.moved(rotation, light.centre + axes @ shift - rotation @ light.centre)
@@ -232,8 +235,8 @@ def _as_camera(scene: Scene, p: Parameters, rigs: list[tuple[PinholeCamera, Stag
 
 COARSE_WIDTH = 540  # about so many columns of a coarse image
 PANEL_MM = 10.0  # a panel that has moved by this is as bad as a part that has moved by a block
-# rigs that differ by less have the same images: in place [block], R_s and σ, and blur [px²]
-SAME_BLOCKS, SAME_SHARE, SAME_BLUR = 0.02, 0.005, 0.2
+# rigs that differ by less have the same images: in place [block], and R_s and σ
+SAME_BLOCKS, SAME_SHARE = 0.02, 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,7 +283,7 @@ class Work:
         )
         self.coarse = replace(scene, camera=coarse)
         self.caster = cast_rays_at(scene)
-        self._kept: list[tuple[Float64, Predictions]] = []
+        self._kept: list[tuple[Float64, tuple[CoarsePrediction, ...]]] = []  # sharp, of each posture
 
     def blocks(self, observations: Sequence[Observation]) -> tuple[CoarseImage, ...]:
         """Block means of images."""
@@ -302,20 +305,25 @@ class Work:
 
     def predict(self, theta: Float64) -> Predictions:
         """Images of the rig with some faults; those that were rendered before if they hardly differ."""
+        postures, threads = self.scene.postures, self.run.threads
         for there, kept in self._kept:
             if self.alike(theta, there, blocks=SAME_BLOCKS, share=SAME_SHARE):
-                return kept
-        postures = self.scene.postures
-        threads = threads_each(len(postures), self.run.threads)
-        images = in_threads(lambda posture: self._render(theta, posture, threads), postures, self.run.threads)
-        found = dict(zip(postures, images, strict=True))
-        self._kept.append((theta, found))
-        return found
+                sharp = kept
+                break
+        else:
+            render = partial(self._render, theta, threads=threads_each(len(postures), threads))
+            sharp = tuple(in_threads(render, postures, threads))
+            self._kept.append((theta, sharp))
+        width = math.sqrt(max(float(theta[self.parameters.nuisance[-1]]), 0.0)) / self.side
+        if width == 0.0:
+            return dict(zip(postures, sharp, strict=True))
+        images = in_threads(partial(_blurred_prediction, width), sharp, threads)
+        return dict(zip(postures, images, strict=True))
 
     def alike(self, a: Float64, b: Float64, *, blocks: float, share: float) -> bool:
-        """Whether images of two rigs differ in place by less than this [block], their lobes by less than this share."""
-        *lobe, blur = np.abs(a - b)[self.parameters.nuisance]
-        return bool(max(lobe) < share and blur < SAME_BLUR) and self.moved_blocks(a, b) <= blocks
+        """Whether sharp images of two rigs differ in place by less than this [block], lobes by less than this share."""
+        lobe = np.abs(a - b)[self.parameters.nuisance[:-1]]
+        return bool(max(lobe) < share) and self.moved_blocks(a, b) <= blocks
 
     def _render(self, theta: Float64, posture: Posture, threads: int) -> CoarsePrediction:
         scene = self.coarse
@@ -330,9 +338,8 @@ class Work:
         images = render_posture(world, posture, caster=self.caster, threads=threads)
         masks = mask_pixels(world, posture, self.caster, threads=threads)
         hit = images.geometry.hit
-        width = math.sqrt(max(float(theta[self.parameters.nuisance[-1]]), 0.0)) / self.side
         return CoarsePrediction(
-            levels={i.light: blurred(i.level, width) if width else i.level for i in images.lights},
+            levels={i.light: i.level for i in images.lights},
             hit=hit,
             clean=np.asarray(ndimage.binary_erosion(masks.clean & hit, border_value=1), np.bool_),
             points=images.geometry.points,
@@ -352,6 +359,10 @@ class Work:
             (x, y, _), (u, v, _) = (project(p.view(self.coarse, posture, t).camera, some) for t in (a, b))
             most = max(most, float(np.nanmax(np.hypot(x - u, y - v))))
         return most
+
+
+def _blurred_prediction(width: float, sharp: CoarsePrediction) -> CoarsePrediction:
+    return replace(sharp, levels={light: blurred(level, width) for light, level in sharp.levels.items()})
 
 
 def blurred(image: Float32, width: float) -> Float32:

@@ -21,7 +21,9 @@ from lightopt.estimate.verification._parameters import NUISANCE, Parameters, Ver
 from lightopt.scene import Scene
 
 MISFIT_SHARE = 0.002  # of the level, by which a calibrated rig's images may still be off
-BLOCKS = 5000  # of each posture: what single pixels leave open is little then against the noise of a defect's pixels
+# of each posture, and of all postures and lights: what single pixels leave open is little then against the noise of a
+# defect's pixels
+BLOCKS, ROWS = 5000, 160_000
 # greatest distance from the calibration, and of ln R_s and ln σ from the part file, in standard deviations: a right
 # calibration exceeds it for a body of six values with a probability of 3e-6
 UNLIKELY_Z = 6.0
@@ -111,7 +113,7 @@ def adjust_rig(
     coarse = FitOptions(
         deviations=deviations, groups=tuple(free), misfit_share=MISFIT_SHARE, steepest=math.inf, settled=0.5
     )
-    fine = replace(coarse, blocks=BLOCKS, most_steps=2, settled=0.0)
+    fine = replace(coarse, blocks=BLOCKS, rows=ROWS, few_steps=0, most_steps=2, settled=0.0)
     work = Work(scene, parameters, run)
     images = work.blocks(observations)
     where = str(observations[0].source.parent)
