@@ -3,7 +3,8 @@
 ``python -m benchmarks.calibrating -o out/calibrating --seeds 1`` captures the targets of `lightopt calibrate --plan`
 under a true rig that differs from the rig file, calibrates, and prints how far off the result is. With ``--inspect`` it
 captures the sample part with random defects and inspects it with the rig as filed, as calibrated, and as it truly is
-(``--rigs``); with ``--good`` also as calibrated, with an inspection that has learned from so many good parts.
+(``--rigs``); with ``--good`` also as calibrated, with an inspection that has learned from so many good parts. With
+``--clean`` it counts false alarms on so many good parts, each displaced.
 
 For the tutorial, ``--hide`` only writes the rigs, ``--bend FILE`` only bends the mesh of a board, ``--compare`` only
 prints errors, and ``--picture FILE`` only draws the targets.
@@ -24,7 +25,7 @@ import numpy as np
 import yaml
 from PIL import Image
 
-from lightopt.config import load_rig
+from lightopt.config import load_part, load_rig
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import rotation_from_vector, vector_of_rotation
 from lightopt.estimate.rig_calibration import calibrate_rig, plan_calibration, write_calibration
@@ -49,6 +50,7 @@ def main() -> None:
     parser.add_argument("--rigs", nargs="+", choices=RIGS, default=RIGS, help="that parts are inspected by")
     parser.add_argument("--part", type=Path, default=PART, help="that is inspected")
     parser.add_argument("--good", type=int, metavar="PARTS", default=0)
+    parser.add_argument("--clean", type=int, metavar="PARTS", default=0)
     parser.add_argument("--width", type=int, default=1600, help="of the camera's image [px]")
     parser.add_argument("--rays", type=int, default=2, help="along each side of a pixel")
     parser.add_argument("--hide", action="store_true", help="only write the rigs")
@@ -73,6 +75,8 @@ def main() -> None:
         calibrate(folder, seed)
         if given.inspect:
             inspect(folder, seed, given)
+        if given.clean:
+            count_alarms(folder, seed, given)
 
 
 def bend(path: Path, seed: int) -> None:
@@ -207,6 +211,9 @@ def angle(a: Float64, b: Float64) -> float:
     return float(np.degrees(np.arccos(np.clip(a @ b, -1.0, 1.0))))
 
 
+RIG_FILES = {"filed": "rig.yaml", "calibrated": "calibration/rig.calibrated.yaml", "known": "known.yaml"}
+
+
 def inspect(folder: Path, seed: int, given: argparse.Namespace) -> None:
     """Inspect the sample part with random defects by the filed, the calibrated and the true rig."""
     name, good = given.part.stem, given.good
@@ -214,13 +221,8 @@ def inspect(folder: Path, seed: int, given: argparse.Namespace) -> None:
     run(
         "defects", folder / "true.yaml", given.part, "-o", part, "--seed", seed + 1, "--count", given.inspect, "--force"
     )
-    files = {
-        "filed": folder / "rig.yaml",
-        "calibrated": folder / "calibration" / "rig.calibrated.yaml",
-        "known": folder / "known.yaml",
-    }
     for kind in given.rigs:
-        rig, images = files[kind], folder / f"images-{name}-{kind}"
+        rig, images = folder / RIG_FILES[kind], folder / f"images-{name}-{kind}"
         run("capture", rig, part, "-o", images, "--exposure", "1,1/16", "--force", "--no-check-lights")
         judge(kind, rig, part, images)
         if kind == "calibrated" and good:
@@ -233,6 +235,33 @@ def inspect(folder: Path, seed: int, given: argparse.Namespace) -> None:
             learned = folder / f"learned-{name}"
             run("inspect", rig, part, *sets, "-o", learned, "--calibrate", "--false-alarms", rate, "--force")
             judge(f"calibrated, {good} good parts", rig, part, images, "--calibration", learned)
+
+
+def count_alarms(folder: Path, seed: int, given: argparse.Namespace) -> None:
+    """Inspect good parts, each moved and turned on the stage, and print the false alarms."""
+    rng = np.random.default_rng(seed)
+    name, postures = given.part.stem, len(load_part(given.part).postures)
+    parts = [folder / f"clean-{name}-{k}.yaml" for k in range(given.clean)]
+    # beside the results, a mesh is named by its whole path
+    there = given.part.resolve().parent
+    text = re.sub(r"\bfile: *([\w.-]+)", rf'file: "{there}/\1"', given.part.read_text(encoding="utf-8"), count=1)
+    for part in parts:
+        x, y, turn = rng.uniform((-1.0, -1.0, -2.0), (1.0, 1.0, 2.0)).round(3)
+        moved = text.replace("translate_mm: [0, 0, 0]", f"translate_mm: [{x}, {y}, 0]")
+        moved = moved.replace("rotate_deg: [0, 0, 0]", f"rotate_deg: [0, 0, {turn}]")
+        assert moved.count(f"{x}, {y}, 0]") == moved.count(f"[0, 0, {turn}]") == 1, given.part
+        part.write_text(moved, encoding="utf-8")
+    for kind in given.rigs:
+        rig, sets = folder / RIG_FILES[kind], [folder / f"{part.stem}-{kind}" for part in parts]
+        for k, (part, images) in enumerate(zip(parts, sets, strict=True)):
+            options = ("--exposure", "1,1/16", "--force", "--no-check-lights", "--seed", 2000 + k)
+            run("capture", rig, part, "-o", images, *options)
+        out = folder / f"clean-{name}-inspected-{kind}"
+        run("inspect", rig, given.part, *sets, "-o", out, "--fusion", "none", "--no-report", "--force")
+        found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(out.glob("**/defects.json"))]
+        assert len(found) == len(parts)
+        alarms = sum(len(one["defects"]) for one in found)
+        print(f"  {kind}: {alarms} false alarms in {postures * len(parts)} postures of good parts")
 
 
 def judge(name: str, rig: Path, part: Path, images: Path, *options: object) -> None:
