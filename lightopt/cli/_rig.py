@@ -168,7 +168,7 @@ def calibrate(
     for what, text in calibration_lines(found):
         echo(f"{what}: {text}")
     if found.unobservable:
-        echo(f"not shown by these images, and as filed: {', '.join(found.unobservable)}")
+        echo(f"not shown by these images, and near the rig file: {', '.join(found.unobservable)}")
     if found.board is not None and found.board.next_posture is not None:
         posture, rms = found.board.next_posture
         echo(f"a view at {posture} would help most: {found.board.predicted_rms:.2g} → {rms:.2g} px")

@@ -121,11 +121,11 @@ def _rig_files(design: DesignResult) -> list[RigFile]:
 
 
 def _rig_text(rig: RigConfig, places: Sequence[Place], home: Path) -> str:
-    values: dict[tuple[str | int, ...], str] = {}
+    values: dict[tuple[str | int, ...], str | None] = {}
     for index, (light, place) in enumerate(zip(rig.lights, places, strict=True)):
         if light.pose is not None:
             if place != place_of(light):
-                values |= _moved_pose(rig, index, place)
+                values |= _moved_pose(rig, index, place) | _no_longer_measured(rig, light.name)
             continue
         ranges = light.elevation_range_deg, light.azimuth_range_deg, light.distance_range_mm
         for (key, value), ends in zip(place_dict(place).items(), ranges, strict=False):
@@ -140,6 +140,13 @@ def _moved_pose(rig: RigConfig, index: int, place: Place) -> dict[tuple[str | in
     pose = {"centre_mm": panel.centre, "rotation_vector_deg": np.degrees(vector_of_rotation(rotation))}
     values = ((key, i, float(value)) for key, vector in pose.items() for i, value in enumerate(vector))
     return {("lights", index, "pose", key, i): f"{round(value, 6)}" for key, i, value in values}
+
+
+def _no_longer_measured(rig: RigConfig, light: str) -> dict[tuple[str | int, ...], str | None]:
+    # the place of a light that moves; its gain stays
+    known = () if rig.calibration is None else rig.calibration.intervals
+    lost = [name for name in known if name.startswith(f"{light} ") and name != f"{light} gain"]
+    return {("calibration", "intervals", name): None for name in lost}
 
 
 def _edited(config: RigConfig | PartConfig, kind: str, what: str, edit: Callable[[], str]) -> str:

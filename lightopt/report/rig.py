@@ -69,7 +69,9 @@ def calibration_report(found: RigCalibration, figures: Mapping[str, Any]) -> str
         _page.Answer(figure=f"{what.capitalize()}:", text=text) for what, text in calibration_lines(found)
     ]
     if unobservable := found.unobservable:
-        lead.append(_page.Warnings(texts=[f"the images do not show {name}; it is as filed" for name in unobservable]))
+        lead.append(
+            _page.Warnings(texts=[f"the images do not show {name}; it is near the rig file" for name in unobservable])
+        )
     lead.append(_page.Warnings(texts=found.warnings))
     rows = [[name, f"{low:.6g}", f"{high:.6g}"] for name, (low, high) in figures["intervals_95"].items()]
     values = _page.Section(heading="Intervals", blocks=[_page.Table(header=["value", "from", "to"], rows=rows)])
@@ -106,7 +108,8 @@ def _sections(found: RigCalibration) -> Iterator[_page.Section]:
             rows.append([light.name, centre, f"{place:.2f}", f"{turn:.2f}", size, f"{moved:.2f}"])
         texts = [f"Left out, since it fits no pose: {name} at {posture}." for posture, name in ball.left_out]
         left_out = [_page.Note(text=text) for text in texts]
-        yield _page.Section(heading="Panels", blocks=[_page.Table(header=header, rows=rows), *left_out])
+        fit = _page.Note(text=f"Residuals, in the errors claimed: {ball.rms:.2f}.")
+        yield _page.Section(heading="Panels", blocks=[_page.Table(header=header, rows=rows), fit, *left_out])
     if (plate := found.plate) is not None:
         rows = [
             [light.name, f"{gain.value:.4f}", f"{_half(gain):.4f}"]

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from lightopt.config import load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_z, vector_of_rotation
-from lightopt.design._candidates import panels_of
+from lightopt.design._candidates import panels_of, place_of
+from lightopt.design._files import _rig_text
 from lightopt.lights import panel_corners
 from lightopt.scene import Stage, build_camera, build_lights, build_stage, pixel_directions, place_camera, project
 from lightopt.scene._image_area import image_area
@@ -171,6 +172,23 @@ def test_a_panel_of_a_measured_pose_moves_along_its_direction(tmp_path):
     np.testing.assert_allclose(there.centre, [0, 240, 320], atol=1e-9)
     assert (there.across == here.across).all()
     assert there.distance == pytest.approx(400.0)
+
+
+def test_a_panel_that_moves_is_as_measured_no_more(tmp_path):
+    pose = "{centre_mm: [0, 180, 240], rotation_vector_deg: [30, 0, 0]}"
+    names = [f"{light} {value}" for light in ("light1", "light2") for value in ("centre x [mm]", "gain")]
+    measured = "".join(f'\n    "{name}": [0.9, 1.1]' for name in names)
+    posed = rig(
+        tmp_path,
+        (LIGHT, f"{{name: light1, pose: {pose}, distance_range_mm: [300, 400]}}"),
+        ("\nstage:", f"\ncalibration:\n  covariance: rig.npz\n  intervals:{measured}\nstage:"),
+    )
+    (tmp_path / "rig.npz").touch()
+    places = [place_of(light) for light in posed.lights]
+    for distance, left in ((300.0, names), (400.0, names[1:])):
+        places[0] = (*places[0][:2], distance)
+        (tmp_path / "moved.yaml").write_text(_rig_text(posed, places, tmp_path), encoding="utf-8")
+        assert list(load_rig(tmp_path / "moved.yaml").calibration.intervals) == left
 
 
 def test_reference_distance(tmp_path):

@@ -13,6 +13,7 @@ from lightopt.config import load_part, load_rig, load_targets
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.estimate.rig_calibration import calibrate_rig, read_covariance, rig_deviations, write_calibration
+from lightopt.estimate.rig_calibration._files import intervals
 from lightopt.scene import Stage, build_camera, build_stage, project
 
 RIG = Path(__file__).parents[2] / "configs" / "rigs" / "four-panel.yaml"
@@ -182,3 +183,87 @@ def test_the_plan_fits_the_view_and_the_stage(cli, rig, tmp_path):
     assert cli("calibrate", rig, made, "--plan").status == 2  # the ball's part is another
     assert cli("calibrate", rig, made, "--plan", "--force").status == 0
     assert load_targets(made / "targets.yaml").ball.radius_mm == 7.5
+
+
+def test_the_plan_leaves_out_what_a_rig_cannot_measure(cli, rig, tmp_path):
+    pytest.importorskip("cv2")
+    text = rig.read_text(encoding="utf-8")
+    flat = tmp_path / "flat.yaml"
+    flat.write_text(text.replace("elevation_range_deg: [-45, 45]", "elevation_range_deg: [0, 0]"), encoding="utf-8")
+    done = cli("calibrate", flat, tmp_path / "flat", "--plan")
+    assert done.status == 0, done.err
+    assert "no ball: it takes two tilts" in done.out
+    assert not (tmp_path / "flat" / "ball.yaml").exists()
+    coarse = tmp_path / "coarse.yaml"
+    coarse.write_text(
+        text.replace("[1600, 1200]", "[400, 300]").replace("pixel_size_um: 4.4", "pixel_size_um: 17.6"),
+        encoding="utf-8",
+    )
+    done = cli("calibrate", coarse, tmp_path / "coarse", "--plan")
+    assert done.status == 0, done.err
+    assert "take a larger ball than 10 mm" in done.out
+    ring = RIG.with_name("ring-quadrants.yaml")
+    done = cli("calibrate", ring, tmp_path / "ring", "--plan")
+    assert done.status == 0, done.err
+    assert "ball and plate measure panels only" in done.out
+    assert " -o " + (tmp_path / "ring" / "board").as_posix() in done.out
+    assert " -o " + (tmp_path / "ring" / "plate").as_posix() + " " not in done.out
+    # images of these sets are refused, too
+    (tmp_path / "ring" / "ball").mkdir()
+    with pytest.raises(InputError, match=r"ring-quadrants.yaml:\d+: .* is a ring: ball and plate measure panels only"):
+        calibrate_rig(load_rig(ring), tmp_path / "ring")
+
+
+@pytest.mark.parametrize(
+    ("made", "expected"),
+    [
+        (("ball",), r"targets.yaml: ball: missing, but there is an image set ball"),
+        (("sensor-a",), r"sensor-b: missing; sensor-a and sensor-b are captured alike"),
+    ],
+)
+def test_image_sets_that_would_be_left_out_are_refused(rig, folder, made, expected):
+    for name in made:
+        (folder / name).mkdir()
+    with pytest.raises(InputError, match=expected):
+        calibrate_rig(load_rig(rig), folder)
+
+
+def test_what_is_not_measured_anew_keeps_its_covariance(rig, folder):
+    """A rig with a measured camera whose panels, then, are measured alone."""
+    first = calibrate_rig(load_rig(rig), folder)
+    once = load_rig(write_calibration(first)[0])
+    names, covariance = read_covariance(once)
+    second = replace(first, rig=once, board=None)
+    kept, unchanged = second.covariance
+    assert kept == names
+    np.testing.assert_array_equal(unchanged, covariance)
+    assert dict(intervals(second)) == once.calibration.intervals
+    # measured anew, they are replaced
+    assert replace(first, rig=once).covariance[0] == names
+
+
+def test_a_value_without_an_interval_is_as_measured_no_more(rig, folder):
+    path = write_calibration(calibrate_rig(load_rig(rig), folder))[0]
+    text = path.read_text(encoding="utf-8")
+    line = next(line for line in text.splitlines(keepends=True) if '"camera.focal_px":' in line)
+    names, covariance = read_covariance(load_rig(path))
+    path.write_text(text.replace(line, ""), encoding="utf-8")
+    left, smaller = read_covariance(load_rig(path))
+    assert left == tuple(name for name in names if name != "camera.focal_px")
+    own = [names.index(name) for name in left]
+    np.testing.assert_array_equal(smaller, covariance[np.ix_(own, own)])
+
+
+def test_too_few_views_and_bad_corners_are_said(rig, folder):
+    data, _, _ = corner_list(rig)
+    for corner in data["views"][4]["pixels"][:30]:
+        corner[0] += 6.0
+    (folder / "board.json").write_text(json.dumps(data), encoding="utf-8")
+    (text,) = calibrate_rig(load_rig(rig), folder).warnings
+    assert "board 40-130: 30 of " in text
+    assert "corners do not fit and are left out" in text
+    data["views"] = [view for view in data["views"] if view["elevation_deg"] == 0.0][:2]
+    (folder / "board.json").write_text(json.dumps(data), encoding="utf-8")
+    found = calibrate_rig(load_rig(rig), folder)
+    assert any("more postures are needed" in text for text in found.warnings)
+    assert "tilt axis direction" in found.unobservable

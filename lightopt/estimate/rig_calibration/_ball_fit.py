@@ -7,7 +7,7 @@ room. Camera and stage are those of the board fit.
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import refuse
 from lightopt.core.transforms import Posture, rotation_from_vector
-from lightopt.estimate.rig_calibration._deviations import NORMAL_95
+from lightopt.estimate.rig_calibration._deviations import NORMAL_95, displaced, square_root
 from lightopt.lights import PanelLight, panel_corners
 from lightopt.scene import PinholeCamera, Stage, pixel_directions, project
 
@@ -155,7 +155,8 @@ def fit_ball(
     radius: float,
     radius_error: float = LEAST_RADIUS_ERROR,
     size_error: float | None = None,
-    rig_deviations: Sequence[tuple[PinholeCamera, Stage]] = (),
+    rig_names: Sequence[str] = (),
+    rig_covariance: Float64 | None = None,
 ) -> BallFit:
     """Fit the ball's centre in the stage frame, and pose and size of each panel.
 
@@ -163,16 +164,19 @@ def fit_ball(
         corners can be told apart
     radius, radius_error: Of the ball, and its standard deviation [mm]
     size_error: Standard deviation of the lights' given sizes [mm]; None where they are unknown
-    rig_deviations: Camera and stage, displaced by one standard deviation along each independent direction of their
-        covariance; what they change is added to the covariance
+    rig_names, rig_covariance: Values of camera and stage that are not exact, as `BoardFit.names` has them, and their
+        covariance: they are fitted, too, from where they are given; none without
     Raises InputError: Where views do not show what is to be fitted
     """
     _check(views, lights)
-    start = np.concatenate([_ball_start(views, camera, stage, radius), unmoved(lights).ravel()])
+    rig_root = square_root(np.zeros((0, 0)) if rig_covariance is None else rig_covariance)
+    own = np.concatenate([_ball_start(views, camera, stage, radius), unmoved(lights).ravel()])
+    start = np.concatenate([own, np.zeros(rig_root.shape[1])])
     prior = np.tile([*[CENTRE_PRIOR] * 3, *[ROTATION_PRIOR] * 3, 0.0, 0.0], (len(lights), 1))
     prior[:, 6:] = [[size_error or SIZE_PRIOR * side for side in light.size] for light in lights]
     ball_prior = [np.inf, np.inf, np.inf, max(radius_error, LEAST_RADIUS_ERROR), EDGE_PRIOR]
-    problem = _Problem(camera, stage, tuple(lights), tuple(views), start, np.concatenate([ball_prior, prior.ravel()]))
+    errors = np.concatenate([ball_prior, prior.ravel(), np.ones(rig_root.shape[1])])
+    problem = _Problem(camera, stage, tuple(lights), tuple(views), start, errors, tuple(rig_names), rig_root)
     problem = replace(problem, images=_ordered(problem))
     left_out: list[tuple[Posture, str]] = []
     most = MOST_OUTLIERS * len(problem.images)
@@ -187,12 +191,7 @@ def fit_ball(
         image = problem.images[worst]
         left_out.append((views[image.view].posture, lights[image.light].name))
         problem = replace(problem, images=(*problem.images[:worst], *problem.images[worst + 1 :]))
-    information = found.jac.T @ found.jac
-    covariance = np.linalg.inv(information) * max(1.0, mean_square)
-    for other_camera, other_stage in rig_deviations:
-        change = replace(problem, camera=other_camera, stage=other_stage).residuals(found.x) - found.fun
-        shift = np.linalg.solve(information, found.jac.T @ change)
-        covariance += np.outer(shift, shift)
+    covariance = np.linalg.inv(found.jac.T @ found.jac)[: len(own), : len(own)] * max(1.0, mean_square)
     errors = np.sqrt(np.diag(covariance))[_BALL:]
     return BallFit(
         lights=problem.posed(found.x),
@@ -226,22 +225,26 @@ class _Problem:
     views: tuple[BallView, ...]
     start: Float64
     prior: Float64  # standard deviations of the parameters about the start
+    # values of camera and stage that are fitted, and their deviation per unit of the last parameters, shape (G, G)
+    rig_names: tuple[str, ...] = ()
+    rig_root: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
     images: tuple[_Image, ...] = ()
 
     def posed(self, x: Float64) -> tuple[PanelLight, ...]:
-        moves = x[_BALL:].reshape(-1, _EACH)
+        moves = x[_BALL : _BALL + _EACH * len(self.lights)].reshape(-1, _EACH)
         return tuple(posed_panel(light, move) for light, move in zip(self.lights, moves, strict=True))
 
     def mirrored(self, x: Float64) -> Float64:
         # corners of each light in each view [px], shape (V, L, 4, 2)
         corners = np.array([panel_corners(light) for light in self.posed(x)])
-        centres = np.array([self._centre(view, x) for view in self.views])
-        return mirrored_image(self.camera, centres[:, None, None, :], float(x[3]), corners[None])
+        camera, stage = self._rig(x)
+        centres = np.array([_centre(stage, view, x) for view in self.views])
+        return mirrored_image(camera, centres[:, None, None, :], float(x[3]), corners[None])
 
     def residuals(self, x: Float64) -> Float64:
+        camera, stage = self._rig(x)
         outlines = [
-            (outline_distances(self.camera, self._centre(view, x), float(x[3]), view.outline) - x[4])
-            / view.outline_error
+            (outline_distances(camera, _centre(stage, view, x), float(x[3]), view.outline) - x[4]) / view.outline_error
             for view in self.views
         ]
         return np.concatenate([*outlines, self.corner_residuals(x).ravel(), (x - self.start) / self.prior])
@@ -253,9 +256,16 @@ class _Problem:
         predicted = self.mirrored(x)
         return np.array([i.whitening @ (predicted[i.view, i.light] - i.corners).ravel() for i in self.images])
 
-    def _centre(self, view: BallView, x: Float64) -> Float64:
-        rotation, translation = self.stage.transform(view.posture)
-        return rotation @ x[:3] + translation
+    def _rig(self, x: Float64) -> tuple[PinholeCamera, Stage]:
+        if not self.rig_names:
+            return self.camera, self.stage
+        deviation = self.rig_root @ x[_BALL + _EACH * len(self.lights) :]
+        return displaced(self.camera, self.stage, self.rig_names, deviation)
+
+
+def _centre(stage: Stage, view: BallView, x: Float64) -> Float64:
+    rotation, translation = stage.transform(view.posture)
+    return rotation @ x[:3] + translation
 
 
 def posed_panel(light: PanelLight, parameters: Float64) -> PanelLight:

@@ -14,7 +14,7 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from lightopt.core.arrays import Bool, Float64, Index
-from lightopt.core.errors import InputError, collected, refuse
+from lightopt.core.errors import InputError, collected
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._ball_fit import BallView, MirroredPanel as Panel
 from lightopt.optics import Sensor
@@ -45,16 +45,16 @@ def measure_ball(
     sensor: Sensor,
     radius_px: float,
     outline_images: Sequence[NDArray[Any]] = (),
-) -> BallView:
-    """Outline and mirrored panels of the ball in one posture.
+) -> tuple[BallView, list[str]]:
+    """Outline and mirrored panels of the ball in one posture, and what is wrong with panels that are left out.
 
     highlights: Images of the ball by the light that is on, so short that no highlight is saturated, shape (H, W)
         [sensor level]
     radius_px: Expected radius of the outline, image distance / pixel size · radius / distance [px]
     outline_images: Longer exposures, or images before a lit background, that show the outline better than all
         `highlights` together; shape (H, W)
-    Raises InputError: Where a highlight is saturated, missing, too small or doubled, or the outline has no contrast;
-        with a message for each
+    Panels are left out whose highlight is saturated, missing, too small or doubled.
+    Raises InputError: The outline has no contrast
     """
     images = outline_images or list(highlights.values())
     total = np.sum([image.astype(np.float64) for image in images], axis=0)
@@ -65,8 +65,7 @@ def measure_ball(
     for name, image in highlights.items():
         with collected(problems):
             panels[name] = mirrored_panel(image, sensor, centre, 0.97 * radius_px, where=f"{name} at {posture}")
-    refuse(problems)
-    return BallView(posture=posture, outline=outline, outline_error=error, panels=panels)
+    return BallView(posture=posture, outline=outline, outline_error=error, panels=panels), problems
 
 
 def mirrored_panel(image: NDArray[Any], sensor: Sensor, centre: Float64, radius_px: float, *, where: str) -> Panel:
@@ -74,7 +73,7 @@ def mirrored_panel(image: NDArray[Any], sensor: Sensor, centre: Float64, radius_
 
     image: [sensor level], shape (H, W)
     centre, radius_px: Of the part of the image to search, (column, row) [px]
-    Raises InputError: As :func:`measure_ball`
+    Raises InputError: Saturated, missing, too small or doubled
     """
     margin = int(np.ceil(radius_px))
     corner = np.maximum(0, centre.astype(np.intp) - margin)

@@ -104,7 +104,7 @@ def nominal_prior(board: Board, camera: PinholeCamera, stage: Stage, angle_error
     aside = np.array([stage.pivot[0], stage.pivot[1], 0.0])
     point, axis = stage.tilt_axis
     mean, sd = np.zeros(len(NAMES)), np.full(len(NAMES), np.inf)
-    reach = _POSITION_SHARE * float(np.linalg.norm(camera.position - stage.pivot))
+    reach = _POSITION_SHARE * _distance(camera, stage)
     focal = camera.image_distance / camera.pixel_size
     lens = camera.distortion
     half = float(np.abs(board.points).max())
@@ -128,6 +128,24 @@ def nominal_prior(board: Board, camera: PinholeCamera, stage: Stage, angle_error
         mean[at], sd[at] = value, spread
     origin = Origin(np.array([camera.right, -camera.up, camera.forward]), np.eye(3))
     return Prior(mean, sd, float(np.radians(angle_error_deg))), origin
+
+
+def filed_covariance(camera: PinholeCamera, stage: Stage) -> tuple[tuple[str, ...], Float64]:
+    """Names of the values of camera and stage as `BoardFit.names`, and how well a rig file alone knows them."""
+    focal = camera.image_distance / camera.pixel_size
+    errors = {
+        **{f"camera.rotation_{axis}": _ROTATION_DEG for axis in "xyz"},
+        **{f"camera.position_{axis}": _POSITION_SHARE * _distance(camera, stage) for axis in "xyz"},
+        "camera.focal_px": _FOCAL_SHARE * focal,
+        **{f"camera.principal_{axis}_px": _PRINCIPAL_SHARE * camera.width for axis in "xy"},
+        "tilt_axis.elevation": _TILT_AXIS_DEG,
+        **{f"tilt_axis.position_{axis}": _TILT_AXIS_MM for axis in "yz"},
+    }
+    return tuple(errors), np.diag(np.square(list(errors.values())))
+
+
+def _distance(camera: PinholeCamera, stage: Stage) -> float:
+    return float(np.linalg.norm(camera.position - stage.pivot))
 
 
 def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float64) -> tuple[Float64, Origin]:

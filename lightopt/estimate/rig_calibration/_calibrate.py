@@ -1,5 +1,6 @@
 """Calibrate a rig from the image sets of a calibration folder: camera and stage, panels, their light, the sensor."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -10,15 +11,15 @@ from scipy.linalg import block_diag
 
 from lightopt.config import BoardTargetConfig, PlateTargetConfig, RigConfig, TargetsConfig, load_part, load_targets
 from lightopt.core.arrays import Float64
-from lightopt.core.errors import InputError, collected
+from lightopt.core.errors import InputError, collected, refuse
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, read_observations
 from lightopt.estimate.rig_calibration._ball_fit import BallFit, BallView, fit_ball, panel_names
 from lightopt.estimate.rig_calibration._ball_images import measure_ball
 from lightopt.estimate.rig_calibration._board import BoardImage, board_grid, find_corners, read_corners
-from lightopt.estimate.rig_calibration._board_fit import BoardFit, fit_board
-from lightopt.estimate.rig_calibration._deviations import rig_deviations
+from lightopt.estimate.rig_calibration._board_fit import BoardFit, filed_covariance, fit_board
+from lightopt.estimate.rig_calibration._deviations import read_covariance
 from lightopt.estimate.rig_calibration._photon_transfer import FramePair, PhotonTransfer, photon_transfer
 from lightopt.estimate.rig_calibration._plate_fit import PlateFit, PlateView, fit_plate, plate_cells
 from lightopt.images import dark_name, read_image_set, read_png
@@ -32,6 +33,9 @@ CORNERS_NAME = "board.json"
 """Corners of the board that another program found, in place of its image set."""
 # covariance of a panel's parameters where only the rig file has them [mm], [rad], [mm]
 _FILED = np.diag(np.square([3.0, 3.0, 3.0, 0.04, 0.04, 0.04, 0.1, 0.1]))
+PANELS_ONLY = "ball and plate measure panels only"
+MANY_OUTLIERS = 0.2  # share of a view's corners
+POOR_PX = 1.0  # standard error of a predicted pixel from which the postures are too few
 CELL_SHARE = 1 / 40  # side of a plate's cell, of the image's width
 
 
@@ -55,13 +59,15 @@ class RigCalibration:
 
     @property
     def covariance(self) -> tuple[tuple[str, ...], Float64]:
-        """Names of the values of camera, stage and lights that were measured, and their covariance.
+        """Names of the values of camera, stage and lights that were measured, now or earlier, and their covariance.
 
         Of camera and stage [mm, deg, px], as `BoardFit.names` has them; gains; panels [mm, rad], as
         :data:`PANEL_PARAMETERS` has them.
         """
-        names: list[str] = []
-        blocks: list[Float64] = []
+        earlier, covariance = read_covariance(self.rig)
+        kept = [i for i, name in enumerate(earlier) if not self.replaces(name)]
+        names = [earlier[i] for i in kept]
+        blocks = [covariance[np.ix_(kept, kept)]]
         if self.board is not None:
             mine = [i for i, name in enumerate(self.board.names) if not name.startswith("board.")]
             names += [self.board.names[i] for i in mine]
@@ -72,7 +78,17 @@ class RigCalibration:
         elif self.ball is not None:
             names += panel_names(self.ball.lights)
             blocks.append(self.ball.panels_covariance)
-        return tuple(names), np.asarray(block_diag(*blocks), np.float64) if blocks else np.zeros((0, 0))
+        return tuple(names), np.asarray(block_diag(*blocks), np.float64)
+
+    def replaces(self, name: str) -> bool:
+        """Whether a value of an earlier calibration is measured anew, by its name."""
+        if _of_camera([name]):
+            return self.board is not None
+        if name.startswith("camera.sensor."):
+            return self.sensor is not None
+        if self.ball is not None and name in panel_names(self.ball.lights):
+            return True
+        return self.plate is not None and name in self.plate.names
 
 
 def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None) -> RigCalibration:
@@ -92,6 +108,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         sets.add(BOARD)
     if not sets:
         raise InputError(f"{folder}: no image set of a calibration; expected {', '.join(names)}; see --plan")
+    _refuse_incomplete(rig, folder, targets, sets)
     images = _Images(rig, folder, targets, run or RunContext())
     camera, stage, lights = build_camera(rig), build_stage(rig), build_lights(rig)
     sensor = images.sensor() if all(name in sets for name in SENSOR) else None
@@ -101,6 +118,10 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
     if BOARD in sets and targets.board is not None:
         board = images.board(targets.board, camera, stage)
         camera, stage = board.camera, board.stage
+    if PLATE in sets and board is None and not _of_camera(read_covariance(rig)[0]):
+        images.warnings.append(
+            "the plate was fitted to camera and stage as filed, as if they were exact: there is no image set of a board"
+        )
     if BALL in sets and targets.ball is not None:
         ball = fit_ball(
             images.ball(camera, targets.ball.radius_mm),
@@ -110,14 +131,18 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
             radius=targets.ball.radius_mm,
             radius_error=targets.ball.radius_error_mm,
             size_error=targets.panel_size_error_mm,
-            rig_deviations=() if board is None else rig_deviations(camera, stage, board.names, board.covariance),
+            **_rig_errors(rig, board, camera, stage),
         )
         lights = ball.lights
     if PLATE in sets and targets.plate is not None:
-        if ball is None:
+        known = np.asarray(np.kron(np.eye(len(lights)), _FILED), np.float64) if ball is None else ball.panels_covariance
+        names, earlier = read_covariance(rig)
+        if ball is None and set(panel_names(lights)) <= set(names):
+            own = [names.index(name) for name in panel_names(lights)]
+            known = earlier[np.ix_(own, own)]
+        elif ball is None:
             images.warnings.append("the plate was fitted to panels as filed: there is no image set of a ball")
         black = rig.camera.sensor.black_level if sensor is None else sensor.black_level.value
-        known = np.asarray(np.kron(np.eye(len(lights)), _FILED), np.float64) if ball is None else ball.panels_covariance
         plate = fit_plate(images.plate(targets.plate, camera, stage, black), lights=lights, panels_covariance=known)
         images.warnings.extend(plate.warnings)
         lights = plate.lights
@@ -133,6 +158,40 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         lights=lights,
         warnings=tuple(images.warnings),
     )
+
+
+def _refuse_incomplete(rig: RigConfig, folder: Path, targets: TargetsConfig, sets: set[str]) -> None:
+    problems = [
+        f"{folder / TARGETS}: {name}: missing, but there is an image set {name}; describe it, or remove the image set"
+        for name in (BOARD, BALL, PLATE)
+        if name in sets and getattr(targets, name) is None
+    ]
+    if len(missing := set(SENSOR) - sets) == 1:
+        problems.append(f"{folder / missing.pop()}: missing; {' and '.join(SENSOR)} are captured alike")
+    if of_panels := [name for name in (BALL, PLATE) if name in sets]:
+        problems += [
+            f"{rig.source.at('lights', i, 'kind')}: {light.name} is a {light.kind}: {PANELS_ONLY}; remove the "
+            f"image set {' and '.join(of_panels)}"
+            for i, light in enumerate(rig.lights)
+            if light.kind != "panel"
+        ]
+    refuse(problems)
+
+
+def _of_camera(names: Sequence[str]) -> list[int]:
+    # numbers of the values of camera and stage
+    own = ("camera.", "tilt_axis.", "rotary_axis.")
+    return [i for i, name in enumerate(names) if name.startswith(own) and not name.startswith("camera.vignetting")]
+
+
+def _rig_errors(rig: RigConfig, board: BoardFit | None, camera: PinholeCamera, stage: Stage) -> dict[str, Any]:
+    # of the board's images, of an earlier calibration, or of a rig file
+    names, covariance = read_covariance(rig) if board is None else (board.names, board.covariance)
+    own = _of_camera(names)
+    names, covariance = tuple(names[i] for i in own), covariance[np.ix_(own, own)]
+    if not names:
+        names, covariance = filed_covariance(camera, stage)
+    return {"rig_names": names, "rig_covariance": covariance}
 
 
 @dataclass(frozen=True)
@@ -155,7 +214,17 @@ class _Images:
             self.warnings.extend(f"board {text}" for text in problems)
         error = self.targets.reading_error_deg
         fit = fit_board(views, board_grid(target), camera=camera, stage=stage, angle_error_deg=error)
-        self.warnings.extend(f"board {name}: does not fit the other views; look at its image" for name in fit.faulty)
+        for view in fit.residuals:
+            if view.faulty:
+                self.warnings.append(f"board {view.name}: does not fit the other views; look at its image")
+            elif view.outliers > MANY_OUTLIERS * view.corners:
+                left_out = f"{view.outliers} of {view.corners} corners do not fit and are left out"
+                self.warnings.append(f"board {view.name}: {left_out}; look at its image")
+        if not fit.predicted_rms < POOR_PX:
+            self.warnings.append(
+                f"board: pixels are predicted to {fit.predicted_rms:.2g} px only: more postures are needed, with "
+                "other tilts and rotations, as --plan has them"
+            )
         return fit
 
     def ball(self, camera: PinholeCamera, radius: float) -> list[BallView]:
@@ -173,10 +242,12 @@ class _Images:
             longest = list({o.light: o.levels for o in mine}.values())
             ball = partial(measure_ball, radius_px=radius_px, sensor=sensor, outline_images=longest)
             with collected(problems):
-                views.append(ball(shown, posture=posture))
-        if not views:
+                view, of_panels = ball(shown, posture=posture)
+                views.append(view)
+                problems += of_panels
+        if not any(view.panels for view in views):
             raise InputError(*(f"{self.folder / BALL}: {text}" for text in problems))
-        self.warnings.extend(problems)
+        self.warnings.extend(f"ball: {text}; left out" for text in problems)
         return views
 
     def plate(self, target: PlateTargetConfig, camera: PinholeCamera, stage: Stage, black: float) -> list[PlateView]:

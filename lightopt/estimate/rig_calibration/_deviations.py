@@ -30,7 +30,8 @@ def measured(value: float, error: float, *, errors_95: float = NORMAL_95) -> Mea
 def read_covariance(rig: RigConfig) -> tuple[tuple[str, ...], Float64]:
     """Names of the values of a calibrated rig, and their covariance as `RigCalibration.covariance` has it.
 
-    Nothing where the rig file has no calibration.
+    Without those of values that have no interval in the rig file, where there are intervals: they are as measured no
+    more. Nothing where the rig file has no calibration.
     Raises InputError: The file with the covariance cannot be read
     """
     if rig.calibration is None:
@@ -46,7 +47,9 @@ def read_covariance(rig: RigConfig) -> tuple[tuple[str, ...], Float64]:
             f"{rig.source.at('calibration', 'covariance')}: {path} is no covariance ({error}); copy it to the "
             "rig file, or remove 'calibration' from that file to take its values as exact"
         ) from None
-    return names, covariance
+    intervals = rig.calibration.intervals
+    own = [i for i, name in enumerate(names) if name in intervals or not intervals]
+    return tuple(names[i] for i in own), covariance[np.ix_(own, own)]
 
 
 def square_root(covariance: Float64) -> Float64:

@@ -16,13 +16,23 @@ import numpy as np
 from lightopt.config import BoardTargetConfig, RigConfig, copied_text, load_targets, standing_at
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, vector_of_rotation
-from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS
+from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, mirrored_image
+from lightopt.estimate.rig_calibration._ball_images import LEAST_SIDE
 from lightopt.estimate.rig_calibration._board import board_mesh
-from lightopt.estimate.rig_calibration._calibrate import BALL, BOARD, PLATE, RIG_NAME, SENSOR, TARGETS, RigCalibration
+from lightopt.estimate.rig_calibration._calibrate import (
+    BALL,
+    BOARD,
+    PANELS_ONLY,
+    PLATE,
+    RIG_NAME,
+    SENSOR,
+    TARGETS,
+    RigCalibration,
+)
 from lightopt.estimate.rig_calibration._deviations import NORMAL_95, Measured
 from lightopt.geometry import TriangleMesh, box_mesh, sphere_mesh, stl_bytes
 from lightopt.images import make_folder, write_bytes_atomic, write_text_atomic
-from lightopt.lights import PanelLight
+from lightopt.lights import PanelLight, panel_corners
 from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, build_camera, build_lights, build_sensor, build_stage, view_size
@@ -76,13 +86,25 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
         mesh = board_mesh(board, margin=0.5 * board.square_mm)
         postures = _postures(rig, BOARD_TILTS_DEG, BOARD_TURNS)
         parts.append((BOARD, f" --light {lights[0]}", postures, mesh, board.height_mm, white))
-    if targets.ball is not None:
+    panels = all(light.kind == "panel" for light in rig.lights)
+    if not panels and (targets.ball is not None or targets.plate is not None):
+        sentences.append(f"{PANELS_ONLY}, and this rig has other lights: they stay as filed")
+    ball_postures = _postures(rig, BALL_TILTS_DEG, BALL_TURNS)
+    tilted = len({posture.elevation_deg for posture in ball_postures}) > 1
+    if panels and targets.ball is not None and not tilted:
+        sentences.append("no ball: it takes two tilts, and this stage has one: the panels stay as filed")
+    if panels and targets.ball is not None and tilted:
         sentences.append("fix a polished bearing ball near the rotary axis; expose so that no highlight is saturated")
         r = targets.ball.radius_mm
+        if (narrowest := _mirrored_px(rig, r)) < LEAST_SIDE:
+            sentences.append(
+                f"take a larger ball than {r:g} mm in radius, and correct {path}: it mirrors a panel {narrowest:.0f} "
+                f"px wide, of which {LEAST_SIDE:.0f} are needed"
+            )
         # off the rotary axis, which shows where the axis is
         sphere = sphere_mesh(r)
         mesh = replace(sphere, vertices=sphere.vertices + np.array([0.3 * r, 0.2 * r, r]))
-        postures = _postures(rig, BALL_TILTS_DEG, BALL_TURNS)
+        postures = ball_postures
         shine = {"R_d": BODY, "R_s": float(f"{MIRRORED / _plateau(rig, mesh, postures[0]):.4g}"), "sigma_rad": SIGMA}
         parts.append((BALL, "", postures, mesh, 0.0, shine))
     if targets.plate is not None:
@@ -96,6 +118,8 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     for kind, options, postures, mesh, height, reflectance in parts:
         write_bytes_atomic(folder / f"{kind}.stl", stl_bytes(mesh), overwrite=force)
         write_text_atomic(folder / f"{kind}.yaml", _part_text(kind, postures, height, reflectance), overwrite=force)
+        if kind == PLATE and not panels:  # for the sensor alone
+            continue
         target = _quoted(folder / kind)
         commands.append(f"lightopt capture {name} {target}.yaml -o {target}{options} --no-check-lights")
         images += len(postures) * (1 if options else len(lights))
@@ -110,6 +134,15 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
         ]
     commands.append(f"lightopt calibrate {name} {_quoted(folder)}")
     return CalibrationPlan(board=targets.board, targets=tuple(sentences), commands=tuple(commands), images=images)
+
+
+def _mirrored_px(rig: RigConfig, radius: float) -> float:
+    # the shortest side of a panel that a ball on the table mirrors [px]; infinite where it mirrors none
+    camera, lights = build_camera(rig), build_lights(rig)
+    corners = np.array([panel_corners(light) for light in lights])
+    seen = mirrored_image(camera, np.array([0.0, 0.0, radius]), radius, corners)
+    sides = np.linalg.norm(np.roll(seen, 1, axis=1) - seen, axis=2)
+    return float(np.nanmin(sides, initial=np.inf))
 
 
 def _quoted(path: Path) -> str:
@@ -308,6 +341,8 @@ def intervals(found: RigCalibration) -> Iterator[tuple[str, Interval]]:
     if found.sensor is not None:
         for key in ("black_level", "read_noise_levels", "electrons_per_level"):
             yield f"camera.sensor.{key}", getattr(found.sensor, key).interval_95
+    if found.rig.calibration is not None:
+        yield from ((name, ends) for name, ends in found.rig.calibration.intervals.items() if not found.replaces(name))
 
 
 def figures(found: RigCalibration) -> dict[str, Any]:
