@@ -148,6 +148,18 @@ def test_a_rig_that_has_changed_since_is_told(scene, rig):
     assert "from its calibration: it has changed since; find out what by lightopt verify" in warning
 
 
+@pytest.mark.parametrize(("px", "told"), [(0.1, False), (3.0, True)])
+def test_corners_that_are_off_together_are_no_change(scene, shared_bench, tmp_path, px, told):
+    """Thousands of corners know their mean to a hundredth of what a detector puts them off."""
+    names = [f"camera.rotation_{axis}" for axis in "xyz"]
+    np.savez(tmp_path / "rig.npz", names=np.array(names), covariance=np.diag([1e-10] * 3))
+    (tmp_path / "rig.yaml").write_text(f"{shared_bench.rig.read_text()}\ncalibration: {{covariance: rig.npz}}\n")
+    turn = px * scene.camera.pixel_size / scene.camera.image_distance
+    images = images_of(scene, rig_with(scene, camera_turn=[0.0, turn, 0.0]))
+    found = adjusted(load_rig(tmp_path / "rig.yaml"), scene, images, register=False)
+    assert bool(found.warnings) is told
+
+
 def test_lights_that_the_images_lack_stay(scene, rig):
     one = replace(scene, lights=scene.lights[:1])
     found = adjusted(rig, one, images_of(one, np.zeros(parameters_of(one).size)))

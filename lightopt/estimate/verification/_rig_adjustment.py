@@ -27,6 +27,9 @@ BLOCKS, ROWS = 5000, 160_000
 # greatest distance from the calibration, and of ln R_s and ln σ from the part file, in standard deviations: a right
 # calibration exceeds it for a body of six values with a probability of 3e-6
 UNLIKELY_Z = 6.0
+# by which all corners of a calibration's board may be off together, as its covariance does not say: an image may lie
+# aside by as much, or turned so far that its edges do
+COMMON_PX = 0.1
 PART_PRIORS = {"part_shift": 5.0, "part_turn": math.radians(6.0)}  # as far as registration searches [mm], [rad]
 
 
@@ -124,9 +127,17 @@ def adjust_rig(
         run.warn(f"the calibrated rig is not adjusted to the images: {error}")
         return None
     theta = fit.theta - fit.faults
-    greatest = _greatest_z(parameters, deviations, theta)
+    greatest = _greatest_z(parameters, np.concatenate([deviations, _common_errors(scene, parameters)], axis=1), theta)
     theta[parameters.nuisance] = fit.theta[parameters.nuisance]
     return RigAdjustment(parameters, theta, greatest)
+
+
+def _common_errors(scene: Scene, p: Parameters) -> Float64:
+    # of the camera's direction, one standard deviation each, as columns, shape (K, 3)
+    camera, found = scene.camera, np.zeros((p.size, 3))
+    along = COMMON_PX * camera.pixel_size / camera.image_distance
+    found[p.group("camera_turn").where] = np.diag([along, along, COMMON_PX / (0.5 * camera.width)])
+    return found
 
 
 def _greatest_z(parameters: Parameters, deviations: Float64, theta: Float64) -> float:
