@@ -94,7 +94,10 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     if panels and targets.ball is not None and not tilted:
         sentences.append("no ball: it takes two tilts, and this stage has one: the panels stay as filed")
     if panels and targets.ball is not None and tilted:
-        sentences.append("fix a polished bearing ball near the rotary axis; expose so that no highlight is saturated")
+        sentences.append(
+            "fix a polished bearing ball near the rotary axis; expose so that no highlight is saturated: try "
+            "--exposure 1,1/2,1/4,1/8 at one posture, and add the best to its command"
+        )
         r = targets.ball.radius_mm
         if (narrowest := _mirrored_px(rig, r)) < LEAST_SIDE:
             sentences.append(

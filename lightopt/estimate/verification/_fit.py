@@ -439,16 +439,17 @@ def descend(work: Work, images: _Images, good: Fit | None, options: FitOptions, 
         before, theta = theta, _step(model, theta, origin, few)[-1]
         if work.moved_blocks(theta, before) <= STALE_BLOCKS:
             break
-    for step in range(options.most_steps):
+    step = 0
+    while True:
         if report is not None:
             report(step / options.most_steps)
-        moved = work.moved_blocks(theta, at) > STALE_BLOCKS
-        if step == 0 or moved:
-            at = theta if moved else at
+        stale = work.moved_blocks(theta, at) > STALE_BLOCKS
+        at = theta if stale else at
+        if stale or step == 0:
             model = _model(work, images, good, at, options)
-        before = theta
+        before, step = theta, step + 1
         evidence, chosen, faults, covariance, theta = _step(model, before, origin, options)
-        if (np.abs(theta - before)[: len(limits)] / limits).max() < options.settled:
+        if (np.abs(theta - before)[: len(limits)] / limits).max() < options.settled or step == options.most_steps:
             break
     mean, noise = model.predicted(theta)
     black = work.scene.sensor.black_level

@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -349,10 +350,15 @@ class Work:
     def moved_blocks(self, a: Float64, b: Float64) -> float:
         """By how much the images of two rigs differ, at most [block]: of the part, or of what it mirrors."""
         p = self.parameters
-        sizes = {light.name: 0.5 * max(light.size) for light in self.scene.lights}
-        turns = [(g, sizes[g.light]) for g in p.groups if g.kind == "panel_turn"]
-        shifts = [(g, 1.0) for g in p.groups if g.kind == "panel_shift"]
-        most = max(lever * float(np.abs(a - b)[g.where].max()) / PANEL_MM for g, lever in (*shifts, *turns))
+        # [mm] per parameter, across the line of sight; a shift along it changes the size alone
+        levers: dict[str, tuple[Any, Any]] = {}
+        for light in self.scene.lights:
+            half = 0.5 * max(light.size)
+            levers[light.name] = (1.0, 1.0, half / float(np.linalg.norm(light.centre))), half
+        moved = np.abs(a - b)
+        kinds = ("panel_shift", "panel_turn")
+        panels = [moved[g.where] * levers[g.light][kinds.index(g.kind)] for g in p.groups if g.kind in kinds]
+        most = float(np.concatenate(panels).max()) / PANEL_MM
         vertices = self.scene.mesh.vertices
         some = vertices[:: max(1, len(vertices) // 500)]
         for posture in self.scene.postures:
