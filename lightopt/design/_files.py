@@ -122,15 +122,19 @@ def _rig_files(design: DesignResult) -> list[RigFile]:
 
 def _rig_text(rig: RigConfig, places: Sequence[Place], home: Path) -> str:
     values: dict[tuple[str | int, ...], str | None] = {}
+    moved: list[str] = []
     for index, (light, place) in enumerate(zip(rig.lights, places, strict=True)):
+        if place != place_of(light):
+            moved.append(light.name)
         if light.pose is not None:
             if place != place_of(light):
-                values |= _moved_pose(rig, index, place) | _no_longer_measured(rig, light.name)
+                values |= _moved_pose(rig, index, place)
             continue
         ranges = light.elevation_range_deg, light.azimuth_range_deg, light.distance_range_mm
         for (key, value), ends in zip(place_dict(place).items(), ranges, strict=False):
             if ends is not None:
                 values["lights", index, key] = decimal_text(value)
+    values |= _no_longer_measured(rig, moved)
     return _edited(rig, "the rig", "the new places", lambda: copied_text(rig, home, values))
 
 
@@ -142,10 +146,14 @@ def _moved_pose(rig: RigConfig, index: int, place: Place) -> dict[tuple[str | in
     return {("lights", index, "pose", key, i): f"{round(value, 6)}" for key, i, value in values}
 
 
-def _no_longer_measured(rig: RigConfig, light: str) -> dict[tuple[str | int, ...], str | None]:
-    # the place of a light that moves; its gain stays
-    known = () if rig.calibration is None else rig.calibration.intervals
-    lost = [name for name in known if name.startswith(f"{light} ") and name != f"{light} gain"]
+def _no_longer_measured(rig: RigConfig, moved: Sequence[str]) -> dict[tuple[str | int, ...], str | None]:
+    # the places of lights that move; their gains stay. A covariance without intervals is that of all values
+    if rig.calibration is None or not moved:
+        return {}
+    known = rig.calibration.intervals
+    lost = [name for name in known if name.partition(" ")[0] in moved and not name.endswith(" gain")]
+    if len(lost) == len(known):
+        return {("calibration",): None}
     return {("calibration", "intervals", name): None for name in lost}
 
 

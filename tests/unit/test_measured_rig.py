@@ -174,7 +174,7 @@ def test_a_panel_of_a_measured_pose_moves_along_its_direction(tmp_path):
     assert there.distance == pytest.approx(400.0)
 
 
-def test_a_panel_that_moves_is_as_measured_no_more(tmp_path):
+def test_a_panel_that_moves_is_no_longer_as_measured(tmp_path):
     pose = "{centre_mm: [0, 180, 240], rotation_vector_deg: [30, 0, 0]}"
     names = [f"{light} {value}" for light in ("light1", "light2") for value in ("centre x [mm]", "gain")]
     measured = "".join(f'\n    "{name}": [0.9, 1.1]' for name in names)
@@ -189,6 +189,15 @@ def test_a_panel_that_moves_is_as_measured_no_more(tmp_path):
         places[0] = (*places[0][:2], distance)
         (tmp_path / "moved.yaml").write_text(_rig_text(posed, places, tmp_path), encoding="utf-8")
         assert list(load_rig(tmp_path / "moved.yaml").calibration.intervals) == left
+    # a light without a measured pose, and nothing left
+    alone = "\n".join(line for line in posed.source.text.splitlines() if "gain" not in line and "light1 c" not in line)
+    (tmp_path / "alone.yaml").write_text(alone, encoding="utf-8")
+    alone = load_rig(tmp_path / "alone.yaml")
+    assert list(alone.calibration.intervals) == ["light2 centre x [mm]"]
+    places = [place_of(light) for light in alone.lights]
+    places[1] = (places[1][0] - 5.0, *places[1][1:])
+    (tmp_path / "moved.yaml").write_text(_rig_text(alone, places, tmp_path), encoding="utf-8")
+    assert load_rig(tmp_path / "moved.yaml").calibration is None
 
 
 def test_reference_distance(tmp_path):

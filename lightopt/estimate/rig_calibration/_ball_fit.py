@@ -33,6 +33,8 @@ LEAST_RADIUS_ERROR = 1e-4  # [mm]
 UNOBSERVABLE = (10.0, 10.0, 10.0, 0.1, 0.1, 0.1, np.inf, np.inf)  # standard errors from which a parameter is not known
 OUTLIER = 5.0  # rms of an image's corners, in standard deviations of the fit, from which the image is left out
 MOST_OUTLIERS = 0.2  # share of the images
+COARSE_PX = 3.0  # error of outlines to start with
+MOST_EVALUATIONS = 200  # of a fit, without those of derivatives: twenty are enough where images and rig agree
 _BALL = 5  # parameters: centre in the stage frame, radius, offset of the outline
 _EACH = len(PANEL_PARAMETERS)
 
@@ -134,6 +136,7 @@ class BallFit:
     rms: float  # of the residuals, in the standard deviations that the images claim; about 1
     unobservable: tuple[str, ...]  # parameters that these postures do not show
     left_out: tuple[tuple[Posture, str], ...]  # postures and lights whose image fits no panel pose
+    shown: tuple[str, ...]  # names of the lights that some view shows; the others are as they were given
 
     @property
     def panels_covariance(self) -> Float64:
@@ -170,18 +173,20 @@ def fit_ball(
     """
     _check(views, lights)
     rig_root = square_root(np.zeros((0, 0)) if rig_covariance is None else rig_covariance)
-    own = np.concatenate([_ball_start(views, camera, stage, radius), unmoved(lights).ravel()])
-    start = np.concatenate([own, np.zeros(rig_root.shape[1])])
+    of_rig = tuple(rig_names), rig_root
+    ball, deviation = _ball_start(views, camera, stage, radius, of_rig)
+    start = np.concatenate([ball, unmoved(lights).ravel(), deviation])
     prior = np.tile([*[CENTRE_PRIOR] * 3, *[ROTATION_PRIOR] * 3, 0.0, 0.0], (len(lights), 1))
     prior[:, 6:] = [[size_error or SIZE_PRIOR * side for side in light.size] for light in lights]
     ball_prior = [np.inf, np.inf, np.inf, max(radius_error, LEAST_RADIUS_ERROR), EDGE_PRIOR]
     errors = np.concatenate([ball_prior, prior.ravel(), np.ones(rig_root.shape[1])])
-    problem = _Problem(camera, stage, tuple(lights), tuple(views), start, errors, tuple(rig_names), rig_root)
+    nominal = np.concatenate([ball, unmoved(lights).ravel(), np.zeros(len(deviation))])
+    problem = _Problem(camera, stage, tuple(lights), tuple(views), start, nominal, errors, *of_rig)
     problem = replace(problem, images=_ordered(problem))
     left_out: list[tuple[Posture, str]] = []
     most = MOST_OUTLIERS * len(problem.images)
     while True:
-        found = least_squares(problem.residuals, start, method="lm", x_scale="jac")
+        found = least_squares(problem.residuals, start, x_scale="jac", max_nfev=MOST_EVALUATIONS)
         mean_square = 2.0 * float(found.cost) / max(1, len(found.fun) - len(start))
         rms = np.sqrt(np.mean(np.square(problem.corner_residuals(found.x)), axis=1))
         worst = int(np.argmax(rms))
@@ -191,7 +196,8 @@ def fit_ball(
         image = problem.images[worst]
         left_out.append((views[image.view].posture, lights[image.light].name))
         problem = replace(problem, images=(*problem.images[:worst], *problem.images[worst + 1 :]))
-    covariance = np.linalg.inv(found.jac.T @ found.jac)[: len(own), : len(own)] * max(1.0, mean_square)
+    covariance = np.linalg.inv(found.jac.T @ found.jac) * max(1.0, mean_square)
+    covariance = covariance[: len(start) - len(deviation), : len(start) - len(deviation)]
     errors = np.sqrt(np.diag(covariance))[_BALL:]
     return BallFit(
         lights=problem.posed(found.x),
@@ -205,6 +211,7 @@ def fit_ball(
             if error > limit
         ),
         left_out=tuple(left_out),
+        shown=tuple(light.name for light in lights if any(light.name in view.panels for view in views)),
     )
 
 
@@ -224,7 +231,8 @@ class _Problem:
     lights: tuple[PanelLight, ...]
     views: tuple[BallView, ...]
     start: Float64
-    prior: Float64  # standard deviations of the parameters about the start
+    nominal: Float64  # parameters as they are known beforehand, and their standard deviations
+    prior: Float64
     # values of camera and stage that are fitted, and their deviation per unit of the last parameters, shape (G, G)
     rig_names: tuple[str, ...] = ()
     rig_root: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
@@ -247,7 +255,7 @@ class _Problem:
             (outline_distances(camera, _centre(stage, view, x), float(x[3]), view.outline) - x[4]) / view.outline_error
             for view in self.views
         ]
-        return np.concatenate([*outlines, self.corner_residuals(x).ravel(), (x - self.start) / self.prior])
+        return np.concatenate([*outlines, self.corner_residuals(x).ravel(), (x - self.nominal) / self.prior])
 
     def corner_residuals(self, x: Float64) -> Float64:
         # in standard deviations, shape (images, 8)
@@ -300,15 +308,23 @@ def unmoved(lights: Sequence[PanelLight]) -> Float64:
     return np.array([[0.0] * 6 + [*light.size] for light in lights])
 
 
-def _ball_start(views: Sequence[BallView], camera: PinholeCamera, stage: Stage, radius: float) -> Float64:
-    """Ball parameters from the outlines alone, shape (5,)."""
-    ball = _Problem(camera, stage, (), tuple(views), np.zeros(5), np.array([*[np.inf] * 4, EDGE_PRIOR]))
-
-    def residuals(x: Float64) -> Float64:
-        return ball.residuals(np.insert(x, 3, radius))
-
-    found = least_squares(residuals, np.array([0.0, 0.0, radius, 0.0]), method="lm", x_scale="jac")
-    return np.insert(found.x, 3, radius)
+def _ball_start(
+    views: Sequence[BallView],
+    camera: PinholeCamera,
+    stage: Stage,
+    radius: float,
+    of_rig: tuple[tuple[str, ...], Float64],
+) -> tuple[Float64, Float64]:
+    """Ball parameters, shape (5,), and deviations of the rig, shape (D,), from the outlines alone."""
+    count = of_rig[1].shape[1]
+    nominal = np.concatenate([[0.0, 0.0, radius, radius, 0.0], np.zeros(count)])
+    errors = np.concatenate([[np.inf] * 3, [LEAST_RADIUS_ERROR, EDGE_PRIOR], np.ones(count)])
+    # trusted less at first: from far off, exact outlines have other minima
+    x = nominal
+    for some in ([replace(view, outline_error=COARSE_PX) for view in views], views):
+        ball = _Problem(camera, stage, (), tuple(some), nominal, nominal, errors, *of_rig)
+        x = least_squares(ball.residuals, x, x_scale="jac", max_nfev=MOST_EVALUATIONS).x
+    return x[:_BALL], x[_BALL:]
 
 
 def _ordered(problem: _Problem) -> tuple[_Image, ...]:

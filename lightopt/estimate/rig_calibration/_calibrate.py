@@ -35,6 +35,7 @@ CORNERS_NAME = "board.json"
 _FILED = np.diag(np.square([3.0, 3.0, 3.0, 0.04, 0.04, 0.04, 0.1, 0.1]))
 PANELS_ONLY = "ball and plate measure panels only"
 MANY_OUTLIERS = 0.2  # share of a view's corners
+POOR_RMS = 3.0  # of a ball's residuals, from which camera, stage or ball are not what they are taken for
 POOR_PX = 1.0  # standard error of a predicted pixel from which the postures are too few
 CELL_SHARE = 1 / 40  # side of a plate's cell, of the image's width
 
@@ -65,20 +66,34 @@ class RigCalibration:
         :data:`PANEL_PARAMETERS` has them.
         """
         earlier, covariance = read_covariance(self.rig)
-        kept = [i for i, name in enumerate(earlier) if not self.replaces(name)]
+        listed = {} if self.rig.calibration is None else self.rig.calibration.intervals
+        kept = [i for i, name in enumerate(earlier) if name in listed and not self.replaces(name)]
         names = [earlier[i] for i in kept]
         blocks = [covariance[np.ix_(kept, kept)]]
         if self.board is not None:
             mine = [i for i, name in enumerate(self.board.names) if not name.startswith("board.")]
             names += [self.board.names[i] for i in mine]
             blocks.append(self.board.covariance[np.ix_(mine, mine)])
+        own: tuple[Sequence[str], Float64] | None = None
         if self.plate is not None:
-            names += self.plate.names
-            blocks.append(self.plate.covariance)
+            own = self.plate.names, self.plate.covariance
         elif self.ball is not None:
-            names += panel_names(self.ball.lights)
-            blocks.append(self.ball.panels_covariance)
+            own = panel_names(self.ball.lights), self.ball.panels_covariance
+        if own is not None:
+            left_out = set(panel_names([light for light in self.lights if light.name not in self.panels]))
+            mine = [i for i, name in enumerate(own[0]) if name not in left_out]
+            names += [own[0][i] for i in mine]
+            blocks.append(own[1][np.ix_(mine, mine)])
         return tuple(names), np.asarray(block_diag(*blocks), np.float64)
+
+    @property
+    def panels(self) -> tuple[str, ...]:
+        """Names of the lights whose place and size are measured now: by a ball, or anew by a plate."""
+        if self.ball is not None:
+            return self.ball.shown
+        earlier = set(read_covariance(self.rig)[0])
+        known = [light.name for light in self.lights if set(panel_names([light])) <= earlier]
+        return () if self.plate is None else tuple(known)
 
     def replaces(self, name: str) -> bool:
         """Whether a value of an earlier calibration is measured anew, by its name."""
@@ -86,9 +101,11 @@ class RigCalibration:
             return self.board is not None
         if name.startswith("camera.sensor."):
             return self.sensor is not None
-        if self.ball is not None and name in panel_names(self.ball.lights):
-            return True
-        return self.plate is not None and name in self.plate.names
+        if name in panel_names(self.lights):
+            return name in panel_names([light for light in self.lights if light.name in self.panels])
+        if self.plate is None or (name == "emission_exponent" and not self.plate.emission_fitted):
+            return False
+        return name in self.plate.names
 
 
 def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None) -> RigCalibration:
@@ -134,14 +151,13 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
             **_rig_errors(rig, board, camera, stage),
         )
         lights = ball.lights
+        if not ball.rms < POOR_RMS:
+            images.warnings.append(
+                f"ball: outlines and highlights are {ball.rms:.3g} times as far from where they are expected as their "
+                "errors say: check the postures and the ball's radius; capture the board, too"
+            )
     if PLATE in sets and targets.plate is not None:
-        known = np.asarray(np.kron(np.eye(len(lights)), _FILED), np.float64) if ball is None else ball.panels_covariance
-        names, earlier = read_covariance(rig)
-        if ball is None and set(panel_names(lights)) <= set(names):
-            own = [names.index(name) for name in panel_names(lights)]
-            known = earlier[np.ix_(own, own)]
-        elif ball is None:
-            images.warnings.append("the plate was fitted to panels as filed: there is no image set of a ball")
+        known = _panels_as_filed(rig, lights, images.warnings) if ball is None else ball.panels_covariance
         black = rig.camera.sensor.black_level if sensor is None else sensor.black_level.value
         plate = fit_plate(images.plate(targets.plate, camera, stage, black), lights=lights, panels_covariance=known)
         images.warnings.extend(plate.warnings)
@@ -181,7 +197,8 @@ def _refuse_incomplete(rig: RigConfig, folder: Path, targets: TargetsConfig, set
 def _of_camera(names: Sequence[str]) -> list[int]:
     # numbers of the values of camera and stage
     own = ("camera.", "tilt_axis.", "rotary_axis.")
-    return [i for i, name in enumerate(names) if name.startswith(own) and not name.startswith("camera.vignetting")]
+    others = ("camera.vignetting", "camera.sensor")
+    return [i for i, name in enumerate(names) if name.startswith(own) and not name.startswith(others)]
 
 
 def _rig_errors(rig: RigConfig, board: BoardFit | None, camera: PinholeCamera, stage: Stage) -> dict[str, Any]:
@@ -189,9 +206,24 @@ def _rig_errors(rig: RigConfig, board: BoardFit | None, camera: PinholeCamera, s
     names, covariance = read_covariance(rig) if board is None else (board.names, board.covariance)
     own = _of_camera(names)
     names, covariance = tuple(names[i] for i in own), covariance[np.ix_(own, own)]
-    if not names:
-        names, covariance = filed_covariance(camera, stage)
-    return {"rig_names": names, "rig_covariance": covariance}
+    filed, as_filed = filed_covariance(camera, stage)
+    rest = [i for i, name in enumerate(filed) if name not in names]
+    names = (*names, *(filed[i] for i in rest))
+    return {"rig_names": names, "rig_covariance": block_diag(covariance, as_filed[np.ix_(rest, rest)])}
+
+
+def _panels_as_filed(rig: RigConfig, lights: Sequence[PanelLight], warnings: list[str]) -> Float64:
+    # covariance of panels that no ball shows: of an earlier calibration, or of a rig file
+    own = panel_names(lights)
+    known = np.asarray(np.kron(np.eye(len(lights)), _FILED), np.float64)
+    names, earlier = read_covariance(rig)
+    to = [i for i, name in enumerate(own) if name in names]
+    known[to, :] = known[:, to] = 0.0
+    at = [names.index(own[i]) for i in to]
+    known[np.ix_(to, to)] = earlier[np.ix_(at, at)]
+    if len(to) < len(own):
+        warnings.append("the plate was fitted to panels as filed: there is no image set of a ball")
+    return known
 
 
 @dataclass(frozen=True)

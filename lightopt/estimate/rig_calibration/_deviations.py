@@ -30,8 +30,8 @@ def measured(value: float, error: float, *, errors_95: float = NORMAL_95) -> Mea
 def read_covariance(rig: RigConfig) -> tuple[tuple[str, ...], Float64]:
     """Names of the values of a calibrated rig, and their covariance as `RigCalibration.covariance` has it.
 
-    Without those of values that have no interval in the rig file, where there are intervals: they are as measured no
-    more. Nothing where the rig file has no calibration.
+    Without those of values that have no interval in the rig file, where there are intervals: they are no
+    longer as measured. Nothing where the rig file has no calibration.
     Raises InputError: The file with the covariance cannot be read
     """
     if rig.calibration is None:
@@ -75,6 +75,7 @@ def displaced(camera: PinholeCamera, stage: Stage, names: Sequence[str], deviati
     column, row = np.array(camera.axis_px) + of("camera.principal_", "x_px", "y_px")
     point, direction = stage.tilt_axis
     tilt = np.arcsin(direction[2]) + np.radians(of("tilt_axis.", "elevation")[0])
+    azimuth = np.arctan2(direction[1], direction[0])  # 0 in the frame of a calibrated rig
     return replace(
         camera,
         position=camera.position + of("camera.position_", *"xyz"),
@@ -88,7 +89,7 @@ def displaced(camera: PinholeCamera, stage: Stage, names: Sequence[str], deviati
     ), replace(
         stage,
         tilt_point=point + of("tilt_axis.position_", *"xyz"),
-        tilt_direction=np.array([np.cos(tilt), 0.0, np.sin(tilt)]),
+        tilt_direction=np.array([np.cos(tilt) * np.cos(azimuth), np.cos(tilt) * np.sin(azimuth), np.sin(tilt)]),
         tilt_scale=stage.tilt_scale + float(of("tilt_axis.", "scale")[0]),
         rotary_scale=stage.rotary_scale + float(of("rotary_axis.", "scale")[0]),
     )

@@ -101,8 +101,8 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
         r = targets.ball.radius_mm
         if (narrowest := _mirrored_px(rig, r)) < LEAST_SIDE:
             sentences.append(
-                f"take a larger ball than {r:g} mm in radius, and correct {path}: it mirrors a panel {narrowest:.0f} "
-                f"px wide, of which {LEAST_SIDE:.0f} are needed"
+                f"take a ball of at least {math.ceil(r * LEAST_SIDE / narrowest)} mm in radius, and correct {path}: "
+                f"one of {r:g} mm mirrors a panel {narrowest:.0f} px wide, and {LEAST_SIDE:.0f} are needed"
             )
         # off the rotary axis, which shows where the axis is
         sphere = sphere_mesh(r)
@@ -244,7 +244,7 @@ def calibrated_rig_text(found: RigCalibration) -> str:
     if found.board is not None:
         values |= _camera_values(found) | _stage_values(found)
     for index, light in enumerate(found.lights):
-        if found.ball is not None:
+        if light.name in found.panels:
             values |= _pose_values(rig, index, light)
         if found.plate is not None:
             values |= _light_values(found, index, light)
@@ -331,6 +331,8 @@ def intervals(found: RigCalibration) -> Iterator[tuple[str, Interval]]:
     if found.ball is not None or found.plate is not None:
         half = dict(zip(names, NORMAL_95 * np.sqrt(np.diag(covariance)), strict=True))
         for light in found.lights:
+            if light.name not in found.panels:
+                continue
             for name, value in zip(PANEL_PARAMETERS, [*light.centre, 0.0, 0.0, 0.0, *light.size], strict=True):
                 width = float(half[f"{light.name} {name}"])
                 yield f"{light.name} {name}", (float(value) - width, float(value) + width)

@@ -434,7 +434,7 @@ def descend(work: Work, images: _Images, good: Fit | None, options: FitOptions, 
     report = work.run.stage("comparing with the prediction")
     few = replace(options, blocks=options.blocks // FEW, rows=options.rows // FEW)
     at, theta = start, start
-    model = _model(work, images, good, at, few)
+    model = _model(work, images, good, at, few if options.few_steps else options)
     for _ in range(options.few_steps):
         before, theta = theta, _step(model, theta, origin, few)[-1]
         if work.moved_blocks(theta, before) <= STALE_BLOCKS:
@@ -445,7 +445,7 @@ def descend(work: Work, images: _Images, good: Fit | None, options: FitOptions, 
             report(step / options.most_steps)
         stale = work.moved_blocks(theta, at) > STALE_BLOCKS
         at = theta if stale else at
-        if stale or step == 0:
+        if stale or (step == 0 and options.few_steps):
             model = _model(work, images, good, at, options)
         before, step = theta, step + 1
         evidence, chosen, faults, covariance, theta = _step(model, before, origin, options)

@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -350,15 +349,15 @@ class Work:
     def moved_blocks(self, a: Float64, b: Float64) -> float:
         """By how much the images of two rigs differ, at most [block]: of the part, or of what it mirrors."""
         p = self.parameters
-        # [mm] per parameter, across the line of sight; a shift along it changes the size alone
-        levers: dict[str, tuple[Any, Any]] = {}
+        # [mm] per parameter; a shift along the line of sight changes the size alone, and the level with the fall-off
+        levers: dict[tuple[str, str], Float64] = {}
         for light in self.scene.lights:
             half = 0.5 * max(light.size)
-            levers[light.name] = (1.0, 1.0, half / float(np.linalg.norm(light.centre))), half
-        moved = np.abs(a - b)
-        kinds = ("panel_shift", "panel_turn")
-        panels = [moved[g.where] * levers[g.light][kinds.index(g.kind)] for g in p.groups if g.kind in kinds]
-        most = float(np.concatenate(panels).max()) / PANEL_MM
+            along = 1.0 if light.inverse_square else min(1.0, half / float(np.linalg.norm(light.centre)))
+            levers["panel_shift", light.name] = np.array([1.0, 1.0, along])
+            levers["panel_turn", light.name] = np.array([half, half])
+        groups = ((p.group(*key), lever) for key, lever in levers.items())
+        most = max(float(np.max(np.abs(a - b)[g.where] * lever)) for g, lever in groups) / PANEL_MM
         vertices = self.scene.mesh.vertices
         some = vertices[:: max(1, len(vertices) // 500)]
         for posture in self.scene.postures:

@@ -143,7 +143,7 @@ def verify_observations(
     # rendered before threads need them
     found = fit.predictions
     if good is not None:
-        work.predict(good.theta)
+        _ = good.predictions
     numbers, threads = range(len(images)), work.run.threads
     before = in_threads(lambda number: compare(number, plain, predictions), numbers, threads)
     after = in_threads(lambda number: compare(number, theta, found), numbers, threads)
