@@ -57,6 +57,19 @@ def test_sensor_is_found(sensor):
     assert inside.mean() > 0.7
 
 
+def test_a_target_that_does_not_fill_the_view():
+    """Around it, noise is clipped at level 0, which few levels show at the shortest exposures."""
+    shape = (300, 400)
+    level = 0.65 * flat(shape)
+    level[:, :40] = level[270:] = 0.0
+    exposures = [1.0, 1 / 2, 1 / 3, 1 / 4, 1 / 6, 1 / 8, 1 / 12, 1 / 16, 1 / 24]
+    rng = np.random.default_rng(5)
+    found = photon_transfer(*frames(EIGHT_BITS, rng, shape=shape, exposures=exposures, level=level), bit_depth=8)
+    assert found.electrons_per_level.value == pytest.approx(60.0, rel=0.015)
+    low, high = found.electrons_per_level.interval_95
+    assert low < 60.0 < high
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS.keys())
 def test_intervals_cover_as_often_as_they_say(sensor):

@@ -35,7 +35,8 @@ CORNERS_NAME = "board.json"
 _FILED = np.diag(np.square([3.0, 3.0, 3.0, 0.04, 0.04, 0.04, 0.1, 0.1]))
 PANELS_ONLY = "ball and plate measure panels only"
 MANY_OUTLIERS = 0.2  # share of a view's corners
-POOR_RMS = 3.0  # of a ball's residuals, from which camera, stage or ball are not what they are taken for
+# of residuals, from which camera, stage or target may not be, and are not, what they are taken for
+POOR_RMS, WRONG_RMS = 3.0, 20.0
 POOR_PX = 1.0  # standard error of a predicted pixel from which the postures are too few
 CELL_SHARE = 1 / 40  # side of a plate's cell, of the image's width
 
@@ -151,16 +152,13 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
             **_rig_errors(rig, board, camera, stage),
         )
         lights = ball.lights
-        if not ball.rms < POOR_RMS:
-            images.warnings.append(
-                f"ball: outlines and highlights are {ball.rms:.3g} times as far from where they are expected as their "
-                "errors say: check the postures and the ball's radius; capture the board, too"
-            )
+        images.check(BALL, ball.rms, "outlines and highlights", "check the postures and the ball's radius")
     if PLATE in sets and targets.plate is not None:
         known = _panels_as_filed(rig, lights, images.warnings) if ball is None else ball.panels_covariance
         black = rig.camera.sensor.black_level if sensor is None else sensor.black_level.value
         plate = fit_plate(images.plate(targets.plate, camera, stage, black), lights=lights, panels_covariance=known)
         images.warnings.extend(plate.warnings)
+        images.check(PLATE, plate.rms, "levels", "check size, height and place of the plate, and postures")
         lights = plate.lights
     return RigCalibration(
         rig=rig,
@@ -315,6 +313,19 @@ class _Images:
                     frames = read_png(first.folder / a), read_png(second.folder / b)
                     kind.append(FramePair(first=frames[0], second=frames[1], exposure=entry.exposure))
         return photon_transfer(pairs, darks, bit_depth=self.rig.camera.sensor.bit_depth)
+
+    def check(self, name: str, rms: float, what: str, remedy: str) -> None:
+        # of residuals in the errors that are claimed
+        text = (
+            f"{self.folder / name}: {what} are {rms:.3g} times as far from what the fit explains as their errors say: "
+        )
+        text += remedy
+        if not (self.folder / BOARD).is_dir() and not (self.folder / CORNERS_NAME).is_file():
+            text += ", and capture the board, too: the camera may not be where the rig file has it"
+        if not rms < WRONG_RMS:
+            raise InputError(text)
+        if not rms < POOR_RMS:
+            self.warnings.append(text)
 
     def _by_posture(self, name: str) -> dict[Posture, list[Observation]]:
         images, part = read_image_set(self.folder / name), load_part(self.folder / f"{name}.yaml")

@@ -26,6 +26,7 @@ ROUNDING_VARIANCE = 1.0 / 12.0  # [sensor level²]
 PAIR_DIFFERENCE = 0.03  # share of the signal by which the mean levels of a pair may differ
 PATTERN_SHARE, PATTERN_SPREADS = 0.003, 3.0  # those of its blocks, beyond a common factor: of the signal, of the noise
 LEAST_ABOVE_ONE = 1e-4  # share of pixels above level 1 that tells the noise of frames that are mostly at level 0
+TARGET_SHARE, BLOCK_SHARE = 0.3, 0.25  # of the level of the target's brightest pixels; of the pixels of a block
 SATURATED_SHARE = 1e-3  # a pair with more pixels than this at saturation is not fitted
 PILE = 0.01  # share of the pixels of a saturated frame at its highest level
 COLLAPSED = 0.5  # share of the expected variance below which a frame is saturated
@@ -63,7 +64,10 @@ def photon_transfer(pairs: Sequence[FramePair], darks: Sequence[FramePair], *, b
     top = (1 << bit_depth) - 1
     pairs = sorted(pairs, key=lambda pair: pair.exposure)
     _check_frames(pairs, darks, top)
-    lit, dark = _sums(pairs), _sums(darks)
+    # dark surroundings have another noise where it is clipped at level 0
+    brightest = 0.5 * (pairs[-1].first.astype(np.float64) + pairs[-1].second)
+    target = brightest >= TARGET_SHARE * np.percentile(brightest, 90.0)
+    lit, dark = _sums(pairs, target), _sums(darks, target)
     _check_pairs(pairs, lit, float(np.mean(_moments(dark)[0])))
     exposures = np.array([pair.exposure for pair in pairs])
     nearest = [int(np.argmin([abs(d.exposure - exposure) for d in darks])) for exposure in exposures]
@@ -135,16 +139,18 @@ class _Estimate(NamedTuple):
     gain: float
 
 
-def _sums(pairs: Sequence[FramePair]) -> Float64:
-    # per pair and block: pixels, Σ(a + b)/2, Σ(a − b), Σ(a − b)²; shape (k, BLOCKS², 4)
+def _sums(pairs: Sequence[FramePair], target: Bool) -> Float64:
+    # per pair and block: pixels of the target, Σ(a + b)/2, Σ(a − b), Σ(a − b)²; shape (k, blocks, 4). Blocks that show
+    # little of the target are left out
     rows, columns = (side // BLOCKS for side in pairs[0].first.shape)
     found: list[Float64] = []
     for pair in pairs:
         a, b = pair.first.astype(np.float64), pair.second.astype(np.float64)
-        terms = np.stack([np.ones_like(a), 0.5 * (a + b), a - b, np.square(a - b)])
+        terms = target * np.stack([np.ones_like(a), 0.5 * (a + b), a - b, np.square(a - b)])
         blocks = terms[:, : rows * BLOCKS, : columns * BLOCKS].reshape(4, BLOCKS, rows, BLOCKS, columns)
         found.append(blocks.sum(axis=(2, 4)).reshape(4, -1).T)
-    return np.array(found)
+    sums = np.array(found)
+    return sums[:, sums[0, :, 0] >= BLOCK_SHARE * rows * columns]
 
 
 def _moments(sums: Float64) -> tuple[Float64, Float64]:

@@ -29,6 +29,7 @@ LAMBERT_PRIOR = 0.03  # of κ, for a plate that reflects as cosθ to the power 1
 EXPONENT_DECIDED = 0.33  # standard error of n from which the rig file's is kept: it does not tell 0 from 1
 HELD = 1e-6  # standard error of an n that is not fitted
 FALL_OFF_DECIDED = 9.0  # difference of χ² that decides between fall-off and none: three standard deviations
+MOST_EVALUATIONS = 100  # of a fit: ten are enough where levels and rig agree
 _EACH = len(PANEL_PARAMETERS)
 _COMMON = 4  # n, κ and two coefficients of vignetting
 _STEP = np.array([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3, 0.1, 0.1])
@@ -247,7 +248,7 @@ class _Problem:
         def slopes(x: Float64) -> Float64:
             return np.concatenate([self._predicted(x)[1] / self._error[:, None], known])
 
-        how: dict[str, Any] = {"jac": slopes, "method": "lm", "x_scale": "jac"}
+        how: dict[str, Any] = {"jac": slopes, "method": "lm", "x_scale": "jac", "max_nfev": MOST_EVALUATIONS}
         found = least_squares(residuals, start, **how)
         if again:  # what a move does depends on n
             self._linearise(found.x[0])
