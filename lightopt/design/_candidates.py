@@ -25,6 +25,7 @@ PLACE_KEYS = ("elevation_deg", "azimuth_deg", "distance_mm")  # of these in a ri
 Reason = tuple[str, str, float | None]  # text, kind and amount of an `ExcludedPosition`
 ROUNDING_MM = 1e-6  # a rim that stands on the table may be that far below it
 MOST_POSITIONS = 100_000  # candidate positions of a light; more are refused
+NEAR = 0.02  # share of a step that a light need not be moved by
 
 
 def can_move(light: LightConfig) -> bool:
@@ -50,28 +51,40 @@ def light_places(
     """Candidate places of a light, ascending by elevation, then azimuth, then distance.
 
     Both ends of a range are candidates, and from the lower one on every `step_deg`, or every step of the light's
-    distances. A light without a range stays there. `elevations` replaces those of the light's range, for lights that
-    share their elevation.
+    distances. A light without a range stays there. Where a light was measured, its place is a candidate in place of one
+    that is nearer than it can be set. `elevations` replaces those of the light's range, for lights that share their
+    elevation.
     """
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"option 'step_deg': expected degrees above 0, found {step_deg:g}")
     light = rig.lights[index]
+    shared = elevations is not None
     if elevations is None or light.elevation_range_deg is None:
         elevations = _steps(light.elevation_range_deg, light.elevation_deg, step_deg)
     azimuths = _steps(light.azimuth_range_deg, light.azimuth_deg, step_deg)
     if len(azimuths) > 1 and math.isclose(azimuths[-1] - azimuths[0], 360.0):
         azimuths.pop()  # the full turn ends where it begins
     ranges: list[Sequence[float]] = [elevations, azimuths]
+    steps = [step_deg, step_deg]
     if light.distance_range_mm is not None:
         low, high = light.distance_range_mm
         step = light.distance_step_mm or 0.25 * (high - low) or 1.0
         ranges.append(_steps(light.distance_range_mm, light.distance_mm, step))
+        steps.append(step)
     if math.prod(map(len, ranges)) > MOST_POSITIONS:
         raise InputError(
             f"{rig.source.at('lights', index)}: light {light.name} has more than {MOST_POSITIONS:,} positions; raise "
             f"option 'step_deg' {step_deg:g} or distance_step_mm"
         )
-    return list(itertools.product(*ranges))
+    places = list(itertools.product(*ranges))
+    if shared or light.pose is None:
+        return places
+    here = place_of(light)
+
+    def is_near(place: Place) -> bool:
+        return all(abs(a - b) <= NEAR * step for a, b, step in zip(place, here, steps, strict=True))
+
+    return list(dict.fromkeys(here if is_near(place) else place for place in places))
 
 
 def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from lightopt.config import load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_z, vector_of_rotation
-from lightopt.design._candidates import panels_of, place_of
+from lightopt.design._candidates import light_places, panels_of, place_of
 from lightopt.design._files import _rig_text
 from lightopt.lights import panel_corners
 from lightopt.scene import Stage, build_camera, build_lights, build_stage, pixel_directions, place_camera, project
@@ -172,6 +172,16 @@ def test_a_panel_of_a_measured_pose_moves_along_its_direction(tmp_path):
     np.testing.assert_allclose(there.centre, [0, 240, 320], atol=1e-9)
     assert (there.across == here.across).all()
     assert there.distance == pytest.approx(400.0)
+
+
+def test_a_measured_place_stands_for_one_that_is_hardly_another(tmp_path):
+    pose = "{centre_mm: [0, 164.9, 285.8], rotation_vector_deg: [30, 0, 0]}"  # 60.015°
+    posed = rig(tmp_path, (LIGHT, f"{{name: light1, pose: {pose}, elevation_range_deg: [30, 60.02]}}"))
+    here = place_of(posed.lights[0])
+    assert 60.0 < here[0] < 60.02
+    found = light_places(posed, 0, step_deg=5.0)
+    assert [elevation for elevation, _ in found] == [30.0, 35.0, 40.0, 45.0, 50.0, 55.0, here[0]]
+    assert found[-1] == here
 
 
 def test_a_panel_that_moves_is_no_longer_as_measured(tmp_path):
