@@ -91,6 +91,15 @@ def test_two_faults_at_once(scene):
     assert alarms(verified(scene, images_of(scene, theta))) == {("gain", "light3"), ("part_shift", "")}
 
 
+def test_a_camera_that_has_turned_far(scene):
+    """Twelve blocks off, where no step from the rig file points to it."""
+    turn = 12.0 * scene.camera.pixel_size / scene.camera.image_distance
+    result = verified(scene, images_of(scene, rig_with(scene, camera_turn=[0.0, turn, 0.0])))
+    assert {kind.partition("_")[0] for kind, _ in alarms(result)} == {"camera"}
+    assert result.findings[0].kind == "camera_turn"
+    assert result.findings[0].size == pytest.approx(math.degrees(turn), rel=0.05)
+
+
 def test_exchanged_lights(scene, images):
     other = {"light1": "light3", "light3": "light1"}
     swapped = {(posture, light): images[posture, other[light]] for posture, light in images}

@@ -267,6 +267,7 @@ HUBER, ROUNDS = 1.5, 5
 SAME_SHARE, SAME_EVIDENCE = 0.05, 10.0
 STALE_BLOCKS = 0.5  # blocks are chosen anew, and images rendered, where the part's image has moved by more than this
 FEW = 4  # the rig is approached with this fraction of the blocks
+AS_WELL = 1.02  # times the residual of another fit
 LEAST_ROWS = 300  # fewer blocks of all images determine nothing
 # an excess residual of more than this share of the level is not explained: the part may lie elsewhere
 UNEXPLAINED_SHARE = 0.15
@@ -411,12 +412,14 @@ def fit_faults(
         options = replace(options, deviations=options.deviations[:, :0])
     fit_from = partial(descend, work, images, good, options, origin)
     fit = fit_from(origin)
-    far = work.moved_blocks(fit.theta, origin) > FAR_BLOCKS and fit.left.residual > FAR_RESIDUAL * fit.left.noise
-    if register and (far or fit.left.share > UNEXPLAINED_SHARE):
+    far = work.moved_blocks(fit.theta, origin) > FAR_BLOCKS
+    if register and ((far and fit.left.residual > FAR_RESIDUAL * fit.left.noise) or fit.left.share > UNEXPLAINED_SHARE):
         found = registration.register(work.scene, observations, caster=work.caster, reduced=True, run=work.run)
         start = work.parameters.at_placement(work.scene, found.placement)
-        other = replace(fit_from(start), registered=True)
-        fit = min(fit, other, key=lambda one: one.left.residual)
+        fit = _simplest(fit, replace(fit_from(start), registered=True))
+    if far and sum(group.kind.startswith(("part", "camera")) for group in fit.chosen) > 1:
+        # from far off, several motions may take the place of a camera that has turned
+        fit = _simplest(fit, fit_from(work.parameters.camera_instead(work.scene, fit.theta)))
     if (evaluable := int(np.count_nonzero(fit.evidence.weight))) < LEAST_ROWS:
         raise InputError(f"{where}: {evaluable} places are neither saturated nor at an edge, expected {LEAST_ROWS}")
     if fit.left.mismatch:
@@ -426,6 +429,12 @@ def fit_faults(
             f"{fit.left.level:.3g}; check that rig, part and postures are those of the images"
         )
     return fit
+
+
+def _simplest(*fits: Fit) -> Fit:
+    # that with the fewest faults of those that explain the images about as well as the best
+    least = min(fit.left.residual for fit in fits)
+    return min((fit for fit in fits if fit.left.residual <= AS_WELL * least), key=lambda fit: len(fit.chosen))
 
 
 def descend(work: Work, images: _Images, good: Fit | None, options: FitOptions, origin: Float64, start: Float64) -> Fit:

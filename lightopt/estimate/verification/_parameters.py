@@ -136,6 +136,24 @@ class Parameters:
         theta[self.group("part_turn").where] = (0.0, 0.0, placement.turn)
         return theta
 
+    def camera_instead(self, scene: Scene, theta: Float64) -> Float64:
+        """The parameters of a rig whose camera has turned so that it sees a part that has moved about as well."""
+        group, found = self.group("camera_turn"), np.zeros(self.size)
+        points = _some_vertices(scene)
+        target = self.seen(scene, points, theta)
+        for _ in range(3):
+            now = self.seen(scene, points, found)
+            steps = group.step * np.eye(self.size)[group.where]
+            slopes = np.array([self.seen(scene, points, found + step) - now for step in steps]).T / group.step
+            known = np.isfinite(now) & np.isfinite(target)
+            found[group.where] += np.linalg.lstsq(slopes[known], (target - now)[known], rcond=None)[0]
+        return found
+
+    def seen(self, scene: Scene, points: Float64, theta: Float64) -> Float64:
+        """Where some points of the part lie in the images of all postures [px], of shape (2 · postures · n,)."""
+        cameras = [self.view(scene, posture, theta).camera for posture in scene.postures]
+        return np.concatenate([np.ravel(project(camera, points)[:2]) for camera in cameras])
+
     def values(self, theta: Float64, kind: str, light: str = "") -> Float64:
         """Those of a group, shape (1,) to (3,)."""
         return theta[self.group(kind, light).where]
@@ -212,20 +230,23 @@ def calibrated_deviations(rig: RigConfig, scene: Scene, p: Parameters) -> Float6
     return np.concatenate(columns, axis=1) if names else np.zeros((p.size, 0))
 
 
+def _some_vertices(scene: Scene) -> Float64:
+    return scene.mesh.vertices[:: max(1, len(scene.mesh.vertices) // 200)]
+
+
 def _as_camera(scene: Scene, p: Parameters, rigs: list[tuple[PinholeCamera, Stage]]) -> Float64:
     # The shift and turn of the camera that move the part's image as each rig does, shape (K, rigs). Lens and axes have
     # no faults of their own, and over a part they act as a camera that has moved.
     rows = [*range(p.size)[p.group("camera_shift").where], *range(p.size)[p.group("camera_turn").where]]
-    points = scene.mesh.vertices[:: max(1, len(scene.mesh.vertices) // 200)]
-
-    def image(world: Scene, theta: Float64) -> Float64:
-        cameras = [p.view(world, posture, theta).camera for posture in scene.postures]
-        return np.concatenate([np.ravel(project(camera, points)[:2]) for camera in cameras])
-
-    still, unit = image(scene, np.zeros(p.size)), np.array([g.step for g in p.groups if g.kind.startswith("camera")])
+    points = _some_vertices(scene)
+    image = partial(p.seen, points=points)
+    still = image(scene, theta=np.zeros(p.size))
+    unit = np.array([g.step for g in p.groups if g.kind.startswith("camera")])
     unit = np.repeat(unit, 3)
-    moves = np.array([image(scene, step * np.eye(p.size)[row]) - still for row, step in zip(rows, unit, strict=True)])
-    changes = [image(replace(scene, camera=camera, stage=stage), np.zeros(p.size)) - still for camera, stage in rigs]
+    steps = [step * np.eye(p.size)[row] for row, step in zip(rows, unit, strict=True)]
+    moves = np.array([image(scene, theta=step) - still for step in steps])
+    worlds = [replace(scene, camera=camera, stage=stage) for camera, stage in rigs]
+    changes = [image(world, theta=np.zeros(p.size)) - still for world in worlds]
     found = np.zeros((p.size, len(rigs)))
     if rigs:
         seen = np.isfinite(still)
