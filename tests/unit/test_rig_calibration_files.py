@@ -208,6 +208,7 @@ def test_the_plan_leaves_out_what_a_rig_cannot_measure(cli, rig, tmp_path):
     assert "ball and plate measure panels only" in done.out
     assert " -o " + (tmp_path / "ring" / "board").as_posix() in done.out
     assert " -o " + (tmp_path / "ring" / "plate").as_posix() + " " not in done.out
+    assert done.out.count("--seed 2") == 1  # its camera is simulated, and has the same noise each time
     # images of these sets are refused, too
     (tmp_path / "ring" / "ball").mkdir()
     with pytest.raises(InputError, match=r"ring-quadrants.yaml:\d+: .* is a ring: ball and plate measure panels only"):

@@ -129,7 +129,9 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     if targets.plate is not None:
         levels = ",".join(f"1/{round(1 / exposure)}" if exposure < 1.0 else "1" for exposure in SENSOR_EXPOSURES)
         own = 1 if rig.virtual_bench is None else rig.virtual_bench.seed
-        seeds = ("", f" --seed {own + 1}") if rig.hardware is None else ("", "")  # another noise
+        devices = () if rig.hardware is None else (rig.hardware.camera.driver, rig.hardware.camera.port)
+        simulated = not devices or "virtual" in devices
+        seeds = ("", f" --seed {own + 1}") if simulated else ("", "")  # another noise
         commands += [
             f"lightopt capture {name} {_quoted(folder / PLATE)}.yaml -o {_quoted(folder / kind)} --posture 0,0 "
             f"--light {lights[0]} --exposure {levels} --dark{seed}"
