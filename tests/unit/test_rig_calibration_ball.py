@@ -165,11 +165,19 @@ def test_one_tilt_is_refused():
 def test_errors_of_camera_and_stage_widen_the_intervals():
     _, _, alone = fitted(2)
     names, covariance = filed_covariance(CAMERA, STAGE)
-    _, _, open_rig = fitted(2, rig_names=names, rig_covariance=covariance)
+    _, _, open_rig = fitted(2, rig_names=names, rig_covariance=covariance, fit_rig=True)
     assert np.all(open_rig.half_widths_95 >= alone.half_widths_95 - 1e-9)
     assert open_rig.half_widths_95[:, :3].max() > 2.0 * alone.half_widths_95[:, :3].max()
-    _, _, known = fitted(2, rig_names=names, rig_covariance=1e-12 * covariance)
+    _, _, known = fitted(2, rig_names=names, rig_covariance=1e-12 * covariance, fit_rig=True)
     assert known.half_widths_95 == pytest.approx(alone.half_widths_95, rel=2e-3)
+    # of a measured rig that stays, what the fit makes of another camera is what is added
+    longer = np.array([[(0.001 * CAMERA.image_distance / CAMERA.pixel_size) ** 2]])
+    _, _, measured_rig = fitted(2, rig_names=["camera.focal_px"], rig_covariance=longer)
+    _, _, other = fitted(2, camera=replace(CAMERA, image_distance=CAMERA.image_distance * 1.001))
+    assert np.array_equal(measured_rig.lights[0].centre, alone.lights[0].centre)
+    shift = other.lights[0].centre - alone.lights[0].centre
+    added = measured_rig.panels_covariance[:3, :3] - alone.panels_covariance[:3, :3]
+    assert np.allclose(added, np.outer(shift, shift), atol=0.1 * float(shift @ shift))
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(1, 30))])
@@ -179,7 +187,8 @@ def test_panels_are_found_with_a_camera_and_a_stage_as_filed(seed):
     names, covariance = filed_covariance(CAMERA, STAGE)
     off = rng.normal(size=len(names)) * np.sqrt(np.diag(covariance))
     camera, stage = displaced(CAMERA, STAGE, names, off)
-    panels, _, fit = fitted(seed, camera=camera, stage=stage, rig_names=names, rig_covariance=covariance)
+    of_rig = {"rig_names": names, "rig_covariance": covariance, "fit_rig": True}
+    panels, _, fit = fitted(seed, camera=camera, stage=stage, **of_rig)
     assert fit.rms < 1.2
     for panel, found, half in zip(panels, fit.lights, fit.half_widths_95, strict=True):
         # four standard errors

@@ -160,6 +160,7 @@ def fit_ball(
     size_error: float | None = None,
     rig_names: Sequence[str] = (),
     rig_covariance: Float64 | None = None,
+    fit_rig: bool = False,
 ) -> BallFit:
     """Fit the ball's centre in the stage frame, and pose and size of each panel.
 
@@ -168,18 +169,19 @@ def fit_ball(
     radius, radius_error: Of the ball, and its standard deviation [mm]
     size_error: Standard deviation of the lights' given sizes [mm]; None where they are unknown
     rig_names, rig_covariance: Values of camera and stage that are not exact, as `BoardFit.names` has them, and their
-        covariance: they are fitted, too, from where they are given; none without
+        covariance, which widens that of the panels
+    fit_rig: Whether these values are fitted, too, from where they are given; else they stay
     Raises InputError: Where views do not show what is to be fitted
     """
     _check(views, lights)
     rig_root = square_root(np.zeros((0, 0)) if rig_covariance is None else rig_covariance)
-    of_rig = tuple(rig_names), rig_root
+    of_rig = (tuple(rig_names), rig_root) if fit_rig else ((), np.zeros((0, 0)))
     ball, deviation = _ball_start(views, camera, stage, radius, of_rig)
     start = np.concatenate([ball, unmoved(lights).ravel(), deviation])
     prior = np.tile([*[CENTRE_PRIOR] * 3, *[ROTATION_PRIOR] * 3, 0.0, 0.0], (len(lights), 1))
     prior[:, 6:] = [[size_error or SIZE_PRIOR * side for side in light.size] for light in lights]
     ball_prior = [np.inf, np.inf, np.inf, max(radius_error, LEAST_RADIUS_ERROR), EDGE_PRIOR]
-    errors = np.concatenate([ball_prior, prior.ravel(), np.ones(rig_root.shape[1])])
+    errors = np.concatenate([ball_prior, prior.ravel(), np.ones(len(deviation))])
     nominal = np.concatenate([ball, unmoved(lights).ravel(), np.zeros(len(deviation))])
     problem = _Problem(camera, stage, tuple(lights), tuple(views), start, nominal, errors, *of_rig)
     problem = replace(problem, images=_ordered(problem))
@@ -198,6 +200,12 @@ def fit_ball(
         problem = replace(problem, images=(*problem.images[:worst], *problem.images[worst + 1 :]))
     covariance = np.linalg.inv(found.jac.T @ found.jac) * max(1.0, mean_square)
     covariance = covariance[: len(start) - len(deviation), : len(start) - len(deviation)]
+    for column in rig_root.T if not fit_rig else ():
+        # what another rig would have changed
+        other_camera, other_stage = displaced(camera, stage, rig_names, column)
+        change = replace(problem, camera=other_camera, stage=other_stage).residuals(found.x) - found.fun
+        shift = np.linalg.solve(found.jac.T @ found.jac, found.jac.T @ change)
+        covariance += np.outer(shift, shift)
     errors = np.sqrt(np.diag(covariance))[_BALL:]
     return BallFit(
         lights=problem.posed(found.x),

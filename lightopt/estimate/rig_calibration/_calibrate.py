@@ -207,7 +207,9 @@ def _rig_errors(rig: RigConfig, board: BoardFit | None, camera: PinholeCamera, s
     filed, as_filed = filed_covariance(camera, stage)
     rest = [i for i, name in enumerate(filed) if name not in names]
     names = (*names, *(filed[i] for i in rest))
-    return {"rig_names": names, "rig_covariance": block_diag(covariance, as_filed[np.ix_(rest, rest)])}
+    # the panels are those of the camera that was measured, where it was
+    whole = block_diag(covariance, as_filed[np.ix_(rest, rest)])
+    return {"rig_names": names, "rig_covariance": whole, "fit_rig": bool(rest)}
 
 
 def _panels_as_filed(rig: RigConfig, lights: Sequence[PanelLight], warnings: list[str]) -> Float64:
