@@ -417,7 +417,8 @@ def fit_faults(
         found = registration.register(work.scene, observations, caster=work.caster, reduced=True, run=work.run)
         start = work.parameters.at_placement(work.scene, found.placement)
         fit = _simplest(fit, replace(fit_from(start), registered=True))
-    if far and sum(group.kind.startswith(("part", "camera")) for group in fit.chosen) > 1:
+    motions = [group for group in fit.chosen if group.kind.startswith(("part", "camera"))]
+    if far and len(motions) > 1 and options.groups is None:
         # from far off, several motions may take the place of a camera that has turned
         fit = _simplest(fit, fit_from(work.parameters.camera_instead(work.scene, fit.theta)))
     if (evaluable := int(np.count_nonzero(fit.evidence.weight))) < LEAST_ROWS:
