@@ -25,7 +25,7 @@ import numpy as np
 import yaml
 from PIL import Image
 
-from lightopt.config import load_part, load_rig
+from lightopt.config import copied_text, load_part, load_rig
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import rotation_from_vector, vector_of_rotation
 from lightopt.estimate.rig_calibration import calibrate_rig, plan_calibration, write_calibration
@@ -38,7 +38,9 @@ CAMERA_DEG, CAMERA_MM, FOCAL_SHARE, CENTRE_PX = 1.0, 2.0, 0.005, 8.0
 AXIS_DEG, AXIS_MM = 0.1, 0.3
 PANEL_MM, PANEL_DEG, GAIN = 3.0, 2.0, 0.08
 BOW_MM = 0.1  # of the board's corners
-RIGS = ("filed", "calibrated", "known")
+RIG_FILES = {"filed": "rig.yaml", "calibrated": "calibration/rig.calibrated.yaml", "known": "known.yaml"}
+RIGS = tuple(RIG_FILES)
+CAPTURE = ("--exposure", "1,1/16", "--force", "--no-check-lights")
 
 
 def main() -> None:
@@ -211,9 +213,6 @@ def angle(a: Float64, b: Float64) -> float:
     return float(np.degrees(np.arccos(np.clip(a @ b, -1.0, 1.0))))
 
 
-RIG_FILES = {"filed": "rig.yaml", "calibrated": "calibration/rig.calibrated.yaml", "known": "known.yaml"}
-
-
 def inspect(folder: Path, seed: int, given: argparse.Namespace) -> None:
     """Inspect the sample part with random defects by the filed, the calibrated and the true rig."""
     name, good = given.part.stem, given.good
@@ -223,13 +222,12 @@ def inspect(folder: Path, seed: int, given: argparse.Namespace) -> None:
     )
     for kind in given.rigs:
         rig, images = folder / RIG_FILES[kind], folder / f"images-{name}-{kind}"
-        run("capture", rig, part, "-o", images, "--exposure", "1,1/16", "--force", "--no-check-lights")
+        run("capture", rig, part, "-o", images, *CAPTURE)
         judge(kind, rig, part, images)
         if kind == "calibrated" and good:
             sets = [folder / f"good-{name}-{k}" for k in range(good)]
             for k, one in enumerate(sets):
-                options = ("--exposure", "1,1/16", "--force", "--no-check-lights", "--seed", 1000 + k)
-                run("capture", rig, given.part, "-o", one, *options)
+                run("capture", rig, given.part, "-o", one, *CAPTURE, "--seed", 1000 + k)
             # the least rate that so many parts allow
             rate = np.ceil(1e3 * (1.0 - 0.05 ** (1.0 / good))) / 1e3
             learned = folder / f"learned-{name}"
@@ -240,28 +238,23 @@ def inspect(folder: Path, seed: int, given: argparse.Namespace) -> None:
 def count_alarms(folder: Path, seed: int, given: argparse.Namespace) -> None:
     """Inspect good parts, each moved and turned on the stage, and print the false alarms."""
     rng = np.random.default_rng(seed)
-    name, postures = given.part.stem, len(load_part(given.part).postures)
+    name, config = given.part.stem, load_part(given.part)
     parts = [folder / f"clean-{name}-{k}.yaml" for k in range(given.clean)]
-    # beside the results, a mesh is named by its whole path
-    there = given.part.resolve().parent
-    text = re.sub(r"\bfile: *([\w.-]+)", rf'file: "{there}/\1"', given.part.read_text(encoding="utf-8"), count=1)
     for part in parts:
         x, y, turn = rng.uniform((-1.0, -1.0, -2.0), (1.0, 1.0, 2.0)).round(3)
-        moved = text.replace("translate_mm: [0, 0, 0]", f"translate_mm: [{x}, {y}, 0]")
-        moved = moved.replace("rotate_deg: [0, 0, 0]", f"rotate_deg: [0, 0, {turn}]")
-        assert moved.count(f"{x}, {y}, 0]") == moved.count(f"[0, 0, {turn}]") == 1, given.part
-        part.write_text(moved, encoding="utf-8")
+        place = {"translate_mm": f"[{x}, {y}, 0]", "rotate_deg": f"[0, 0, {turn}]"}
+        text = copied_text(config, folder, {("placement", key): value for key, value in place.items()})
+        part.write_text(text, encoding="utf-8")
     for kind in given.rigs:
         rig, sets = folder / RIG_FILES[kind], [folder / f"{part.stem}-{kind}" for part in parts]
         for k, (part, images) in enumerate(zip(parts, sets, strict=True)):
-            options = ("--exposure", "1,1/16", "--force", "--no-check-lights", "--seed", 2000 + k)
-            run("capture", rig, part, "-o", images, *options)
+            run("capture", rig, part, "-o", images, *CAPTURE, "--seed", 2000 + k)
         out = folder / f"clean-{name}-inspected-{kind}"
         run("inspect", rig, given.part, *sets, "-o", out, "--fusion", "none", "--no-report", "--force")
         found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(out.glob("**/defects.json"))]
         assert len(found) == len(parts)
         alarms = sum(len(one["defects"]) for one in found)
-        print(f"  {kind}: {alarms} false alarms in {postures * len(parts)} postures of good parts")
+        print(f"  {kind}: {alarms} false alarms in {len(config.postures) * len(parts)} postures of good parts")
 
 
 def judge(name: str, rig: Path, part: Path, images: Path, *options: object) -> None:

@@ -266,3 +266,8 @@ class CameraDeviceConfig(Frozen):
     def _not_simulated(cls, port: str | None, info: ValidationInfo) -> Iterator[fields.Fault]:
         if port == "virtual" and info.data.get("driver") == "genicam":
             yield "only driver: aravis has a simulated camera (or driver: virtual)"
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the virtual bench renders its frames."""
+        return self.driver == "virtual" or (self.driver == "aravis" and self.port == "virtual")

@@ -122,12 +122,10 @@ def _rig_files(design: DesignResult) -> list[RigFile]:
 
 def _rig_text(rig: RigConfig, places: Sequence[Place], home: Path) -> str:
     values: dict[tuple[str | int, ...], str | None] = {}
-    moved: list[str] = []
+    moved = [light.name for light, place in zip(rig.lights, places, strict=True) if place != place_of(light)]
     for index, (light, place) in enumerate(zip(rig.lights, places, strict=True)):
-        if place != place_of(light):
-            moved.append(light.name)
         if light.pose is not None:
-            if place != place_of(light):
+            if light.name in moved:
                 values |= _moved_pose(rig, index, place)
             continue
         ranges = light.elevation_range_deg, light.azimuth_range_deg, light.distance_range_mm

@@ -1,7 +1,7 @@
 """Where the panels are: fit of their poses and sizes to a mirror ball's images in several postures of the stage.
 
 The ball's outline gives its centre, its mirror images give the panels: points of the ball that mirror points of the
-room. Camera and stage are those of the board fit.
+room. Camera and stage are those of the board fit; of a rig file alone, they are fitted as well.
 """
 
 import itertools
@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import refuse
 from lightopt.core.transforms import Posture, rotation_from_vector
-from lightopt.estimate.rig_calibration._deviations import NORMAL_95, displaced, square_root
+from lightopt.estimate.rig_calibration._deviations import NORMAL_95, displaced, rig_deviations, square_root
 from lightopt.lights import PanelLight, panel_corners
 from lightopt.scene import PinholeCamera, Stage, pixel_directions, project
 
@@ -174,8 +174,8 @@ def fit_ball(
     Raises InputError: Where views do not show what is to be fitted
     """
     _check(views, lights)
-    rig_root = square_root(np.zeros((0, 0)) if rig_covariance is None else rig_covariance)
-    of_rig = (tuple(rig_names), rig_root) if fit_rig else ((), np.zeros((0, 0)))
+    of_values = np.zeros((0, 0)) if rig_covariance is None else rig_covariance
+    of_rig = (tuple(rig_names), square_root(of_values)) if fit_rig else ((), np.zeros((0, 0)))
     ball, deviation = _ball_start(views, camera, stage, radius, of_rig)
     start = np.concatenate([ball, unmoved(lights).ravel(), deviation])
     prior = np.tile([*[CENTRE_PRIOR] * 3, *[ROTATION_PRIOR] * 3, 0.0, 0.0], (len(lights), 1))
@@ -183,8 +183,8 @@ def fit_ball(
     ball_prior = [np.inf, np.inf, np.inf, max(radius_error, LEAST_RADIUS_ERROR), EDGE_PRIOR]
     errors = np.concatenate([ball_prior, prior.ravel(), np.ones(len(deviation))])
     nominal = np.concatenate([ball, unmoved(lights).ravel(), np.zeros(len(deviation))])
-    problem = _Problem(camera, stage, tuple(lights), tuple(views), start, nominal, errors, *of_rig)
-    problem = replace(problem, images=_ordered(problem))
+    problem = _Problem(camera, stage, tuple(lights), tuple(views), nominal, errors, *of_rig)
+    problem = replace(problem, images=_ordered(problem, start))
     left_out: list[tuple[Posture, str]] = []
     most = MOST_OUTLIERS * len(problem.images)
     while True:
@@ -200,9 +200,8 @@ def fit_ball(
         problem = replace(problem, images=(*problem.images[:worst], *problem.images[worst + 1 :]))
     covariance = np.linalg.inv(found.jac.T @ found.jac) * max(1.0, mean_square)
     covariance = covariance[: len(start) - len(deviation), : len(start) - len(deviation)]
-    for column in rig_root.T if not fit_rig else ():
-        # what another rig would have changed
-        other_camera, other_stage = displaced(camera, stage, rig_names, column)
+    # what another rig would have changed
+    for other_camera, other_stage in () if fit_rig else rig_deviations(camera, stage, rig_names, of_values):
         change = replace(problem, camera=other_camera, stage=other_stage).residuals(found.x) - found.fun
         shift = np.linalg.solve(found.jac.T @ found.jac, found.jac.T @ change)
         covariance += np.outer(shift, shift)
@@ -238,7 +237,6 @@ class _Problem:
     stage: Stage
     lights: tuple[PanelLight, ...]
     views: tuple[BallView, ...]
-    start: Float64
     nominal: Float64  # parameters as they are known beforehand, and their standard deviations
     prior: Float64
     # values of camera and stage that are fitted, and their deviation per unit of the last parameters, shape (G, G)
@@ -330,17 +328,17 @@ def _ball_start(
     # trusted less at first: from far off, exact outlines have other minima
     x = nominal
     for some in ([replace(view, outline_error=COARSE_PX) for view in views], views):
-        ball = _Problem(camera, stage, (), tuple(some), nominal, nominal, errors, *of_rig)
+        ball = _Problem(camera, stage, (), tuple(some), nominal, errors, *of_rig)
         x = least_squares(ball.residuals, x, x_scale="jac", max_nfev=MOST_EVALUATIONS).x
     return x[:_BALL], x[_BALL:]
 
 
-def _ordered(problem: _Problem) -> tuple[_Image, ...]:
+def _ordered(problem: _Problem, start: Float64) -> tuple[_Image, ...]:
     """The images with their corners in the order of :func:`lightopt.lights.panel_corners`.
 
     The shape about its centre alone shows which corner is which: a panel may be far from where the file has it.
     """
-    predicted = problem.mirrored(problem.start)
+    predicted = problem.mirrored(start)
     numbers = {light.name: k for k, light in enumerate(problem.lights)}
     orders = [(first + sense * np.arange(4)) % 4 for first, sense in itertools.product(range(4), (1, -1))]
     images: list[_Image] = []

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +66,7 @@ class RigCalibration:
         Of camera and stage [mm, deg, px], as `BoardFit.names` has them; gains; panels [mm, rad], as
         :data:`PANEL_PARAMETERS` has them.
         """
-        earlier, covariance = read_covariance(self.rig)
+        earlier, covariance = self.earlier
         listed = {} if self.rig.calibration is None else self.rig.calibration.intervals
         kept = [i for i, name in enumerate(earlier) if name in listed and not self.replaces(name)]
         names = [earlier[i] for i in kept]
@@ -87,13 +87,17 @@ class RigCalibration:
             blocks.append(own[1][np.ix_(mine, mine)])
         return tuple(names), np.asarray(block_diag(*blocks), np.float64)
 
-    @property
+    @cached_property
+    def earlier(self) -> tuple[tuple[str, ...], Float64]:
+        """Names of the values that the rig file has from an earlier calibration, and their covariance."""
+        return read_covariance(self.rig)
+
+    @cached_property
     def panels(self) -> tuple[str, ...]:
         """Names of the lights whose place and size are measured now: by a ball, or anew by a plate."""
         if self.ball is not None:
             return self.ball.shown
-        earlier = set(read_covariance(self.rig)[0])
-        known = [light.name for light in self.lights if set(panel_names([light])) <= earlier]
+        known = [light.name for light in self.lights if set(panel_names([light])) <= set(self.earlier[0])]
         return () if self.plate is None else tuple(known)
 
     def replaces(self, name: str) -> bool:
@@ -129,6 +133,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
     _refuse_incomplete(rig, folder, targets, sets)
     images = _Images(rig, folder, targets, run or RunContext())
     camera, stage, lights = build_camera(rig), build_stage(rig), build_lights(rig)
+    earlier = read_covariance(rig)
     sensor = images.sensor() if all(name in sets for name in SENSOR) else None
     board: BoardFit | None = None
     ball: BallFit | None = None
@@ -136,7 +141,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
     if BOARD in sets and targets.board is not None:
         board = images.board(targets.board, camera, stage)
         camera, stage = board.camera, board.stage
-    if PLATE in sets and board is None and not _of_camera(read_covariance(rig)[0]):
+    if PLATE in sets and board is None and not _of_camera(earlier[0]):
         images.warnings.append(
             "the plate was fitted to camera and stage as filed, as if they were exact: there is no image set of a board"
         )
@@ -149,12 +154,14 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
             radius=targets.ball.radius_mm,
             radius_error=targets.ball.radius_error_mm,
             size_error=targets.panel_size_error_mm,
-            **_rig_errors(rig, board, camera, stage),
+            **_rig_errors(earlier if board is None else (board.names, board.covariance), camera, stage),
         )
         lights = ball.lights
         images.check(BALL, ball.rms, "outlines and highlights", "check the postures and the ball's radius")
     if PLATE in sets and targets.plate is not None:
-        known = _panels_as_filed(rig, lights, images.warnings) if ball is None else ball.panels_covariance
+        known = _panels_without_ball(earlier, lights) if ball is None else ball.panels_covariance
+        if ball is None and not set(panel_names(lights)) <= set(earlier[0]):
+            images.warnings.append("the plate was fitted to panels as filed: there is no image set of a ball")
         black = rig.camera.sensor.black_level if sensor is None else sensor.black_level.value
         plate = fit_plate(images.plate(targets.plate, camera, stage, black), lights=lights, panels_covariance=known)
         images.warnings.extend(plate.warnings)
@@ -199,9 +206,9 @@ def _of_camera(names: Sequence[str]) -> list[int]:
     return [i for i, name in enumerate(names) if name.startswith(own) and not name.startswith(others)]
 
 
-def _rig_errors(rig: RigConfig, board: BoardFit | None, camera: PinholeCamera, stage: Stage) -> dict[str, Any]:
-    # of the board's images, of an earlier calibration, or of a rig file
-    names, covariance = read_covariance(rig) if board is None else (board.names, board.covariance)
+def _rig_errors(measured: tuple[tuple[str, ...], Float64], camera: PinholeCamera, stage: Stage) -> dict[str, Any]:
+    # as they were measured, else of a rig file
+    names, covariance = measured
     own = _of_camera(names)
     names, covariance = tuple(names[i] for i in own), covariance[np.ix_(own, own)]
     filed, as_filed = filed_covariance(camera, stage)
@@ -212,17 +219,15 @@ def _rig_errors(rig: RigConfig, board: BoardFit | None, camera: PinholeCamera, s
     return {"rig_names": names, "rig_covariance": whole, "fit_rig": bool(rest)}
 
 
-def _panels_as_filed(rig: RigConfig, lights: Sequence[PanelLight], warnings: list[str]) -> Float64:
-    # covariance of panels that no ball shows: of an earlier calibration, or of a rig file
+def _panels_without_ball(measured: tuple[tuple[str, ...], Float64], lights: Sequence[PanelLight]) -> Float64:
+    # covariance of panels as they were measured earlier, else of a rig file
     own = panel_names(lights)
     known = np.asarray(np.kron(np.eye(len(lights)), _FILED), np.float64)
-    names, earlier = read_covariance(rig)
+    names, covariance = measured
     to = [i for i, name in enumerate(own) if name in names]
     known[to, :] = known[:, to] = 0.0
     at = [names.index(own[i]) for i in to]
-    known[np.ix_(to, to)] = earlier[np.ix_(at, at)]
-    if len(to) < len(own):
-        warnings.append("the plate was fitted to panels as filed: there is no image set of a ball")
+    known[np.ix_(to, to)] = covariance[np.ix_(at, at)]
     return known
 
 
@@ -318,10 +323,8 @@ class _Images:
 
     def check(self, name: str, rms: float, what: str, remedy: str) -> None:
         # of residuals in the errors that are claimed
-        text = (
-            f"{self.folder / name}: {what} are {rms:.3g} times as far from what the fit explains as their errors say: "
-        )
-        text += remedy
+        far = f"{what} are {rms:.3g} times as far from what the fit explains as their errors say"
+        text = f"{self.folder / name}: {far}: {remedy}"
         if not (self.folder / BOARD).is_dir() and not (self.folder / CORNERS_NAME).is_file():
             text += ", and capture the board, too: the camera may not be where the rig file has it"
         if not rms < WRONG_RMS:

@@ -107,9 +107,9 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
         # off the rotary axis, which shows where the axis is
         sphere = sphere_mesh(r)
         mesh = replace(sphere, vertices=sphere.vertices + np.array([0.3 * r, 0.2 * r, r]))
-        postures = ball_postures
-        shine = {"R_d": BODY, "R_s": float(f"{MIRRORED / _plateau(rig, mesh, postures[0]):.4g}"), "sigma_rad": SIGMA}
-        parts.append((BALL, "", postures, mesh, 0.0, shine))
+        level = _plateau(rig, mesh, ball_postures[0])
+        shine = {"R_d": BODY, "R_s": float(f"{MIRRORED / level:.4g}"), "sigma_rad": SIGMA}
+        parts.append((BALL, "", ball_postures, mesh, 0.0, shine))
     if targets.plate is not None:
         sentences.append("lay a matt white plate on the stage, its sides along X and Y at rotation 0")
         x, y = targets.plate.size_mm
@@ -129,8 +129,7 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     if targets.plate is not None:
         levels = ",".join(f"1/{round(1 / exposure)}" if exposure < 1.0 else "1" for exposure in SENSOR_EXPOSURES)
         own = 1 if rig.virtual_bench is None else rig.virtual_bench.seed
-        devices = () if rig.hardware is None else (rig.hardware.camera.driver, rig.hardware.camera.port)
-        simulated = not devices or "virtual" in devices
+        simulated = rig.hardware is None or rig.hardware.camera.is_simulated
         seeds = ("", f" --seed {own + 1}") if simulated else ("", "")  # another noise
         commands += [
             f"lightopt capture {name} {_quoted(folder / PLATE)}.yaml -o {_quoted(folder / kind)} --posture 0,0 "

@@ -442,30 +442,36 @@ def descend(work: Work, images: _Images, good: Fit | None, options: FitOptions, 
     """Gauss–Newton steps from parameters to start at; what is found counts from the origin."""
     limits = np.concatenate([np.full(g.size, g.limit) for g in work.parameters.groups])
     report = work.run.stage("comparing with the prediction")
-    few = replace(options, blocks=options.blocks // FEW, rows=options.rows // FEW)
-    at, theta = start, start
-    model = _model(work, images, good, at, few if options.few_steps else options)
-    for _ in range(options.few_steps):
-        before, theta = theta, _step(model, theta, origin, few)[-1]
-        if work.moved_blocks(theta, before) <= STALE_BLOCKS:
-            break
-    step = 0
+    theta = _approach(work, images, good, options, origin, start) if options.few_steps else start
+    at = theta if work.moved_blocks(theta, start) > STALE_BLOCKS else start
+    model, step = _model(work, images, good, at, options), 0
     while True:
         if report is not None:
             report(step / options.most_steps)
-        stale = work.moved_blocks(theta, at) > STALE_BLOCKS
-        at = theta if stale else at
-        if stale or (step == 0 and options.few_steps):
-            model = _model(work, images, good, at, options)
         before, step = theta, step + 1
         evidence, chosen, faults, covariance, theta = _step(model, before, origin, options)
         if (np.abs(theta - before)[: len(limits)] / limits).max() < options.settled or step == options.most_steps:
             break
+        if work.moved_blocks(theta, at) > STALE_BLOCKS:
+            at, model = theta, _model(work, images, good, theta, options)
     mean, noise = model.predicted(theta)
     black = work.scene.sensor.black_level
     known = np.isfinite(mean) & (evidence.weight > 0.0)
     left = agreement(model.measured[known] - black, mean[known] - black, noise[known])
     return Fit(work, images, theta, faults, covariance, chosen, evidence, left)
+
+
+def _approach(
+    work: Work, images: _Images, good: Fit | None, options: FitOptions, origin: Float64, start: Float64
+) -> Float64:
+    # parameters after steps with few blocks
+    few = replace(options, blocks=options.blocks // FEW, rows=options.rows // FEW)
+    model, theta = _model(work, images, good, start, few), start
+    for _ in range(options.few_steps):
+        before, theta = theta, _step(model, theta, origin, few)[-1]
+        if work.moved_blocks(theta, before) <= STALE_BLOCKS:
+            break
+    return theta
 
 
 def _step(

@@ -141,18 +141,18 @@ class Parameters:
         group, found = self.group("camera_turn"), np.zeros(self.size)
         points = _some_vertices(scene)
         target = self.seen(scene, points, theta)
+        steps = group.step * np.eye(self.size)[group.where]
         for _ in range(3):
             now = self.seen(scene, points, found)
-            steps = group.step * np.eye(self.size)[group.where]
-            slopes = np.array([self.seen(scene, points, found + step) - now for step in steps]).T / group.step
+            slopes = np.array([self.seen(scene, points, found + step) - now for step in steps]) / group.step
             known = np.isfinite(now) & np.isfinite(target)
-            found[group.where] += np.linalg.lstsq(slopes[known], (target - now)[known], rcond=None)[0]
+            found[group.where] += np.linalg.lstsq(slopes[:, known].T, (target - now)[known], rcond=None)[0]
         return found
 
     def seen(self, scene: Scene, points: Float64, theta: Float64) -> Float64:
-        """Where some points of the part lie in the images of all postures [px], of shape (2 · postures · n,)."""
+        """Where some points of the part lie in the images of all postures, shape (postures, 2, n) [px]."""
         cameras = [self.view(scene, posture, theta).camera for posture in scene.postures]
-        return np.concatenate([np.ravel(project(camera, points)[:2]) for camera in cameras])
+        return np.array([project(camera, points)[:2] for camera in cameras])
 
     def values(self, theta: Float64, kind: str, light: str = "") -> Float64:
         """Those of a group, shape (1,) to (3,)."""
@@ -230,8 +230,8 @@ def calibrated_deviations(rig: RigConfig, scene: Scene, p: Parameters) -> Float6
     return np.concatenate(columns, axis=1) if names else np.zeros((p.size, 0))
 
 
-def _some_vertices(scene: Scene) -> Float64:
-    return scene.mesh.vertices[:: max(1, len(scene.mesh.vertices) // 200)]
+def _some_vertices(scene: Scene, count: int = 200) -> Float64:
+    return scene.mesh.vertices[:: max(1, len(scene.mesh.vertices) // count)]
 
 
 def _as_camera(scene: Scene, p: Parameters, rigs: list[tuple[PinholeCamera, Stage]]) -> Float64:
@@ -379,12 +379,9 @@ class Work:
             levers["panel_turn", light.name] = np.array([half, half])
         groups = ((p.group(*key), lever) for key, lever in levers.items())
         most = max(float(np.max(np.abs(a - b)[g.where] * lever)) for g, lever in groups) / PANEL_MM
-        vertices = self.scene.mesh.vertices
-        some = vertices[:: max(1, len(vertices) // 500)]
-        for posture in self.scene.postures:
-            (x, y, _), (u, v, _) = (project(p.view(self.coarse, posture, t).camera, some) for t in (a, b))
-            most = max(most, float(np.nanmax(np.hypot(x - u, y - v))))
-        return most
+        points = _some_vertices(self.scene, 500)
+        off = p.seen(self.coarse, points, a) - p.seen(self.coarse, points, b)
+        return max(most, float(np.nanmax(np.hypot(off[:, 0], off[:, 1]))))
 
 
 def _blurred_prediction(width: float, sharp: CoarsePrediction) -> CoarsePrediction:

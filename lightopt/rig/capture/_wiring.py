@@ -83,7 +83,7 @@ class Wiring:
     @property
     def camera_is_virtual(self) -> bool:
         """Whether frames are rendered: what lies on the bench has to be known."""
-        return self.hardware.camera.driver == VIRTUAL or self.camera_is_gige
+        return self.hardware.camera.is_simulated
 
 
 def wiring_of(rig: RigConfig) -> Wiring:
