@@ -163,7 +163,9 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         if ball is None and not set(panel_names(lights)) <= set(earlier[0]):
             images.warnings.append("the plate was fitted to panels as filed: there is no image set of a ball")
         black = rig.camera.sensor.black_level if sensor is None else sensor.black_level.value
-        plate = fit_plate(images.plate(targets.plate, camera, stage, black), lights=lights, panels_covariance=known)
+        views = images.plate(targets.plate, camera, stage, black)
+        error = targets.reading_error_deg
+        plate = fit_plate(views, lights=lights, panels_covariance=known, reading_error_deg=error)
         images.warnings.extend(plate.warnings)
         images.check(PLATE, plate.rms, "levels", "check size, height and place of the plate, and postures")
         lights = plate.lights

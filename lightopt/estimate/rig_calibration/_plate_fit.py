@@ -25,6 +25,9 @@ NODES = 3  # of Gauss and Legendre along each side of a panel
 MARGIN_MM = 2.0  # from the plate's edge
 # standard deviations before the fit
 EXPONENT_PRIOR, VIGNETTING_PRIOR = 1.0, 0.5
+CENTRE_PRIOR = 0.02  # of the vignetting, which is near the principal point [half of the image's diagonal]
+SLOPE_PRIOR = np.radians(0.1)  # of the plate on the table
+READING_ERROR_DEG = 0.02
 LAMBERT_PRIOR = 0.03  # of κ, for a plate that reflects as cosθ to the power 1 + κ; real ones are several % off Lambert
 EXPONENT_DECIDED = 0.33  # standard error of n from which the rig file's is kept: it does not tell 0 from 1
 HELD = 1e-6  # standard error of an n that is not fitted
@@ -32,7 +35,9 @@ FALL_OFF_DECIDED = 9.0  # difference of χ² that decides between fall-off and n
 MOST_EVALUATIONS = 100  # of a fit: ten are enough where levels and rig agree
 _EACH = len(PANEL_PARAMETERS)
 _COMMON = 4  # n, κ and two coefficients of vignetting
+_TILTS = _COMMON + 4  # and the centre of the vignetting, and the slope of the plate
 _STEP = np.array([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3, 0.1, 0.1])
+NORMAL_STEP = 1e-4  # [rad]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +48,9 @@ class PlateView:
     light: str
     points: Float64  # where the cells are, world frame [mm], shape (k, 3)
     normal: Float64  # of the plate, world frame, shape (3,)
-    radius: Float64  # distance of the cells from the principal point, in halves of the image's diagonal, shape (k,)
+    # of the normal, per radian of a slope about each side and of the tilt reading, world frame, shape (3, 3)
+    normal_changes: Float64
+    place: Float64  # of the cells, from the principal point, in halves of the image's diagonal, shape (k, 2)
     levels: Float64  # linear, black removed [grey level at exposure 1], shape (k,)
 
 
@@ -120,7 +127,8 @@ def plate_cells(
         light=light,
         points=points[grid.shape[0] * grid.shape[1] :].reshape(*whole.shape, 3)[whole],
         normal=normal,
-        radius=np.hypot(*(middle[whole] - [column, row]).T) / (0.5 * np.hypot(camera.width, camera.height)),
+        normal_changes=np.cross([rotation[:, 0], rotation[:, 1], stage.tilt_axis[1]], normal),
+        place=(middle[whole] - [column, row]) / (0.5 * np.hypot(camera.width, camera.height)),
         levels=levels[cut].reshape(blocks).mean(axis=(1, 3), dtype=np.float64)[whole],
     )
 
@@ -133,6 +141,7 @@ def fit_plate(
     relative_error: float = 0.005,
     level_error: float = 0.1,
     lambert_error: float = LAMBERT_PRIOR,
+    reading_error_deg: float = READING_ERROR_DEG,
 ) -> PlateFit:
     """Fit gains, fall-off, emission exponent and vignetting, with the panels' geometry known from the ball.
 
@@ -140,12 +149,13 @@ def fit_plate(
         :class:`BallFit`
     relative_error, level_error: Standard deviation of a cell's level: a share of it, and [grey level]
     lambert_error: Standard deviation of κ, by how much the plate is expected not to be Lambertian
+    reading_error_deg: Standard deviation of the stage's tilt readings [deg]
     Raises InputError: Where a light has no view
     """
     seen = {view.light for view in views}
     refuse([f"plate: {light.name} has no view of the plate" for light in lights if light.name not in seen])
     given = all(light.inverse_square for light in lights)
-    errors = (relative_error, level_error, lambert_error)
+    errors = (relative_error, level_error, lambert_error, reading_error_deg)
     kept, other = (_Problem(views, lights, panels_covariance, errors, falls) for falls in (given, not given))
     filed = float(np.mean([light.emission_exponent for light in lights]))
     fit, alternative = (one.solve(filed, EXPONENT_PRIOR) for one in (kept, other))
@@ -153,7 +163,8 @@ def fit_plate(
     if difference > FALL_OFF_DECIDED:
         kept, fit = other, alternative
     fitted = bool(np.sqrt(fit.covariance[0, 0]) <= EXPONENT_DECIDED)
-    fit = kept.solve(filed, EXPONENT_PRIOR if fitted else HELD, again=True)
+    if not fitted:
+        fit = kept.solve(filed, HELD)
     exponent = measured(float(fit.x[0]), float(np.sqrt(fit.covariance[0, 0])))
     warnings: tuple[str, ...] = ()
     if exponent.value < 0.0:
@@ -167,23 +178,26 @@ def fit_plate(
         fit = replace(kept.solve(0.0, HELD), covariance=fit.covariance)
         exponent = Measured(value=0.0, error=exponent.error, interval_95=(0.0, max(0.0, high)))
 
+    # of n, κ, v₁, v₂, then levels and moves: the rest is not of the rig
+    own = np.r_[0:_COMMON, kept.levels.start : len(fit.x)]
+    x, covariance = fit.x[own], fit.covariance[np.ix_(own, own)]
     levels = slice(_COMMON, _COMMON + len(lights))
-    level = fit.x[levels]
+    level, of_level = x[levels], covariance[levels, levels]
     gains = level / level.mean()
-    to_gains = np.eye(len(fit.x))
+    to_gains = np.eye(len(x))
     to_gains[levels, levels] = (np.eye(len(lights)) - gains[:, None] / len(lights)) / level.mean()
-    covariance = to_gains @ fit.covariance @ to_gains.T
-    values = np.concatenate([fit.x[:_COMMON], gains])
+    covariance = to_gains @ covariance @ to_gains.T
+    values = np.concatenate([x[:_COMMON], gains])
     errors_of = np.sqrt(np.diag(covariance)[: levels.stop])
     _, _, v1, v2, *of_gains = (measured(float(v), float(e)) for v, e in zip(values, errors_of, strict=True))
-    moves = fit.x[levels.stop :].reshape(-1, _EACH) + unmoved(lights)
+    moves = x[levels.stop :].reshape(-1, _EACH) + unmoved(lights)
     return PlateFit(
         lights=tuple(
             replace(posed_panel(light, move), gain=float(gain), emission_exponent=exponent.value)
             for light, move, gain in zip(kept.lights, moves, gains, strict=True)
         ),
         gains=tuple(of_gains),
-        brightness=measured(float(level.mean()), float(np.sqrt(fit.covariance[levels, levels].mean()))),
+        brightness=measured(float(level.mean()), float(np.sqrt(of_level.mean()))),
         emission_exponent=exponent,
         emission_fitted=fitted,
         fall_off="inverse_square" if kept.lights[0].inverse_square else "none",
@@ -209,38 +223,58 @@ class _Fit:
 
 
 class _Problem:
-    """Levels of all cells by n, κ, v₁, v₂, the lights' levels and moves of the panels, which are small: quadratic."""
+    """Levels of all cells by n and what else is open.
+
+    Parameters: n, κ, v₁, v₂, the centre of the vignetting (2), the plate's slope (2), the error of each posture's tilt
+    reading, the lights' levels, and the panels' moves. Of moves squares count: a rotation δ dims a panel by n·δ²/2, as
+    much as its gain is uncertain where there is no fall-off.
+    """
 
     def __init__(
         self,
         views: Sequence[PlateView],
         lights: Sequence[PanelLight],
         panels_covariance: Float64,
-        errors: tuple[float, float, float],
+        errors: tuple[float, float, float, float],
         inverse_square: bool,
     ) -> None:
         self.lights = tuple(replace(light, inverse_square=inverse_square) for light in lights)
         names = [light.name for light in lights]
-        self._owner = np.concatenate([np.full(len(view.levels), names.index(view.light)) for view in views])
+        postures = list(dict.fromkeys(view.posture for view in views))
+        sizes = [len(view.levels) for view in views]
+        self._owner = np.repeat([names.index(view.light) for view in views], sizes)
+        self._posture = np.repeat([postures.index(view.posture) for view in views], sizes)
         self._points = np.concatenate([view.points for view in views])
-        self._normals = np.concatenate([np.tile(view.normal, (len(view.levels), 1)) for view in views])
-        self._square = np.square(np.concatenate([view.radius for view in views]))
+        self._normals = np.repeat([view.normal for view in views], sizes, axis=0)
+        self._place = np.concatenate([view.place for view in views])
         self._levels = np.concatenate([view.levels for view in views])
-        self._error = np.hypot(errors[1], errors[0] * self._levels)
-        self._lambert_error = errors[2]
+        relative, level, lambert, reading = errors
+        self._error = np.hypot(level, relative * self._levels)
+        self._tilts = slice(_TILTS, _TILTS + len(postures))
+        self.levels = slice(self._tilts.stop, self._tilts.stop + len(lights))
+        self._prior = np.full(self.levels.stop, np.inf)
+        self._prior[1:_TILTS] = [lambert, *[VIGNETTING_PRIOR] * 2, *[CENTRE_PRIOR] * 2, *[SLOPE_PRIOR] * 2]
+        self._prior[self._tilts] = max(np.radians(reading), HELD)
         self._known = np.linalg.inv(np.linalg.cholesky(panels_covariance))
         self._cosines = self._of_panels(np.zeros(_EACH))
+        changes = np.moveaxis(np.repeat([view.normal_changes for view in views], sizes, axis=0), 1, 0)
+        flat = _irradiance(*self._cosines, exponent=1.0)[0]
+        turned = [self._of_panels(np.zeros(_EACH), NORMAL_STEP * change) for change in changes]
+        # by the plate's slope and the tilt reading, as moves; nearly the same for every n
+        self._by_normal = np.stack([_irradiance(*t, exponent=1.0)[0] / flat - 1.0 for t in turned], 1) / NORMAL_STEP
 
-    def solve(self, exponent: float, exponent_error: float, *, again: bool = False) -> _Fit:
+    def solve(self, exponent: float, exponent_error: float) -> _Fit:
         # n is `exponent` beforehand, with this standard deviation
         count = len(self.lights)
         self._linearise(exponent)
-        flat, _, _ = _irradiance(*self._cosines, exponent=exponent)
+        flat = _irradiance(*self._cosines, exponent=exponent)[0]
         totals = (np.bincount(self._owner, values, count) for values in (self._levels, flat))
-        start = np.concatenate([[exponent, 0.0, 0.0, 0.0], np.divide(*totals), np.zeros(_EACH * count)])
-        prior = np.diag(1.0 / np.array([exponent_error, self._lambert_error, VIGNETTING_PRIOR, VIGNETTING_PRIOR]))
-        known = np.zeros((_COMMON + _EACH * count, len(start)))
-        known[:_COMMON, :_COMMON], known[_COMMON:, -_EACH * count :] = prior, self._known
+        start = np.zeros(self.levels.stop + _EACH * count)
+        start[0], start[self.levels] = exponent, np.divide(*totals)
+        prior = np.concatenate([[exponent_error], self._prior[1:]])
+        of_moves = slice(len(prior), len(start))
+        known = np.zeros((len(start), len(start)))
+        known[: len(prior), : len(prior)], known[of_moves, of_moves] = np.diag(1.0 / prior), self._known
 
         def residuals(x: Float64) -> Float64:
             return np.concatenate([(self._predicted(x)[0] - self._levels) / self._error, known @ (x - start)])
@@ -250,45 +284,64 @@ class _Problem:
 
         how: dict[str, Any] = {"jac": slopes, "method": "lm", "x_scale": "jac", "max_nfev": MOST_EVALUATIONS}
         found = least_squares(residuals, start, **how)
-        if again:  # what a move does depends on n
-            self._linearise(found.x[0])
-            found = least_squares(residuals, found.x, **how)
         mean_square = 2.0 * float(found.cost) / (len(found.fun) - len(start))
         covariance = np.linalg.inv(found.jac.T @ found.jac) * max(1.0, mean_square)
         return _Fit(found.x, covariance, 2.0 * float(found.cost), mean_square)
 
     def _predicted(self, x: Float64) -> tuple[Float64, Float64]:
         # levels, shape (n,), and their derivatives by all parameters, (n, P)
-        count, each = len(self.lights), np.arange(len(self._levels))
+        each, count = np.arange(len(self._levels)), len(self.lights)
         n, kappa, v1, v2 = x[:_COMMON]
-        moves = x[_COMMON + count :].reshape(count, _EACH)[self._owner]
-        dimming = 1.0 + self._square * (v1 + v2 * self._square)
-        moved = 1.0 + np.sum((self._slopes + 0.5 * self._bends * moves) * moves, axis=1)
-        light, by_n, by_kappa = _irradiance(*self._cosines, exponent=n, kappa=kappa)
-        level = x[_COMMON : _COMMON + count][self._owner]
+        place = self._place - x[_COMMON : _COMMON + 2]
+        square = np.sum(np.square(place), axis=1)
+        dimming = 1.0 + square * (v1 + v2 * square)
+        slope = np.broadcast_to(x[_TILTS - 2 : _TILTS], (len(each), 2))
+        turned = 1.0 + np.sum(self._by_normal * np.column_stack([slope, x[self._tilts][self._posture]]), axis=1)
+        moved, moved_by_n, moved_by_moves = self._moved(n, x[self.levels.stop :].reshape(count, _EACH)[self._owner])
+        flat, by_n, by_kappa = _irradiance(*self._cosines, exponent=n, kappa=kappa)
+        light = flat * moved * turned * dimming
+        levels = x[self.levels][self._owner] * light
+
+        # relative ones first
         slopes = np.zeros((len(each), len(x)))
-        slopes[:, 0], slopes[:, 1] = level * dimming * moved * np.stack([by_n, by_kappa])
-        slopes[:, 2] = level * moved * light * self._square
-        slopes[:, 3] = slopes[:, 2] * self._square
-        slopes[each, _COMMON + self._owner] = dimming * moved * light
-        of_moves = _COMMON + count + _EACH * self._owner[:, None] + np.arange(_EACH)
-        slopes[each[:, None], of_moves] = (level * dimming * light)[:, None] * (self._slopes + self._bends * moves)
-        return level * dimming * moved * light, slopes
+        slopes[:, 0], slopes[:, 1] = by_n / flat + moved_by_n / moved, by_kappa / flat
+        slopes[:, 2], slopes[:, 3] = square / dimming, np.square(square) / dimming
+        slopes[:, _COMMON : _COMMON + 2] = ((v1 + 2.0 * v2 * square) / dimming)[:, None] * -2.0 * place
+        by_normal = self._by_normal / turned[:, None]
+        slopes[:, _TILTS - 2 : _TILTS] = by_normal[:, :2]
+        slopes[each, self._tilts.start + self._posture] = by_normal[:, 2]
+        of_moves = self.levels.stop + _EACH * self._owner[:, None] + np.arange(_EACH)
+        slopes[each[:, None], of_moves] = moved_by_moves / moved[:, None]
+        slopes *= levels[:, None]
+        slopes[each, self.levels.start + self._owner] = light
+        return levels, slopes
+
+    def _moved(self, n: float, moves: Float64) -> tuple[Float64, Float64, Float64]:
+        # factor of the light by moves of its panel, shape (n, 8), and its derivatives by n and by them
+        step = n - self._exponent
+        slopes, bends = (np.tensordot([1.0, step, step**2], of, 1) for of in (self._slopes, self._bends))
+        slopes_by_n, bends_by_n = (np.tensordot([0.0, 1.0, 2.0 * step], of, 1) for of in (self._slopes, self._bends))
+        factor = 1.0 + np.sum((slopes + 0.5 * bends * moves) * moves, axis=1)
+        return factor, np.sum((slopes_by_n + 0.5 * bends_by_n * moves) * moves, axis=1), slopes + bends * moves
 
     def _linearise(self, exponent: float) -> None:
-        # For panels where the ball shows them, not where this fit has moved them: there, a rotation δ of a panel acts
-        # through n·δ. Its prior would favour a small δ with a large n, and n would be 0.2 too large. Squares count: δ
-        # dims a panel by n·δ²/2, as much as its gain is uncertain where there is no fall-off.
-        steps = (*np.diag(_STEP), *np.diag(-_STEP))
-        moved = [_irradiance(*self._of_panels(step), exponent=exponent)[0] for step in steps]
-        up, down = np.split(np.array(moved), 2)
-        middle, _, _ = _irradiance(*self._cosines, exponent=exponent)
-        self._slopes, self._bends = (up - down).T / (2.0 * _STEP), (up + down - 2.0 * middle).T / np.square(_STEP)
-        self._slopes, self._bends = self._slopes / middle[:, None], self._bends / middle[:, None]
+        # relative changes of the light by moves from where the ball shows the panels: quadratic in n, shape (3, n, 8)
+        nodes = exponent + np.array([-1.0, 0.0, 1.0])
+        steps = [self._of_panels(step) for step in (*np.diag(_STEP), *np.diag(-_STEP))]
+        slopes: list[Float64] = []
+        bends: list[Float64] = []
+        for n in nodes:
+            flat = _irradiance(*self._cosines, exponent=n)[0]
+            up, down = np.split(np.array([_irradiance(*step, exponent=n)[0] for step in steps]) / flat, 2)
+            slopes.append((up - down).T / (2.0 * _STEP))
+            bends.append((up + down - 2.0).T / np.square(_STEP))
+        to_powers = np.linalg.inv(np.vander(nodes - exponent, increasing=True))
+        self._slopes, self._bends = (np.tensordot(to_powers, np.array(values), 1) for values in (slopes, bends))
+        self._exponent = exponent
 
-    def _of_panels(self, step: Float64) -> tuple[Float64, Float64, Float64]:
+    def _of_panels(self, step: Float64, normal_change: Float64 | float = 0.0) -> tuple[Float64, Float64, Float64]:
         panels = [posed_panel(light, own + step) for light, own in zip(self.lights, unmoved(self.lights), strict=True)]
-        return _cosines(panels, self._owner, self._points, self._normals)
+        return _cosines(panels, self._owner, self._points, self._normals + normal_change)
 
 
 def _cosines(
