@@ -86,7 +86,9 @@ def statistics(seeds):
     errors, inside = [], []
     for seed in range(seeds):
         falls = seed % 2 == 0
-        views, found, gains, n, vignetting = plate_levels(np.random.default_rng(seed), inverse_square=falls)
+        # panels that face the plate, and others
+        turn = 0.035 if seed % 4 < 2 else 0.0
+        views, found, gains, n, vignetting = plate_levels(np.random.default_rng(seed), inverse_square=falls, turn=turn)
         fit = fitted(views, found)
         assert (fit.fall_off == "inverse_square", fit.fall_off_decided) == (falls, True)
         assert fit.emission_fitted
@@ -129,13 +131,13 @@ def test_exact_levels_give_exact_values():
 
 
 def test_exponent_is_kept_where_no_tilted_view_decides_it():
-    views, found, *_ = plate_levels(np.random.default_rng(1), shift=0.0, turn=0.0)
+    views, found, *_ = plate_levels(np.random.default_rng(1))
     fit = fitted([view for view in views if view.posture.elevation_deg == 0.0], found)
     assert not fit.emission_fitted
     assert fit.emission_exponent.value == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize(("true", "words"), [(-0.01, "0 is taken"), (-1.5, "brighter from the side than from ahead")])
+@pytest.mark.parametrize(("true", "words"), [(-0.05, "0 is taken"), (-1.5, "brighter from the side than from ahead")])
 def test_an_exponent_below_zero_is_taken_as_zero_and_said(true, words):
     views, found, gains, *_ = plate_levels(np.random.default_rng(4), noise=0.001, exact=True, exponent=true)
     fit = fitted(views, found, relative_error=0.001, lambert_error=1e-3)

@@ -31,6 +31,7 @@ READING_ERROR_DEG = 0.02
 LAMBERT_PRIOR = 0.03  # of κ, for a plate that reflects as cosθ to the power 1 + κ; real ones are several % off Lambert
 EXPONENT_DECIDED = 0.33  # standard error of n from which the rig file's is kept: it does not tell 0 from 1
 HELD = 1e-6  # standard error of an n that is not fitted
+FREE_ROTATION = 0.2  # of a panel [rad]: its gradient tells nothing of the exponent then
 FALL_OFF_DECIDED = 9.0  # difference of χ² that decides between fall-off and none: three standard deviations
 MOST_EVALUATIONS = 100  # of a fit: ten are enough where levels and rig agree
 _EACH = len(PANEL_PARAMETERS)
@@ -158,13 +159,14 @@ def fit_plate(
     errors = (relative_error, level_error, lambert_error, reading_error_deg)
     kept, other = (_Problem(views, lights, panels_covariance, errors, falls) for falls in (given, not given))
     filed = float(np.mean([light.emission_exponent for light in lights]))
-    fit, alternative = (one.solve(filed, EXPONENT_PRIOR) for one in (kept, other))
+    fit, alternative = kept.solve(filed), other.solve(filed)
     difference = (fit.chi_squared - alternative.chi_squared) / max(1.0, min(fit.mean_square, alternative.mean_square))
     if difference > FALL_OFF_DECIDED:
         kept, fit = other, alternative
     fitted = bool(np.sqrt(fit.covariance[0, 0]) <= EXPONENT_DECIDED)
     if not fitted:
-        fit = kept.solve(filed, HELD)
+        # the rig file's is as uncertain as the views leave it
+        fit = replace(kept.at(filed), covariance=fit.covariance)
     exponent = measured(float(fit.x[0]), float(np.sqrt(fit.covariance[0, 0])))
     warnings: tuple[str, ...] = ()
     if exponent.value < 0.0:
@@ -175,7 +177,7 @@ def fit_plate(
             text += ". The panels are brighter from the side than from ahead, or the plate is not matt"
         warnings = (text,)
         # gains and panels are those of an exponent of 0; their errors are not less for that
-        fit = replace(kept.solve(0.0, HELD), covariance=fit.covariance)
+        fit = replace(kept.at(0.0), covariance=fit.covariance)
         exponent = Measured(value=0.0, error=exponent.error, interval_95=(0.0, max(0.0, high)))
 
     # of n, κ, v₁, v₂, then levels and moves: the rest is not of the rig
@@ -255,7 +257,7 @@ class _Problem:
         self._prior = np.full(self.levels.stop, np.inf)
         self._prior[1:_TILTS] = [lambert, *[VIGNETTING_PRIOR] * 2, *[CENTRE_PRIOR] * 2, *[SLOPE_PRIOR] * 2]
         self._prior[self._tilts] = max(np.radians(reading), HELD)
-        self._known = np.linalg.inv(np.linalg.cholesky(panels_covariance))
+        self._panels = panels_covariance
         self._cosines = self._of_panels(np.zeros(_EACH))
         changes = np.moveaxis(np.repeat([view.normal_changes for view in views], sizes, axis=0), 1, 0)
         flat = _irradiance(*self._cosines, exponent=1.0)[0]
@@ -263,10 +265,27 @@ class _Problem:
         # by the plate's slope and the tilt reading, as moves; nearly the same for every n
         self._by_normal = np.stack([_irradiance(*t, exponent=1.0)[0] / flat - 1.0 for t in turned], 1) / NORMAL_STEP
 
-    def solve(self, exponent: float, exponent_error: float) -> _Fit:
-        # n is `exponent` beforehand, with this standard deviation
-        count = len(self.lights)
+    def solve(self, filed: float) -> _Fit:
+        """The exponent by how the light falls off to the sides, whatever the panels' rotations; then all else for it.
+
+        A panel that is rotated by α makes a gradient n·α. The ball shows α with an error. If it counted, n would be too
+        small for panels that do not face the plate, and anything for panels that do.
+        """
+        self._linearise(filed)
+        alone = self._solve(filed, EXPONENT_PRIOR, rotation_error=FREE_ROTATION)
+        n, error = float(alone.x[0]), float(np.sqrt(alone.covariance[0, 0]))
+        fit, other = self.at(n), self.at(n + error)
+        by_n = other.x - fit.x
+        return replace(fit, covariance=fit.covariance + np.outer(by_n, by_n))
+
+    def at(self, exponent: float) -> _Fit:
+        """The most probable values for a given exponent."""
         self._linearise(exponent)
+        return self._solve(exponent, HELD, rotation_error=0.0)
+
+    def _solve(self, exponent: float, exponent_error: float, *, rotation_error: float) -> _Fit:
+        # n is `exponent` beforehand, with this standard deviation, and rotations of panels are off by so much more
+        count = len(self.lights)
         flat = _irradiance(*self._cosines, exponent=exponent)[0]
         totals = (np.bincount(self._owner, values, count) for values in (self._levels, flat))
         start = np.zeros(self.levels.stop + _EACH * count)
@@ -274,7 +293,9 @@ class _Problem:
         prior = np.concatenate([[exponent_error], self._prior[1:]])
         of_moves = slice(len(prior), len(start))
         known = np.zeros((len(start), len(start)))
-        known[: len(prior), : len(prior)], known[of_moves, of_moves] = np.diag(1.0 / prior), self._known
+        known[: len(prior), : len(prior)] = np.diag(1.0 / prior)
+        more = np.tile([0.0] * 3 + [rotation_error] * 3 + [0.0] * 2, count)
+        known[of_moves, of_moves] = np.linalg.inv(np.linalg.cholesky(self._panels + np.diag(np.square(more))))
 
         def residuals(x: Float64) -> Float64:
             return np.concatenate([(self._predicted(x)[0] - self._levels) / self._error, known @ (x - start)])
