@@ -33,7 +33,7 @@ EXPONENT_DECIDED = 0.33  # standard error of n from which the rig file's is kept
 HELD = 1e-6  # standard error of an n that is not fitted
 FREE_ROTATION = 0.2  # of a panel [rad]: its gradient tells nothing of the exponent then
 FALL_OFF_DECIDED = 9.0  # difference of χ² that decides between fall-off and none: three standard deviations
-MOST_EVALUATIONS = 100  # of a fit: ten are enough where levels and rig agree
+MOST_EVALUATIONS = 30  # of a fit: ten are enough where levels and rig agree
 _EACH = len(PANEL_PARAMETERS)
 _COMMON = 4  # n, κ and two coefficients of vignetting
 _TILTS = _COMMON + 4  # and the centre of the vignetting, and the slope of the plate
@@ -159,10 +159,11 @@ def fit_plate(
     errors = (relative_error, level_error, lambert_error, reading_error_deg)
     kept, other = (_Problem(views, lights, panels_covariance, errors, falls) for falls in (given, not given))
     filed = float(np.mean([light.emission_exponent for light in lights]))
-    fit, alternative = kept.solve(filed), other.solve(filed)
-    difference = (fit.chi_squared - alternative.chi_squared) / max(1.0, min(fit.mean_square, alternative.mean_square))
+    first, second = (one.with_any_exponent(filed) for one in (kept, other))
+    difference = (first.chi_squared - second.chi_squared) / max(1.0, min(first.mean_square, second.mean_square))
     if difference > FALL_OFF_DECIDED:
-        kept, fit = other, alternative
+        kept = other
+    fit = kept.solve(filed)
     fitted = bool(np.sqrt(fit.covariance[0, 0]) <= EXPONENT_DECIDED)
     if not fitted:
         # the rig file's is as uncertain as the views leave it
@@ -271,12 +272,16 @@ class _Problem:
         A panel that is rotated by α makes a gradient n·α. The ball shows α with an error. If it counted, n would be too
         small for panels that do not face the plate, and anything for panels that do.
         """
-        self._linearise(filed)
-        alone = self._solve(filed, EXPONENT_PRIOR, rotation_error=FREE_ROTATION)
+        alone = self.with_any_exponent(filed, rotation_error=FREE_ROTATION)
         n, error = float(alone.x[0]), float(np.sqrt(alone.covariance[0, 0]))
         fit, other = self.at(n), self.at(n + error)
         by_n = other.x - fit.x
         return replace(fit, covariance=fit.covariance + np.outer(by_n, by_n))
+
+    def with_any_exponent(self, filed: float, *, rotation_error: float = 0.0) -> _Fit:
+        """All values together."""
+        self._linearise(filed)
+        return self._solve(filed, EXPONENT_PRIOR, rotation_error=rotation_error)
 
     def at(self, exponent: float) -> _Fit:
         """The most probable values for a given exponent."""
