@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from lightopt.config import load_part, load_rig, load_targets
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.estimate.rig_calibration import calibrate_rig, read_covariance, rig_deviations, write_calibration
+from lightopt.estimate.rig_calibration._calibrate import _Images
 from lightopt.estimate.rig_calibration._files import intervals
 from lightopt.scene import Stage, build_camera, build_stage, project
 
@@ -276,3 +279,16 @@ def test_too_few_views_and_bad_corners_are_said(rig, folder):
     found = calibrate_rig(load_rig(rig), folder)
     assert any("more postures are needed" in text for text in found.warnings)
     assert "tilt axis direction" in found.unobservable
+
+
+def test_a_ball_that_is_overexposed_in_all_images_is_said_once(rig, folder, monkeypatch):
+    rows, columns = np.indices((1200, 1600))
+    levels = np.where(np.hypot(columns - 800, rows - 600) < 230, 255, 0).astype(np.uint8)
+    shots = [
+        SimpleNamespace(light=light, exposure=1.0, levels=levels, saturated=levels == 255) for light in ("a", "b", "c")
+    ]
+    images = _Images(load_rig(rig), folder, load_targets(folder / "targets.yaml"), RunContext())
+    monkeypatch.setattr(_Images, "_by_posture", lambda *_: {Posture(20.0, 0.0): shots})
+    with pytest.raises(InputError, match=r"in any image: a at .*: expose it shorter \(and 2 more\)") as raised:
+        images.ball(build_camera(load_rig(rig)), 10.0)
+    assert len(raised.value.messages) == 1

@@ -82,6 +82,8 @@ def mirrored_panel(image: NDArray[Any], sensor: Sensor, centre: Float64, radius_
     rows, columns = (np.indices(level.shape) + 0.5) + corner[::-1, None, None]  # pixel centres
     level = np.where(np.hypot(columns - centre[0], rows - centre[1]) <= radius_px, level, sensor.black_level)
     peak, body = float(ndimage.uniform_filter(level, 3).max()), float(np.median(level))
+    if body >= sensor.saturated_from:
+        raise InputError(f"{where}: most of the ball is saturated: expose it shorter")
     if peak - body < LEAST_SIGNAL * max(sensor.read_noise_levels, 0.3):
         raise InputError(f"{where}: no highlight: is the light on? Else expose longer")
     region: Index = ndimage.label(level > 0.5 * (peak + body))[0]  # pyright: ignore[reportIndexIssue, reportAssignmentType]

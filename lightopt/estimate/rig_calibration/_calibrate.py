@@ -277,7 +277,7 @@ class _Images:
             # the longest exposure without a saturated pixel
             best = {o.light: o for o in mine if not o.saturated.any()}
             best = {**{o.light: o for o in reversed(mine)}, **best}
-            shown = {light: o.levels for light, o in best.items()}
+            shown = {light: best[light].levels for light in sorted(best)}
             longest = list({o.light: o.levels for o in mine}.values())
             ball = partial(measure_ball, radius_px=radius_px, sensor=sensor, outline_images=longest)
             with collected(problems):
@@ -285,7 +285,8 @@ class _Images:
                 views.append(view)
                 problems += of_panels
         if not any(view.panels for view in views):
-            raise InputError(*(f"{self.folder / BALL}: {text}" for text in problems))
+            others = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+            raise InputError(f"{self.folder / BALL}: no panel can be measured in any image: {problems[0]}{others}")
         self.warnings.extend(f"ball: {text}; left out" for text in problems)
         return views
 
