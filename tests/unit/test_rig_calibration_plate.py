@@ -161,6 +161,18 @@ def test_light_without_view_is_named():
         fitted([view for view in views if view.light != "light3"], found)
 
 
+def test_cells_that_a_panel_does_not_reach_are_left_out():
+    views, found, *_ = plate_levels(np.random.default_rng(1), exact=True)
+    whole = fitted(views, found)
+    # the plate tilted so far that the first panel is behind it
+    normal = STAGE.transform(Posture(80.0, 0.0))[0][:, 2]
+    assert normal @ found[0].centre < -50.0
+    dark = replace(views[0], normal=normal, levels=0.0 * views[0].levels)
+    assert views[0].light == found[0].name
+    fit = fitted([*views, dark], found)
+    assert [g.value for g in fit.gains] == pytest.approx([g.value for g in whole.gains], rel=1e-9)
+
+
 def test_cells_are_on_the_plate_and_not_saturated():
     usable = np.ones(SHAPE, bool)
     view = CELLS[POSTURES[1]]

@@ -151,9 +151,12 @@ def fit_plate(
     relative_error, level_error: Standard deviation of a cell's level: a share of it, and [grey level]
     lambert_error: Standard deviation of κ, by how much the plate is expected not to be Lambertian
     reading_error_deg: Standard deviation of the stage's tilt readings [deg]
+    Cells that a light does not shine on with all of its panel are left out.
     Raises InputError: Where a light has no view
     """
-    seen = {view.light for view in views}
+    of_name = {light.name: light for light in lights}
+    views = [_lit(view, of_name[view.light]) for view in views]
+    seen = {view.light for view in views if len(view.levels)}
     refuse([f"plate: {light.name} has no view of the plate" for light in lights if light.name not in seen])
     given = all(light.inverse_square for light in lights)
     errors = (relative_error, level_error, lambert_error, reading_error_deg)
@@ -215,6 +218,13 @@ def fit_plate(
         rms=float(np.sqrt(fit.mean_square)),
         warnings=warnings,
     )
+
+
+def _lit(view: PlateView, light: PanelLight) -> PlateView:
+    normals = np.broadcast_to(view.normal, view.points.shape)
+    weight, _, _ = _cosines([light], np.zeros(len(view.points), np.intp), view.points, normals)
+    lit = np.all(weight > 0.0, axis=1)
+    return replace(view, points=view.points[lit], place=view.place[lit], levels=view.levels[lit])
 
 
 @dataclass(frozen=True)
