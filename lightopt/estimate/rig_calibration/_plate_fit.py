@@ -162,11 +162,11 @@ def fit_plate(
     errors = (relative_error, level_error, lambert_error, reading_error_deg)
     kept, other = (_Problem(views, lights, panels_covariance, errors, falls) for falls in (given, not given))
     filed = float(np.mean([light.emission_exponent for light in lights]))
-    first, second = (one.with_any_exponent(filed) for one in (kept, other))
+    first, second = (one.with_any_rotations(filed) for one in (kept, other))
     difference = (first.chi_squared - second.chi_squared) / max(1.0, min(first.mean_square, second.mean_square))
     if difference > FALL_OFF_DECIDED:
-        kept = other
-    fit = kept.solve(filed)
+        kept, first = other, second
+    fit = kept.with_uncertain_exponent(first)
     fitted = bool(np.sqrt(fit.covariance[0, 0]) <= EXPONENT_DECIDED)
     if not fitted:
         # the rig file's is as uncertain as the views leave it
@@ -276,22 +276,21 @@ class _Problem:
         # by the plate's slope and the tilt reading, as moves; nearly the same for every n
         self._by_normal = np.stack([_irradiance(*t, exponent=1.0)[0] / flat - 1.0 for t in turned], 1) / NORMAL_STEP
 
-    def solve(self, filed: float) -> _Fit:
-        """The exponent by how the light falls off to the sides, whatever the panels' rotations; then all else for it.
+    def with_any_rotations(self, filed: float) -> _Fit:
+        """The exponent by how the light falls off to the sides, and anything for the panels' rotations.
 
         A panel that is rotated by α makes a gradient n·α. The ball shows α with an error. If it counted, n would be too
-        small for panels that do not face the plate, and anything for panels that do.
+        small for panels that do not face the plate, and anything for panels that do. So any gradient goes.
         """
-        alone = self.with_any_exponent(filed, rotation_error=FREE_ROTATION)
-        n, error = float(alone.x[0]), float(np.sqrt(alone.covariance[0, 0]))
+        self._linearise(1.0)
+        return self._solve(filed, EXPONENT_PRIOR, rotation_error=FREE_ROTATION)
+
+    def with_uncertain_exponent(self, found: _Fit) -> _Fit:
+        """All else for the exponent of :meth:`with_any_rotations`, whose error widens theirs."""
+        n, error = float(found.x[0]), float(np.sqrt(found.covariance[0, 0]))
         fit, other = self.at(n), self.at(n + error)
         by_n = other.x - fit.x
         return replace(fit, covariance=fit.covariance + np.outer(by_n, by_n))
-
-    def with_any_exponent(self, filed: float, *, rotation_error: float = 0.0) -> _Fit:
-        """All values together."""
-        self._linearise(filed)
-        return self._solve(filed, EXPONENT_PRIOR, rotation_error=rotation_error)
 
     def at(self, exponent: float) -> _Fit:
         """The most probable values for a given exponent."""
@@ -333,47 +332,33 @@ class _Problem:
         dimming = 1.0 + square * (v1 + v2 * square)
         slope = np.broadcast_to(x[_TILTS - 2 : _TILTS], (len(each), 2))
         turned = 1.0 + np.sum(self._by_normal * np.column_stack([slope, x[self._tilts][self._posture]]), axis=1)
-        moved, moved_by_n, moved_by_moves = self._moved(n, x[self.levels.stop :].reshape(count, _EACH)[self._owner])
+        moves = x[self.levels.stop :].reshape(count, _EACH)[self._owner]
+        moved = 1.0 + np.sum((self._slopes + 0.5 * self._bends * moves) * moves, axis=1)
         flat, by_n, by_kappa = _irradiance(*self._cosines, exponent=n, kappa=kappa)
         light = flat * moved * turned * dimming
         levels = x[self.levels][self._owner] * light
 
         # relative ones first
         slopes = np.zeros((len(each), len(x)))
-        slopes[:, 0], slopes[:, 1] = by_n / flat + moved_by_n / moved, by_kappa / flat
+        slopes[:, 0], slopes[:, 1] = by_n / flat, by_kappa / flat
         slopes[:, 2], slopes[:, 3] = square / dimming, np.square(square) / dimming
         slopes[:, _COMMON : _COMMON + 2] = ((v1 + 2.0 * v2 * square) / dimming)[:, None] * -2.0 * place
         by_normal = self._by_normal / turned[:, None]
         slopes[:, _TILTS - 2 : _TILTS] = by_normal[:, :2]
         slopes[each, self._tilts.start + self._posture] = by_normal[:, 2]
         of_moves = self.levels.stop + _EACH * self._owner[:, None] + np.arange(_EACH)
-        slopes[each[:, None], of_moves] = moved_by_moves / moved[:, None]
+        slopes[each[:, None], of_moves] = (self._slopes + self._bends * moves) / moved[:, None]
         slopes *= levels[:, None]
         slopes[each, self.levels.start + self._owner] = light
         return levels, slopes
 
-    def _moved(self, n: float, moves: Float64) -> tuple[Float64, Float64, Float64]:
-        # factor of the light by moves of its panel, shape (n, 8), and its derivatives by n and by them
-        step = n - self._exponent
-        slopes, bends = (np.tensordot([1.0, step, step**2], of, 1) for of in (self._slopes, self._bends))
-        slopes_by_n, bends_by_n = (np.tensordot([0.0, 1.0, 2.0 * step], of, 1) for of in (self._slopes, self._bends))
-        factor = 1.0 + np.sum((slopes + 0.5 * bends * moves) * moves, axis=1)
-        return factor, np.sum((slopes_by_n + 0.5 * bends_by_n * moves) * moves, axis=1), slopes + bends * moves
-
     def _linearise(self, exponent: float) -> None:
-        # relative changes of the light by moves from where the ball shows the panels: quadratic in n, shape (3, n, 8)
-        nodes = exponent + np.array([-1.0, 0.0, 1.0])
-        steps = [self._of_panels(step) for step in (*np.diag(_STEP), *np.diag(-_STEP))]
-        slopes: list[Float64] = []
-        bends: list[Float64] = []
-        for n in nodes:
-            flat = _irradiance(*self._cosines, exponent=n)[0]
-            up, down = np.split(np.array([_irradiance(*step, exponent=n)[0] for step in steps]) / flat, 2)
-            slopes.append((up - down).T / (2.0 * _STEP))
-            bends.append((up + down - 2.0).T / np.square(_STEP))
-        to_powers = np.linalg.inv(np.vander(nodes - exponent, increasing=True))
-        self._slopes, self._bends = (np.tensordot(to_powers, np.array(values), 1) for values in (slopes, bends))
-        self._exponent = exponent
+        # relative changes of the light by moves from where the ball shows the panels
+        flat = _irradiance(*self._cosines, exponent=exponent)[0]
+        steps = (*np.diag(_STEP), *np.diag(-_STEP))
+        moved = np.array([_irradiance(*self._of_panels(step), exponent=exponent)[0] for step in steps])
+        up, down = np.split(moved / flat, 2)
+        self._slopes, self._bends = (up - down).T / (2.0 * _STEP), (up + down - 2.0).T / np.square(_STEP)
 
     def _of_panels(self, step: Float64, normal_change: Float64 | float = 0.0) -> tuple[Float64, Float64, Float64]:
         panels = [posed_panel(light, own + step) for light, own in zip(self.lights, unmoved(self.lights), strict=True)]
