@@ -1,4 +1,7 @@
-"""Board, ball and plate of hidden rigs one after the other: each fit starts from the errors of the one before."""
+"""Board, ball and plate of hidden rigs one after the other: each fit starts from the errors of the one before.
+
+With as many images as `lightopt calibrate --plan` lists: 15 of the board, 32 of the ball, 12 of the plate.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +17,12 @@ from lightopt.config import PlateTargetConfig
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, fit_ball
 from lightopt.estimate.rig_calibration._board_fit import fit_board
+from lightopt.estimate.rig_calibration._files import PLATE_TILTS_DEG
 from lightopt.estimate.rig_calibration._plate_fit import _cosines, _irradiance, fit_plate, plate_cells
 from lightopt.scene import pixel_directions
 
 PLATE = PlateTargetConfig(size_mm=(50.0, 50.0))
-PLATE_POSTURES = tuple(Posture(tilt, turn) for tilt in (-30.0, 0.0, 30.0) for turn in (0.0, 90.0, 180.0, 270.0))
+PLATE_POSTURES = tuple(Posture(tilt, 0.0) for tilt in PLATE_TILTS_DEG)
 CELL = 80
 READING_ERROR = 0.02  # [deg]
 

@@ -29,7 +29,7 @@ CENTRE_PRIOR = 0.02  # of the vignetting, which is near the principal point [hal
 SLOPE_PRIOR = np.radians(0.1)  # of the plate on the table
 READING_ERROR_DEG = 0.02
 LAMBERT_PRIOR = 0.03  # of κ, for a plate that reflects as cosθ to the power 1 + κ; real ones are several % off Lambert
-EXPONENT_DECIDED = 0.33  # standard error of n from which the rig file's is kept: it does not tell 0 from 1
+EXPONENT_DECIDED = 0.5  # standard error of n from which the rig file's is kept
 HELD = 1e-6  # standard error of an n that is not fitted
 FREE_ROTATION = 0.2  # of a panel [rad]: its gradient tells nothing of the exponent then
 FALL_OFF_DECIDED = 9.0  # difference of χ² that decides between fall-off and none: three standard deviations
@@ -166,22 +166,21 @@ def fit_plate(
     difference = (first.chi_squared - second.chi_squared) / max(1.0, min(first.mean_square, second.mean_square))
     if difference > FALL_OFF_DECIDED:
         kept, first = other, second
-    fit = kept.with_uncertain_exponent(first)
-    fitted = bool(np.sqrt(fit.covariance[0, 0]) <= EXPONENT_DECIDED)
-    if not fitted:
-        # the rig file's is as uncertain as the views leave it
-        fit = replace(kept.at(filed), covariance=fit.covariance)
+    found, error = float(first.x[0]), float(np.sqrt(first.covariance[0, 0]))
+    fitted = error <= EXPONENT_DECIDED
+    # the rig file's may be off by what the views show, too
+    fit = kept.at(found, error) if fitted else kept.at(filed, float(np.hypot(error, found - filed)))
     exponent = measured(float(fit.x[0]), float(np.sqrt(fit.covariance[0, 0])))
     warnings: tuple[str, ...] = ()
     if exponent.value < 0.0:
         low, high = exponent.interval_95
-        found = f"{exponent.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
-        text = f"plate: emission exponent {found}; 0 is taken, the least there is"
+        text = f"plate: emission exponent {exponent.value:.2f}, 95 % interval {low:.2f} to {high:.2f}; 0 is taken, the "
+        text += "least there is"
         if high < 0.0:
             text += ". The panels are brighter from the side than from ahead, or the plate is not matt"
         warnings = (text,)
         # gains and panels are those of an exponent of 0; their errors are not less for that
-        fit = replace(kept.at(0.0), covariance=fit.covariance)
+        fit = replace(kept.at(0.0, 0.0), covariance=fit.covariance)
         exponent = Measured(value=0.0, error=exponent.error, interval_95=(0.0, max(0.0, high)))
 
     # of n, κ, v₁, v₂, then levels and moves: the rest is not of the rig
@@ -285,15 +284,13 @@ class _Problem:
         self._linearise(1.0)
         return self._solve(filed, EXPONENT_PRIOR, rotation_error=FREE_ROTATION)
 
-    def with_uncertain_exponent(self, found: _Fit) -> _Fit:
-        """All else for the exponent of :meth:`with_any_rotations`, whose error widens theirs."""
-        n, error = float(found.x[0]), float(np.sqrt(found.covariance[0, 0]))
-        fit, other = self.at(n), self.at(n + error)
+    def at(self, exponent: float, error: float) -> _Fit:
+        """All else for an exponent, whose error widens theirs."""
+        fit, other = (self._held(n) for n in (exponent, exponent + error))
         by_n = other.x - fit.x
         return replace(fit, covariance=fit.covariance + np.outer(by_n, by_n))
 
-    def at(self, exponent: float) -> _Fit:
-        """The most probable values for a given exponent."""
+    def _held(self, exponent: float) -> _Fit:
         self._linearise(exponent)
         return self._solve(exponent, HELD, rotation_error=0.0)
 
