@@ -146,9 +146,9 @@ def test_a_rig_is_calibrated_step_by_step():
 
 @pytest.mark.nightly
 def test_intervals_of_all_steps_cover_as_often_as_they_say():
-    rms, covered = statistics(range(100, 400))
+    rms, covered = statistics(range(100, 300))
     check_errors(rms)
-    # what differs more by chance than by 3 %: one value per rig
-    once = {"exponent", "v2", "v4"}
-    assert {name: share for name, share in covered.items() if not 0.92 <= share <= 0.98 and name not in once} == {}
-    assert min(covered[name] for name in once) > 0.9
+    # one value per rig: within two standard deviations of the share, and a little more
+    once = {name for name in covered if not name.startswith(("ball ", "plate ", "gain"))}
+    assert {name: share for name, share in covered.items() if name not in once and not 0.92 <= share <= 0.98} == {}
+    assert {name: share for name, share in covered.items() if name in once and not 0.90 <= share <= 0.99} == {}
