@@ -26,16 +26,17 @@ MARGIN_MM = 2.0  # from the plate's edge
 # standard deviations before the fit
 EXPONENT_PRIOR, VIGNETTING_PRIOR = 1.0, 0.5
 CENTRE_PRIOR = 0.02  # of the vignetting, which is near the principal point [half of the image's diagonal]
+GRADIENT_PRIOR = 0.2  # rotation of a panel whose gradient it is, for n = 1 [rad]
 SLOPE_PRIOR = np.radians(0.1)  # of the plate on the table
 READING_ERROR_DEG = 0.02
 LAMBERT_PRIOR = 0.03  # of κ, for a plate that reflects as cosθ to the power 1 + κ; real ones are several % off Lambert
 EXPONENT_DECIDED = 0.5  # standard error of n from which the rig file's is kept
 HELD = 1e-6  # standard error of an n that is not fitted
-FREE_ROTATION = 0.2  # of a panel [rad]: its gradient tells nothing of the exponent then
 FALL_OFF_DECIDED = 9.0  # difference of χ² that decides between fall-off and none: three standard deviations
 MOST_EVALUATIONS = 30  # of a fit: ten are enough where levels and rig agree
 _EACH = len(PANEL_PARAMETERS)
 _COMMON = 4  # n, κ and two coefficients of vignetting
+_ROTATIONS = slice(3, 5)  # of a panel's moves, about its sides
 _TILTS = _COMMON + 4  # and the centre of the vignetting, and the slope of the plate
 _STEP = np.array([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3, 0.1, 0.1])
 NORMAL_STEP = 1e-4  # [rad]
@@ -162,14 +163,15 @@ def fit_plate(
     errors = (relative_error, level_error, lambert_error, reading_error_deg)
     kept, other = (_Problem(views, lights, panels_covariance, errors, falls) for falls in (given, not given))
     filed = float(np.mean([light.emission_exponent for light in lights]))
-    first, second = (one.with_any_rotations(filed) for one in (kept, other))
-    difference = (first.chi_squared - second.chi_squared) / max(1.0, min(first.mean_square, second.mean_square))
+    fit, alternative = (one.solve(filed, EXPONENT_PRIOR) for one in (kept, other))
+    difference = (fit.chi_squared - alternative.chi_squared) / max(1.0, min(fit.mean_square, alternative.mean_square))
     if difference > FALL_OFF_DECIDED:
-        kept, first = other, second
-    found, error = float(first.x[0]), float(np.sqrt(first.covariance[0, 0]))
+        kept, fit = other, alternative
+    n, error = float(fit.x[0]), float(np.sqrt(fit.covariance[0, 0]))
     fitted = error <= EXPONENT_DECIDED
-    # the rig file's may be off by what the views show, too
-    fit = kept.at(found, error) if fitted else kept.at(filed, float(np.hypot(error, found - filed)))
+    if not fitted:
+        # the rig file's may be off by what the views show, too
+        fit = kept.held(filed, float(np.hypot(error, n - filed)))
     exponent = measured(float(fit.x[0]), float(np.sqrt(fit.covariance[0, 0])))
     warnings: tuple[str, ...] = ()
     if exponent.value < 0.0:
@@ -180,7 +182,7 @@ def fit_plate(
             text += ". The panels are brighter from the side than from ahead, or the plate is not matt"
         warnings = (text,)
         # gains and panels are those of an exponent of 0; their errors are not less for that
-        fit = replace(kept.at(0.0, 0.0), covariance=fit.covariance)
+        fit = replace(kept.held(0.0, HELD), covariance=fit.covariance)
         exponent = Measured(value=0.0, error=exponent.error, interval_95=(0.0, max(0.0, high)))
 
     # of n, κ, v₁, v₂, then levels and moves: the rest is not of the rig
@@ -238,8 +240,13 @@ class _Problem:
     """Levels of all cells by n and what else is open.
 
     Parameters: n, κ, v₁, v₂, the centre of the vignetting (2), the plate's slope (2), the error of each posture's tilt
-    reading, the lights' levels, and the panels' moves. Of moves squares count: a rotation δ dims a panel by n·δ²/2, as
-    much as its gain is uncertain where there is no fall-off.
+    reading, two gradients and the level of each light, and the panels' moves.
+
+    A panel that is rotated by δ makes a gradient n·δ. This tells neither n nor δ: the ball shows δ with an error as
+    large as most rotations. An n from gradients would be too small for panels that do not face the plate, and anything
+    for panels that do. So gradients, as a rotation makes them for n = 1, are free, and rotations stay as the ball shows
+    them. Of gradients and moves squares count: a rotation dims a panel by n·δ²/2, as much as its gain is uncertain where
+    there is no fall-off.
     """
 
     def __init__(
@@ -263,39 +270,31 @@ class _Problem:
         relative, level, lambert, reading = errors
         self._error = np.hypot(level, relative * self._levels)
         self._tilts = slice(_TILTS, _TILTS + len(postures))
-        self.levels = slice(self._tilts.stop, self._tilts.stop + len(lights))
+        self._gradients = slice(self._tilts.stop, self._tilts.stop + 2 * len(lights))
+        self.levels = slice(self._gradients.stop, self._gradients.stop + len(lights))
         self._prior = np.full(self.levels.stop, np.inf)
         self._prior[1:_TILTS] = [lambert, *[VIGNETTING_PRIOR] * 2, *[CENTRE_PRIOR] * 2, *[SLOPE_PRIOR] * 2]
-        self._prior[self._tilts] = max(np.radians(reading), HELD)
-        self._panels = panels_covariance
+        self._prior[self._tilts], self._prior[self._gradients] = max(np.radians(reading), HELD), GRADIENT_PRIOR
+        self._panels = np.linalg.inv(np.linalg.cholesky(panels_covariance))
         self._cosines = self._of_panels(np.zeros(_EACH))
-        changes = np.moveaxis(np.repeat([view.normal_changes for view in views], sizes, axis=0), 1, 0)
+        # relative changes of the light, for n = 1 and panels where the ball shows them
         flat = _irradiance(*self._cosines, exponent=1.0)[0]
+        steps = (*np.diag(_STEP), *np.diag(-_STEP))
+        moved = np.array([_irradiance(*self._of_panels(step), exponent=1.0)[0] for step in steps])
+        up, down = np.split(moved / flat, 2)
+        self._slopes, self._bends = (up - down).T / (2.0 * _STEP), (up + down - 2.0).T / np.square(_STEP)
+        changes = np.moveaxis(np.repeat([view.normal_changes for view in views], sizes, axis=0), 1, 0)
         turned = [self._of_panels(np.zeros(_EACH), NORMAL_STEP * change) for change in changes]
-        # by the plate's slope and the tilt reading, as moves; nearly the same for every n
         self._by_normal = np.stack([_irradiance(*t, exponent=1.0)[0] / flat - 1.0 for t in turned], 1) / NORMAL_STEP
 
-    def with_any_rotations(self, filed: float) -> _Fit:
-        """The exponent by how the light falls off to the sides, and anything for the panels' rotations.
-
-        A panel that is rotated by α makes a gradient n·α. The ball shows α with an error. If it counted, n would be too
-        small for panels that do not face the plate, and anything for panels that do. So any gradient goes.
-        """
-        self._linearise(1.0)
-        return self._solve(filed, EXPONENT_PRIOR, rotation_error=FREE_ROTATION)
-
-    def at(self, exponent: float, error: float) -> _Fit:
+    def held(self, exponent: float, error: float) -> _Fit:
         """All else for an exponent, whose error widens theirs."""
-        fit, other = (self._held(n) for n in (exponent, exponent + error))
+        fit, other = (self.solve(n, HELD) for n in (exponent, exponent + error))
         by_n = other.x - fit.x
         return replace(fit, covariance=fit.covariance + np.outer(by_n, by_n))
 
-    def _held(self, exponent: float) -> _Fit:
-        self._linearise(exponent)
-        return self._solve(exponent, HELD, rotation_error=0.0)
-
-    def _solve(self, exponent: float, exponent_error: float, *, rotation_error: float) -> _Fit:
-        # n is `exponent` beforehand, with this standard deviation, and rotations of panels are off by so much more
+    def solve(self, exponent: float, exponent_error: float) -> _Fit:
+        # n is `exponent` beforehand, with this standard deviation
         count = len(self.lights)
         flat = _irradiance(*self._cosines, exponent=exponent)[0]
         totals = (np.bincount(self._owner, values, count) for values in (self._levels, flat))
@@ -304,9 +303,7 @@ class _Problem:
         prior = np.concatenate([[exponent_error], self._prior[1:]])
         of_moves = slice(len(prior), len(start))
         known = np.zeros((len(start), len(start)))
-        known[: len(prior), : len(prior)] = np.diag(1.0 / prior)
-        more = np.tile([0.0] * 3 + [rotation_error] * 3 + [0.0] * 2, count)
-        known[of_moves, of_moves] = np.linalg.inv(np.linalg.cholesky(self._panels + np.diag(np.square(more))))
+        known[: len(prior), : len(prior)], known[of_moves, of_moves] = np.diag(1.0 / prior), self._panels
 
         def residuals(x: Float64) -> Float64:
             return np.concatenate([(self._predicted(x)[0] - self._levels) / self._error, known @ (x - start)])
@@ -330,6 +327,7 @@ class _Problem:
         slope = np.broadcast_to(x[_TILTS - 2 : _TILTS], (len(each), 2))
         turned = 1.0 + np.sum(self._by_normal * np.column_stack([slope, x[self._tilts][self._posture]]), axis=1)
         moves = x[self.levels.stop :].reshape(count, _EACH)[self._owner]
+        moves[:, _ROTATIONS] = x[self._gradients].reshape(count, 2)[self._owner]
         moved = 1.0 + np.sum((self._slopes + 0.5 * self._bends * moves) * moves, axis=1)
         flat, by_n, by_kappa = _irradiance(*self._cosines, exponent=n, kappa=kappa)
         light = flat * moved * turned * dimming
@@ -344,18 +342,11 @@ class _Problem:
         slopes[:, _TILTS - 2 : _TILTS] = by_normal[:, :2]
         slopes[each, self._tilts.start + self._posture] = by_normal[:, 2]
         of_moves = self.levels.stop + _EACH * self._owner[:, None] + np.arange(_EACH)
+        of_moves[:, _ROTATIONS] = self._gradients.start + 2 * self._owner[:, None] + np.arange(2)
         slopes[each[:, None], of_moves] = (self._slopes + self._bends * moves) / moved[:, None]
         slopes *= levels[:, None]
         slopes[each, self.levels.start + self._owner] = light
         return levels, slopes
-
-    def _linearise(self, exponent: float) -> None:
-        # relative changes of the light by moves from where the ball shows the panels
-        flat = _irradiance(*self._cosines, exponent=exponent)[0]
-        steps = (*np.diag(_STEP), *np.diag(-_STEP))
-        moved = np.array([_irradiance(*self._of_panels(step), exponent=exponent)[0] for step in steps])
-        up, down = np.split(moved / flat, 2)
-        self._slopes, self._bends = (up - down).T / (2.0 * _STEP), (up + down - 2.0).T / np.square(_STEP)
 
     def _of_panels(self, step: Float64, normal_change: Float64 | float = 0.0) -> tuple[Float64, Float64, Float64]:
         panels = [posed_panel(light, own + step) for light, own in zip(self.lights, unmoved(self.lights), strict=True)]
