@@ -245,8 +245,8 @@ class _Problem:
     A panel that is rotated by δ makes a gradient n·δ. This tells neither n nor δ: the ball shows δ with an error as
     large as most rotations. An n from gradients would be too small for panels that do not face the plate, and anything
     for panels that do. So gradients, as a rotation makes them for n = 1, are free, and rotations stay as the ball shows
-    them. Of gradients and moves squares count: a rotation dims a panel by n·δ²/2, as much as its gain is uncertain where
-    there is no fall-off.
+    them. Of gradients and moves squares count: a rotation dims a panel by n·δ²/2, as much as its gain is uncertain
+    where there is no fall-off.
     """
 
     def __init__(
