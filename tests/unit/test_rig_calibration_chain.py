@@ -123,9 +123,8 @@ def statistics(seeds):
     rms = {name: float(np.sqrt(np.mean(np.square(errors)))) for name, (errors, _) in pairs.items()}
     covered = {n: float(np.mean(np.abs(z) <= 1.96)) for n, (_, z) in pairs.items() if np.isfinite(z).all()}
     for name, (errors, _) in pairs.items():  # pytest -s shows the figures of the docs
-        print(
-            f"{name:32} rms {rms[name]:.3g}, largest {np.abs(errors).max():.3g}, covered {covered.get(name, np.nan):.3f}"
-        )
+        share = covered.get(name, np.nan)
+        print(f"{name:32} rms {rms[name]:.3g}, largest {np.abs(errors).max():.3g}, covered {share:.3f}")
     return rms, covered
 
 
