@@ -16,6 +16,7 @@ import pytest
 from lightopt.batch import Workers, _schedule, _task, answer_text, jobs_table, run_batch
 from lightopt.batch._expand import expand
 from lightopt.cli._batch import command_form
+from lightopt.cli._main import _COMMANDS
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 
@@ -309,6 +310,13 @@ def test_files_of_the_same_name_are_told_apart_by_their_folders(files):
         ("step: 5", "calibration: none.json", 9, "no such file"),
         (", images_from: images", "", 8, "fit-specular reads images; give images_from: JOB, or images: FOLDER"),
         ("part_from: fit", "images_from: images", 9, "optimize reads no images"),
+        ("step: 5", "step: five", 9, 'jobs[2].options.step: expected a number, found "five"'),
+        ("step: 5", "step: -5", 9, "jobs[2].options.step: expected degrees above 0, found -5"),
+        ("step: 5", "posture-step: 5", 9, "options.posture-step: has no effect without --choose-postures or --target"),
+        ("[1, 1/16]", "[1, 1/x]", 7, "jobs[0].options.exposure: expected a number from"),
+        ("sheet: true", "posture: [a, b]", 7, "options.posture: expected tilt,rotation in degrees, such as 0,82"),
+        ("sheet: true", "noise: -1", 7, "jobs[0].options.noise: expected a seed of 0 or more, found -1"),
+        ("optimize, part_from: fit, options: {step: 5}", "dataset", 9, "jobs[2]: Missing option '--images'"),
         ("rigs: [rig.yaml]", "rigs: [rg.yaml]", 2, "rigs[0]: no such file"),
         ("parts: [parts]", 'parts: ["*.yml"]', 3, "parts[0]: no file matches"),
         ("parts: [parts]", "parts: [empty]", 3, "parts[0]: no file matches"),
@@ -364,6 +372,32 @@ def test_all_that_is_wrong_with_the_file_is_said_at_once(files):
     assert len(messages) == len(expected), messages
     for line, message in expected:
         assert any(f"jobs.yaml:{line}: " in said and message in said for said in messages), message
+
+
+def test_all_values_that_are_wrong_are_said_at_once(files):
+    """Also those that the command would not come to, and none that is wrong only where another one is left out."""
+    options = "{step: five, objective: [paper, areas], exposure: x, exposure-gain: 2, shade-below: 3}"
+    files.edit("jobs.yaml", "{step: 5}", options)
+    expected = [
+        'options.step: expected a number, found "five"',
+        'options.objective: expected coverage or paper or detectability, found "areas"',
+        "options.exposure: expected a number from",
+        "options.shade-below: expected a share of full scale",
+    ]
+    messages = problems(files)
+    assert len(messages) == len(expected), messages
+    for message in expected:
+        assert any("jobs.yaml:9: jobs[2]." in said and message in said for said in messages), message
+
+
+@pytest.mark.parametrize("command", [name for name in _COMMANDS if command_form(name) is not None])
+def test_options_are_checked_without_a_file(command, tmp_path, monkeypatch, capsys):
+    """No command reads its rig, part or images, or writes anything, when its options are checked."""
+    monkeypatch.chdir(tmp_path)
+    needed = {"images": ["--images=2"]} if command == "dataset" else {}
+    assert list(command_form(command).problems(needed)) == []
+    assert not list(tmp_path.iterdir())
+    assert capsys.readouterr() == ("", "")
 
 
 HARDWARE = """\
