@@ -6,10 +6,15 @@ Commands are doubles here; tests/system/test_batch_workers.py runs real ones by 
 from __future__ import annotations
 
 import errno
+import inspect
 import json
 import shutil
 import socket
+import sys
+from contextlib import nullcontext
 from pathlib import Path
+from types import ModuleType
+from typing import ClassVar
 
 import pytest
 
@@ -484,6 +489,114 @@ def test_packages_that_are_missing(batch, monkeypatch, workers, missing, install
     with pytest.raises(InputError) as caught:
         batch(workers=workers)
     assert install in caught.value.messages[0]
+
+
+class KubeCluster:
+    """Stand in for ``dask_kubernetes.operator.KubeCluster``: the same arguments, and no Kubernetes."""
+
+    name = "dask-user-1"
+    fails: ClassVar[dict[str, BaseException]] = {}
+    calls: ClassVar[list[tuple]] = []
+
+    def __init__(self, *, name=None, namespace=None, image=None, n_workers=None, resources=None, env=None,
+                 worker_command=None, port_forward_cluster_ip=None, create_mode=None, shutdown_on_close=None,
+                 idle_timeout=None, resource_timeout=None, scheduler_service_type=None, custom_cluster_spec=None,
+                 scheduler_forward_port=None, jupyter=False, loop=None, asynchronous=False, quiet=False):  # fmt: skip
+        given = {key: value for key, value in locals().items() if key != "self" and value}
+        self.called("start", given)
+
+    def called(self, *call):
+        self.calls.append(call)
+        if call[0] in self.fails:
+            raise self.fails[call[0]]
+
+    def scale(self, n, worker_group="default"):
+        self.called("scale", n, worker_group)
+
+    def close(self, timeout=3600):
+        self.called("close", timeout)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, value, traceback):
+        self.close()
+
+
+STARTED = [("start", {"quiet": True}), ("scale", 3, "default")]
+
+
+@pytest.fixture
+def pods(monkeypatch):
+    """The calls of a Kubernetes cluster of three pods; run with what fails, and what happens meanwhile."""
+    warned = []
+    operator = ModuleType("dask_kubernetes.operator")
+    operator.KubeCluster = KubeCluster
+    monkeypatch.setitem(sys.modules, operator.__name__, operator)
+    monkeypatch.setattr(KubeCluster, "calls", [])
+
+    def run(meanwhile=None, **fails):
+        monkeypatch.setattr(KubeCluster, "fails", fails)
+        with _schedule._started("kubernetes", 3, RunContext(warn=warned.append)) as cluster:
+            assert isinstance(cluster, KubeCluster)
+            if meanwhile is not None:
+                raise meanwhile
+
+    run.calls, run.warned = KubeCluster.calls, warned
+    return run
+
+
+@pytest.mark.parametrize("meanwhile", [None, InputError("no room"), KeyboardInterrupt(), GeneratorExit()])
+def test_pods_are_started_and_removed_whatever_happens(pods, meanwhile):
+    with nullcontext() if meanwhile is None else pytest.raises(type(meanwhile)) as caught:
+        pods(meanwhile)
+    assert meanwhile is None or caught.value is meanwhile
+    assert pods.calls == [*STARTED, ("close", 3600)]
+    assert pods.warned == []
+
+
+def test_a_cluster_of_pods_that_does_not_start(pods):
+    log = RuntimeError("Scheduler failed to start.\n" + "line of the log\n" * 1000)
+    with pytest.raises(InputError) as caught:
+        pods(start=log)
+    (message,) = caught.value.messages
+    assert message.startswith(
+        "dask-kubernetes could not start a cluster (RuntimeError: Scheduler failed to start. line"
+    )
+    assert len(message) < 700
+    assert pods.calls == STARTED[:1], "what was not started is not removed"
+    with pytest.raises(KeyboardInterrupt):
+        pods(start=KeyboardInterrupt())
+
+
+def test_pods_that_are_refused(pods):
+    with pytest.raises(InputError, match=r"dask-kubernetes could not start 3 workers \(OSError: forbidden\)"):
+        pods(scale=OSError("forbidden"))
+    assert pods.calls == [*STARTED, ("close", 3600)]
+
+
+@pytest.mark.parametrize("meanwhile", [None, InputError("no room"), KeyboardInterrupt()])
+def test_pods_that_cannot_be_removed_cost_no_results(pods, meanwhile):
+    with nullcontext() if meanwhile is None else pytest.raises(type(meanwhile)) as caught:
+        pods(meanwhile, close=TimeoutError("no answer"))
+    assert meanwhile is None or caught.value is meanwhile
+    (message,) = pods.warned
+    assert message.startswith("dask-kubernetes could not remove the cluster dask-user-1 (TimeoutError: no answer)")
+
+
+def test_ctrl_c_while_pods_are_removed(pods):
+    with pytest.raises(KeyboardInterrupt):
+        pods(close=KeyboardInterrupt())
+
+
+def test_the_arguments_are_those_of_dask_kubernetes():
+    """Where the package is installed: it takes any others, too, and hands them on."""
+    real = pytest.importorskip("dask_kubernetes.operator").KubeCluster
+    mine, own = (inspect.signature(cluster).parameters for cluster in (KubeCluster, real))
+    assert set(mine) <= set(own)
+    for name in ("scale", "close"):
+        ours, theirs = (inspect.signature(getattr(cluster, name)).parameters for cluster in (KubeCluster, real))
+        assert list(ours) == list(theirs)
 
 
 def test_progress_counts_tasks(batch):
