@@ -13,12 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from benchmarks import auto, bare, command, displaced, peers
 from benchmarks._case import TOY, case_scene, chrome, resized
 from benchmarks._peer_process import MITSUBA, PeerError, PeerProcess
 from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
 from benchmarks._report import Table, ratios, rounds
+from benchmarks.detector_training import DATASET, INSPECT, PASTED, Curve, Study
 from benchmarks.run import main
 from lightopt.defects import (
     BUILT_IN_CATALOGUE,
@@ -351,6 +353,38 @@ def test_the_benchmark_of_the_catalogue_compares_both_detectors(capsys: pytest.C
     found = {(*row[1:4],): int(row[4 + len(catalogue.KINDS)].split(" of ")[0]) for row in rows}
     for images in ("1", "2"):
         assert found["1", images, "catalogue"] >= found["1", images, "residual"]
+
+
+def detectors(more: int) -> Study:
+    """Two trainings, of which the first finds so many of ten defects more on each of twelve pieces, and inspect."""
+    rng = np.random.default_rng(1)
+    plain = rng.integers(2, 6, (3, 12, 1))
+    # no false alarm at the first threshold, one on each second good piece at the next one, more below
+    alarms = np.array([[0] * 8, [0, 1] * 4, [3] * 8])
+
+    def curves(found: NDArray[np.int_], area: float) -> list[Curve]:
+        return [Curve(alarms, np.stack([0 * own, own, own + 1]), np.full(12, area)) for own in found]
+
+    inspect = Curve(np.zeros((1, 4), np.int_), np.full((1, 12, 1), 4), np.full(12, 0.8))
+    trained = {DATASET: curves(plain + more, 0.8), PASTED: curves(plain, 0.7), INSPECT: [inspect]}
+    return Study("part", ["dent"], np.full((12, 1), 10), 8, trained)
+
+
+def test_trained_detectors_are_compared_on_the_same_pieces_at_the_same_false_alarms() -> None:
+    better, same = detectors(1), detectors(0)
+    # pieces and trainings differ by far more than one defect, and in both alike
+    assert better.differences(1.0, PASTED) == pytest.approx(np.full((2, 3), 0.1))
+    assert same.differences(1.0, PASTED)[0] == pytest.approx([0.0, 0.0, 0.0])
+    # the good pieces may be others, with more than one false alarm on each second one
+    assert better.differences(0.5, PASTED)[0] == pytest.approx([0.1, 0.0, 0.1])
+    value, low, high = better.differences(1.0, INSPECT)[0]
+    assert low < value < high
+    curve = better.curves[DATASET][0]
+    assert [curve.least(rate, np.arange(8)) for rate in (0.1, 0.5, 2.9, 3.0)] == [0, 1, 1, 2]
+    assert better.curves[INSPECT][0].least(0.1, np.arange(8)) == 0
+    rows = [row for row in better.rows() if row.trained_on == DATASET and row.rate == 1.0]
+    assert [row.found for row in rows] == [int(one.found[1].sum()) for one in better.curves[DATASET]]
+    assert {row.false_alarms for row in rows} == {4}
 
 
 def disturbed_plane(entry: CatalogueEntry) -> tuple[PlacedDefect, TriangleMesh]:

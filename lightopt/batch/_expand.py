@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from lightopt.batch._task import FromTask, Task, content_sha256
-from lightopt.config import BatchConfig, JobConfig, PartConfig, RigConfig, input_files, load_batch, load_part, load_rig
+from lightopt.config import JobConfig, PartConfig, RigConfig, input_files, load_batch, load_part, load_rig
 from lightopt.core.errors import InputError, did_you_mean
 from lightopt.core.provenance import computed_by
 from lightopt.images import MANIFEST_NAME, read_image_set
@@ -33,12 +33,15 @@ class CommandForm:
     name: str
     arguments: tuple[str, ...]
     options: Mapping[str, OptionForm]
+    problems: Callable[[Mapping[str, Sequence[str]]], Iterator[tuple[str | None, str]]]
+    """What is wrong with the values of options, whose words it is given by name: name of one option or None, message"""
     writes_folder: bool = True  # takes -o DIR
     takes_threads: bool = True
 
 
 FormOf = Callable[[str], CommandForm | None]
 Keys = tuple[str | int, ...]  # that lead to a value of the file
+_VALUES = (bool, int, float, str, list)  # of an option, as the file is read
 
 
 @dataclass(frozen=True)
@@ -78,8 +81,9 @@ def expand(path: Path, form_of: FormOf, out: Path, *, threads: int) -> tuple[Tas
     for job in batch.in_order:
         form = form_of(job.command)
         assert form is not None, "the file was refused otherwise"
-        words, files = _option_words(batch, job, form)
-        option_files = {str(path): content_sha256(path) for path in files}
+        options = [_option_words(form, name, value, path.parent) for name, value in job.options.items()]
+        words = [word for own, _ in options for word in own]
+        option_files = {str(file): content_sha256(file) for _, files in options for file in files}
         groups = [rigs] if "rigs" in form.arguments else [(rig,) for rig in rigs]
         for own_rigs, part in product(groups, parts):
             needs = {name: [tasks[name, rig.name, part.name] for rig in own_rigs] for name in job.all_needs}
@@ -126,9 +130,14 @@ def _job_misfits(job: object, form_of: FormOf, folder: Path, rigs: Sequence[_Inp
     if command == "capture":
         driven = [rig.name for rig in rigs if rig.drives_devices]
         yield from (((), f"capture would drive the devices of rig {rig}, and a batch drives none") for rig in driven)
-    options = job.get("options")
+    options, words = job.get("options"), dict[str, Sequence[str]]()
     for name, value in options.items() if isinstance(options, Mapping) else ():
-        yield from ((("options", name), message) for message in _option_misfits(form, name, value, folder))
+        messages = list(_option_misfits(form, name, value, folder))
+        yield from ((("options", name), message) for message in messages)
+        if not messages and isinstance(value, _VALUES):
+            words[name], _ = _option_words(form, name, value, folder)
+    for name, message in form.problems(words):
+        yield (() if name is None else ("options", name)), message
 
 
 def _named_inputs(
@@ -216,23 +225,17 @@ def _fingerprint(images: Path | None) -> dict[str, Any]:
         return {}
 
 
-def _option_words(batch: BatchConfig, job: JobConfig, form: CommandForm) -> tuple[list[str], list[Path]]:
-    """The options of a job as words of its command line, and the files that they name, relative to the batch file."""
-    words, files = list[str](), list[Path]()
-    for name, value in job.options.items():
-        option = form.options[name]
-        if isinstance(value, bool):
-            words.append(f"--{name}" if value else f"--no-{name}")
-            continue
-        values = value if isinstance(value, tuple) else (value,)
-        texts = [str(one) for one in values]
-        if option.file:
-            found = [batch.source.resolve(text).absolute() for text in texts]
-            files += found
-            texts = [str(file) for file in found]
-        # --option=value: a value may begin with a dash
-        words += [f"--{name}={text}" for text in (texts if option.repeatable else [",".join(texts)])]
-    return words, files
+def _option_words(form: CommandForm, name: str, value: Any, folder: Path) -> tuple[list[str], list[Path]]:
+    """An option of a job as words of its command line, and the files that it names, relative to the batch file."""
+    if isinstance(value, bool):
+        return [f"--{name}" if value else f"--no-{name}"], []
+    option, files = form.options[name], list[Path]()
+    texts = [str(one) for one in (value if isinstance(value, Sequence) and not isinstance(value, str) else (value,))]
+    if option.file:
+        files = [(folder / text).absolute() for text in texts]
+        texts = [str(file) for file in files]
+    # --option=value: a value may begin with a dash
+    return [f"--{name}={text}" for text in (texts if option.repeatable else [",".join(texts)])], files
 
 
 def _option_misfits(form: CommandForm, name: str, value: object, folder: Path) -> Iterator[str]:
@@ -244,7 +247,7 @@ def _option_misfits(form: CommandForm, name: str, value: object, folder: Path) -
         if opposite in form.options and form.options[opposite].has_opposite:
             hint = f"; write {opposite}: false"
         yield f"no such option of {form.name} in a batch{hint}"
-    elif not isinstance(value, (bool, int, float, str, list)):
+    elif not isinstance(value, _VALUES):
         return  # the form of the file is checked elsewhere
     elif option.flag and not isinstance(value, bool):
         yield f"expected true or false, found {value}"

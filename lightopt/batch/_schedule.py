@@ -23,10 +23,12 @@ if TYPE_CHECKING:
 
 _ANSWER_S = 5.0  # how long a scheduler may take to answer
 _KILL_S = 0.5  # how long a worker of this machine may take to end before it is killed
-# packages that start workers by a batch system: its module, its class, and our extra
-_SYSTEMS = {
-    "slurm": ("dask_jobqueue", "SLURMCluster", "dask-jobqueue"),
-    "kubernetes": ("dask_kubernetes.operator", "KubeCluster", "dask-kubernetes"),
+_MOST_CHARACTERS = 500  # of what a batch system says where it fails: some add the log of their scheduler
+# packages that start workers by a batch system: module, class with its arguments, and name of the package
+_SYSTEMS: Mapping[str, tuple[str, str, Mapping[str, Any], str]] = {
+    "slurm": ("dask_jobqueue", "SLURMCluster", {}, "dask-jobqueue"),
+    # quiet: it would draw a panel on standard output while it starts
+    "kubernetes": ("dask_kubernetes.operator", "KubeCluster", {"quiet": True}, "dask-kubernetes"),
 }
 
 
@@ -105,7 +107,9 @@ def _client(workers: Workers, tasks: Sequence[Task], run: RunContext) -> Generat
     with ExitStack() as stack:
         address: Any = workers.scheduler
         if workers.system is not None:
-            address = stack.enter_context(_started(workers.system, workers.number))
+            # its workers have ended by then
+            stack.push(lambda kind, *_: kind is not None and _remove_leftovers(tasks))
+            address = stack.enter_context(_started(workers.system, workers.number, run))
         elif address is None:
             address = stack.enter_context(_local_cluster(min(workers.number, len(tasks))))
             stack.push(lambda kind, *_: kind is not None and _stop(address, tasks))
@@ -178,14 +182,21 @@ def _stop(cluster: "LocalCluster", tasks: Sequence[Task]) -> None:
         await asyncio.gather(*killing, return_exceptions=True)
 
     cluster.sync(kill)
+    _remove_leftovers(tasks)
+
+
+def _remove_leftovers(tasks: Sequence[Task]) -> None:
     for task in tasks:
         remove_leftovers(task)
 
 
 @contextmanager
-def _started(system: Literal["slurm", "kubernetes"], number: int) -> Generator[Any]:
-    """A cluster of a batch system, with so many workers, by the settings in Dask's own configuration files."""
-    module, name, package = _SYSTEMS[system]
+def _started(system: Literal["slurm", "kubernetes"], number: int, run: RunContext) -> Generator[Any]:
+    """A cluster of a batch system, with so many workers, by the settings in Dask's own configuration files.
+
+    It is removed at the end, whatever happens; where that fails, the user is warned.
+    """
+    module, name, arguments, package = _SYSTEMS[system]
     try:
         found = import_module(module)
     except ModuleNotFoundError as error:
@@ -193,13 +204,27 @@ def _started(system: Literal["slurm", "kubernetes"], number: int) -> Generator[A
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # that the port of its own page is taken
-            cluster = getattr(found, name)()
+            cluster = getattr(found, name)(**arguments)
     except Exception as error:  # each package has errors of its own
-        why = " ".join(error_text(error).split())
-        raise InputError(f"{package} could not start a cluster ({why}); see ~/.config/dask/*.yaml") from error
-    with cluster:
-        cluster.scale(number)
+        raise InputError(
+            f"{package} could not start a cluster ({_shortened(error)}); see ~/.config/dask/*.yaml"
+        ) from error
+    try:
+        try:
+            cluster.scale(number)
+        except Exception as error:
+            raise InputError(f"{package} could not start {number} workers ({_shortened(error)})") from error
         yield cluster
+    finally:
+        try:
+            cluster.__exit__(None, None, None)
+        except Exception as error:  # noqa: BLE001 - the results are there all the same
+            run.warn(f"{package} could not remove the cluster {cluster.name} ({_shortened(error)}); remove it yourself")
+
+
+def _shortened(error: Exception) -> str:
+    text = " ".join(error_text(error).split())
+    return text if len(text) <= _MOST_CHARACTERS else f"{text[:_MOST_CHARACTERS]} …"
 
 
 def _check_workers(client: "Client") -> int:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
 from io import StringIO
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._terminal import echo, echo_error, echo_paths, run_context, show_table
+from lightopt.cli._terminal import echo, echo_error, echo_paths, run_context, show_table, with_flags
 from lightopt.core.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
@@ -122,9 +123,51 @@ def command_form(name: str) -> CommandForm | None:
         name=name,
         arguments=tuple(arguments),
         options=options,
+        problems=partial(_option_problems, [name, *arguments, *(["-o", "DIR"] if out is not None else [])]),
         writes_folder=out is not None,
         takes_threads=any(one.name == "threads" for one in parameters),
     )
+
+
+def _option_problems(line: Sequence[str], words: Mapping[str, Sequence[str]]) -> Iterator[tuple[str | None, str]]:
+    """What a command refuses of its options before it reads rig and part, by the option's name; None for several.
+
+    line: The command with its arguments, which are not read
+    words: Of each option, by its name
+    """
+    left, refused, said = dict(words), set[str](), set[str]()
+    while True:
+        before = frozenset(refused)
+        for message in _refusals([*line, *(word for own in left.values() for word in own)]):
+            named = re.match(r"--(?:no-)?([\w-]+)(: )?", message)
+            name = named[1] if named and named[1] in words else None
+            # without an option that was refused, another one may have no effect, or a required one is missing
+            if message not in said and not any(re.search(rf"--{one}\b", message) for one in before):
+                yield name, message[named.end() :] if named and name and named[2] else message
+            said.add(message)
+            if name is not None:
+                refused.add(name)
+        # the other options are checked without those that are refused already
+        left = {name: own for name, own in words.items() if name not in refused}
+        if len(refused) == len(before):
+            return
+
+
+def _refusals(line: list[str]) -> Sequence[str]:
+    from lightopt.cli._main import parser, refusal
+
+    token = common.ONLY_OPTIONS.set(True)
+    try:
+        parser()(line, prog_name="lightopt", standalone_mode=False)
+    except common.OptionsRead:
+        return ()
+    except Exception as error:
+        if (messages := refusal(error)) is None:
+            raise
+        return [with_flags(message) for message in messages]
+    finally:
+        common.ONLY_OPTIONS.reset(token)
+    raise AssertionError(f"{line[0]} has run without a look at the options alone")
 
 
 def run_captured(arguments: list[str]) -> tuple[int, str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from contextvars import copy_context
+from contextvars import ContextVar, copy_context
 from fractions import Fraction
 from functools import partial, wraps
 from inspect import Parameter, signature
@@ -152,8 +152,22 @@ def parse_points(text: str | None) -> int | Literal["auto"] | None:
         raise InputError(f'--points: expected a square (1, 4, 9, 16, …) or auto, found "{text}"') from None
 
 
+ONLY_OPTIONS = ContextVar("ONLY_OPTIONS", default=False)  # whether a command only checks its options, for a batch
+
+
+class OptionsRead(Exception):  # noqa: N818 - no error
+    """A command on a rig and a part has read its options, and found nothing wrong; it was to do no more."""
+
+
+def options_are_read() -> None:
+    """End a command here that was to check its options only; each command calls it before it reads rig and part."""
+    if ONLY_OPTIONS.get():
+        raise OptionsRead
+
+
 def load_inputs(rig: Path, part: Path) -> tuple[RigConfig, PartConfig]:
     """Read a rig file and a part file, and report all errors of both at once."""
+    options_are_read()
     from lightopt.config import load_part, load_rig
 
     try:
@@ -169,6 +183,7 @@ def load_inputs(rig: Path, part: Path) -> tuple[RigConfig, PartConfig]:
 
 def load_rig_and_maybe_part(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | None]:
     """The same where a part file may be left out."""
+    options_are_read()
     from lightopt.config import load_rig
 
     return (load_rig(rig), None) if part is None else load_inputs(rig, part)

@@ -11,7 +11,7 @@ from typer import Option
 from lightopt.cli import _common as common
 from lightopt.cli._common import model_option, output_option, selection_option
 from lightopt.cli._terminal import echo, echo_paths, run_context, show_table
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import InputError, counted, refuse
 
 
 def render(
@@ -117,8 +117,9 @@ def dataset(
         stacks=stacks,
         false_alarms=false_alarms,
     )
-    loaded_rig, loaded_part = common.load_inputs(rig, part)
+    refuse(options.problems())
     chosen = None if ranges is None else load_ranges(ranges)
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
     with run_context(threads) as run:
         done = make_dataset(loaded_rig, loaded_part, out, options=options, ranges=chosen, force=force, run=run)
     resumed = f" ({done.resumed} of them existed already)" if done.resumed else ""

@@ -63,13 +63,9 @@ def compare_lighting(
     """
     from lightopt import comparison
     from lightopt.config import load_rig
-    from lightopt.design import OptimizeOptions, PlanOptions
+    from lightopt.design import OptimizeOptions, PlanOptions, check_options
 
     names = [] if preset is None else [name.strip() for name in preset.split(",")]
-    files = rigs or []
-    if names:
-        camera_of = load_rig(files[0]) if files else None
-        files = [*files, *comparison.preset_files(names, out / "presets", camera_of=camera_of, force=force)]
     chosen_exposures = () if exposures is None else common.parse_exposures(exposures)
     if posture is not None and choose_postures is not None:
         raise InputError("--posture: cannot be combined with --choose-postures; omit one or the other")
@@ -84,6 +80,13 @@ def compare_lighting(
         report=report,
     )
     plan = PlanOptions(choose_postures=choose_postures, exposures=chosen_exposures)
+    check_options(options, plan)
+    comparison.check_presets(names)
+    common.options_are_read()
+    files = rigs or []
+    if names:
+        camera_of = load_rig(files[0]) if files else None
+        files = [*files, *comparison.preset_files(names, out / "presets", camera_of=camera_of, force=force)]
     with run_context(threads) as run:
         found = comparison.compare_lighting(
             files, part, out, options=options, plan=plan, tolerances=tolerances, force=force, run=run

@@ -157,24 +157,29 @@ def run(arguments: list[str]) -> int:
     return status if isinstance(status, int) else 0
 
 
-def _failed(error: BaseException) -> int:
+def refusal(error: BaseException) -> tuple[str, ...] | None:
+    """Why a command line, or what it names, is refused; None where the error is another one."""
     if isinstance(error, LightoptError):
-        echo_error(*error.messages)
-        return error.exit_status
+        return error.messages
     if isinstance(error, _UsageError):
-        context = getattr(error, "ctx", None)
         text: str = error.format_message()  # pyright: ignore[reportAttributeAccessIssue]
-        echo_error(_expectation(text, error.__cause__) or text)
-        if context is not None:
-            echo_error(f"see: {context.command_path} --help", label="")
-        return WRONG_INPUT
+        return (_expectation(text, error.__cause__) or text,)
     if isinstance(error, OSError) and system_refused(error):
-        if debugging():
-            traceback.print_exception(error)
-        echo_error(error_text(error))
-        return WRONG_INPUT
-    report_unexpected(error)
-    return DEFECT
+        return (error_text(error),)
+    return None
+
+
+def _failed(error: BaseException) -> int:
+    messages = refusal(error)
+    if messages is None:
+        report_unexpected(error)
+        return DEFECT
+    if isinstance(error, OSError) and debugging():
+        traceback.print_exception(error)
+    echo_error(*messages)
+    if isinstance(error, _UsageError) and (context := getattr(error, "ctx", None)) is not None:
+        echo_error(f"see: {context.command_path} --help", label="")
+    return error.exit_status if isinstance(error, LightoptError) else WRONG_INPUT
 
 
 def _expectation(text: str, cause: BaseException | None) -> str | None:

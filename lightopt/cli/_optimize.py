@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -179,10 +180,6 @@ def optimize(
         tolerances=tolerances,
         **_given(posture_step_deg=posture_step, allow_outside_px=allow_outside, exposure_gain=exposure_gain),
     )
-    loaded_rig, loaded_part = common.load_inputs(rig, part)
-    threshold = None
-    if calibration is not None:
-        threshold, false_alarms = _calibrated(calibration, loaded_rig, loaded_part, min_images, false_alarms)
     options = design.OptimizeOptions(
         objectives=tuple(objective or ()),
         step_deg=step,
@@ -196,9 +193,13 @@ def optimize(
         images=images,
         report=report,
         rows=ranking_rows,
-        threshold=threshold,
         **_given(min_images=min_images, false_alarms=false_alarms, patch_budget=patches, limit=max_combinations),
     )
+    design.check_options(options, plan)
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
+    if calibration is not None:
+        threshold, rate = _calibrated(calibration, loaded_rig, loaded_part, min_images, false_alarms)
+        options = replace(options, threshold=threshold, false_alarms=rate)
     with run_context(threads) as run:
         result = design.optimize(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
         output = design.write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)

@@ -64,9 +64,10 @@ def verify(
     from lightopt.images import read_image_set
     from lightopt.report.rig import history_chart, verification_report
 
+    given = _limits(limit or [])
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     planned = {} if plan is None else verification.plan_limits(plan, loaded_rig)
-    limits = verification.VerifyLimits(**{**planned, **_limits(limit or [])})
+    limits = verification.VerifyLimits(**{**planned, **given})
     image_set = read_image_set(images)
     good = None if baseline is None else read_image_set(baseline)
     folder = verification.verify_folder(

@@ -4,5 +4,5 @@
 comparison: ``comparison.json``, ``comparison.csv`` and ``report.html``.
 """
 
-from ._compare import PRESETS, compare_lighting, preset_files
+from ._compare import PRESETS, check_presets, compare_lighting, preset_files
 from ._results import answer_text, systems_table

@@ -50,6 +50,12 @@ REPORT, TABLE, DOCUMENT = "report.html", "comparison.csv", "comparison.json"
 SAME_FOOTPRINT = 0.05  # footprints that differ by more are not the same
 
 
+def check_presets(names: Sequence[str]) -> None:
+    """Refuse names that no preset has."""
+    unknown = [name for name in names if name not in PRESETS]
+    refuse(f'no preset "{name}"; presets are {", ".join(PRESETS)}' for name in unknown)
+
+
 def preset_files(
     names: Sequence[str], folder: Path, *, camera_of: RigConfig | None = None, force: bool = False
 ) -> list[Path]:
@@ -61,8 +67,7 @@ def preset_files(
     camera_of: The other rig; None for pixels and sensor of the preset dome-quadrants
     Raises InputError: A name that no preset has, or another file in its place without `force`.
     """
-    unknown = [name for name in names if name not in PRESETS]
-    refuse(f'no preset "{name}"; presets are {", ".join(PRESETS)}' for name in unknown)
+    check_presets(names)
     make_folder(folder)
     samples, found = files("lightopt.samples").joinpath("rigs"), list[Path]()
     with as_file(samples.joinpath(f"{PRESETS[_OWN_CAMERA]}.yaml")) as path:

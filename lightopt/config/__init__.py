@@ -4,7 +4,7 @@ Numbers stay in the units of the files (mm, degrees; the keys name them); :mod:`
 into physics.
 """
 
-from ._batch import BatchConfig, JobConfig
+from ._batch import JobConfig
 from ._camera import CameraConfig, CameraDeviceConfig
 from ._defects import DefectConfig, PixelPlaceConfig
 from ._edit import copied_text, referenced_files, with_list, with_values

@@ -24,7 +24,12 @@ from ._blind_spots import (
 from ._candidates import AXES, Curve, find_candidates as find_candidates, place_of, place_text
 from ._files import DesignOutput, finish_design as finish_design, write_design as write_design
 from ._optimize import design_tolerances, optimize as optimize
-from ._problem import CalibratedThreshold, OptimizeOptions as OptimizeOptions, PlanOptions as PlanOptions
+from ._problem import (
+    CalibratedThreshold,
+    OptimizeOptions as OptimizeOptions,
+    PlanOptions as PlanOptions,
+    check_options as check_options,
+)
 from ._result import LEFT_OUT_MEANING, DesignResult, ObjectiveResult, PlanResult, SetResult, places_of as places_of
 from ._result_json import plan_document
 from ._tolerances import DEFAULT_TOLERANCE_TARGET, JointTolerances, Tolerances, WidestTolerance

@@ -45,6 +45,12 @@ def place_text(place: Place) -> str:
     return ", ".join(f"{value:g}{unit}" for value, unit in zip(place, ("°", "°", " mm"), strict=False))
 
 
+def step_problems(name: str, step_deg: float) -> list[str]:
+    """Why the option of a name is no step of candidate angles."""
+    usable = 0.0 < step_deg < math.inf
+    return [] if usable else [f"option '{name}': expected degrees above 0, found {step_deg:g}"]
+
+
 def light_places(
     rig: RigConfig, index: int, *, step_deg: float, elevations: Sequence[float] | None = None
 ) -> list[Place]:
@@ -55,8 +61,7 @@ def light_places(
     that is nearer than it can be set. `elevations` replaces those of the light's range, for lights that share their
     elevation.
     """
-    if not (math.isfinite(step_deg) and step_deg > 0.0):
-        raise InputError(f"option 'step_deg': expected degrees above 0, found {step_deg:g}")
+    refuse(step_problems("step_deg", step_deg))
     light = rig.lights[index]
     shared = elevations is not None
     if elevations is None or light.elevation_range_deg is None:

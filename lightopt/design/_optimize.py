@@ -192,13 +192,7 @@ def _objectives(
     rig: RigConfig, part: PartConfig, options: _problem.OptimizeOptions, run: RunContext
 ) -> tuple[Objective, ...]:
     """The objectives; one that was named must be possible, one that is a default is left out otherwise."""
-    names, known = options.objectives or tuple(OBJECTIVES), (*OBJECTIVES, _problem.DEFECT_OBJECTIVE)
-    problems = [
-        f"option 'objectives': expected {' or '.join(known)}, found \"{name}\"" for name in names if name not in known
-    ]
-    if len(set(names)) < len(names):
-        problems.append("option 'objectives': the same objective was given twice")
-    refuse(problems)
+    names = options.objectives or tuple(OBJECTIVES)
     chosen: list[Objective] = []
     for name in names:
         if name in OBJECTIVES:

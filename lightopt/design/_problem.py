@@ -13,8 +13,9 @@ from lightopt.core.errors import InputError, refuse
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.defects import DARK, DEFAULT_FALSE_ALARMS, false_alarms_problem
-from lightopt.design._candidates import Candidates, Place, can_move, find_candidates
+from lightopt.design._candidates import Candidates, Place, can_move, find_candidates, step_problems
 from lightopt.design._tolerances import Tolerances
+from lightopt.design.objectives import OBJECTIVES
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN
@@ -110,6 +111,14 @@ def check_options(options: OptimizeOptions, plan: PlanOptions) -> None:
     problems: list[str] = []
     if options.points is not None and (problem := points_problem(options.points)):
         problems.append(f"option 'points': {problem}")
+    problems += step_problems("step_deg", options.step_deg)
+    problems += step_problems("posture_step_deg", plan.posture_step_deg)
+    known = (*OBJECTIVES, DEFECT_OBJECTIVE)
+    problems += [
+        f"option 'objectives': expected {' or '.join(known)}, found \"{name}\""
+        for name in options.objectives
+        if name not in known
+    ]
     numbers = {name: getattr(options, name) for name in ("patch_budget", "rows", "limit", "min_images")}
     for name, value in {**numbers, "choose_postures": plan.choose_postures}.items():
         if value is not None and value < 1:
@@ -125,7 +134,8 @@ def check_options(options: OptimizeOptions, plan: PlanOptions) -> None:
         for exposure in plan.exposures
         if not 0.0 < exposure < math.inf
     ]
-    for name, given in (("posture", options.postures or ()), ("exposure", plan.exposures)):
+    given_names = ("posture", options.postures or ()), ("exposure", plan.exposures), ("objective", options.objectives)
+    for name, given in given_names:
         if len(set(given)) < len(given):
             problems.append(f"option '{name}s': the same {name} was given twice")
     if not 0.0 <= plan.exposure_gain <= 100.0:
@@ -233,8 +243,7 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
     range of a full turn or more takes one turn, without its end. An axis that the rig's stage does not have stays at
     0.
     """
-    if not (math.isfinite(step_deg) and step_deg > 0.0):
-        raise InputError(f"option 'posture_step_deg': expected degrees above 0, found {step_deg:g}")
+    refuse(step_problems("posture_step_deg", step_deg))
     # an axis that a given stage lacks does not turn
     tilt_range, rotation_range = rig.stage.elevation_range_deg, rig.stage.rotation_range_deg
     if rig.hardware is not None:

@@ -1,7 +1,7 @@
 """From two YAML files to an image set on disk."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +11,7 @@ import numpy as np
 from lightopt import __version__
 from lightopt.config import MOST_BOUNCES, PartConfig, RigConfig, input_hashes, load_part, load_rig, points_problem
 from lightopt.core.arrays import Float32
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import counted, refuse
 from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext, part_of
 from lightopt.core.threads import BackgroundTasks
@@ -40,7 +40,7 @@ LEAST_RAYS_ACROSS = 3  # rays across a defect from which on its share of a pixel
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions:
-    """What to render and how."""
+    """What to render and how; InputError where a number is out of range or something is given twice."""
 
     lights: tuple[str, ...] | None = None  # names of the lights to render; all by default
     postures: tuple[Posture, ...] | None = None
@@ -53,6 +53,28 @@ class RenderOptions:
     patch_budget: int = DEFAULT_PATCH_BUDGET  # about how many patches may be visible
     defects: bool = True  # whether the part's defects are shown; the good part otherwise
     bounces: int = 0  # how often light goes from the part to the part before it reaches the camera
+
+    def __post_init__(self) -> None:
+        refuse(self._problems())
+
+    def _problems(self) -> Iterator[str]:
+        for exposure in self.exposures:
+            if not (math.isfinite(exposure) and exposure > 0.0):
+                yield f"option 'exposures': expected a number above 0, found {exposure:g}"
+        if len(set(self.exposures)) < len(self.exposures):
+            yield "option 'exposures': the same exposure was given twice"
+        if not 1 <= self.supersample <= MOST_SUPERSAMPLE:
+            yield f"option 'supersample': expected 1 to {MOST_SUPERSAMPLE}, found {self.supersample}"
+        if not 0 <= self.bounces <= MOST_BOUNCES:
+            yield f"option 'bounces': expected 0 to {MOST_BOUNCES}, found {self.bounces}"
+        if self.patch_budget < 1:
+            yield f"option 'patch_budget': expected at least 1, found {self.patch_budget}"
+        if self.noise is not None and self.noise < 0:
+            yield f"option 'noise': expected a seed of 0 or more, found {self.noise}"
+        if self.postures is not None and len(set(self.postures)) < len(self.postures):
+            yield "option 'postures': the same posture was given twice"
+        if self.points is not None and (problem := points_problem(self.points)):
+            yield f"option 'points': {problem}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +113,6 @@ def render_image_set(
     run = run or RunContext()
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
-    _check_options(options)
     scene = build_scene(rig, part, **_chosen(options, "postures", "lights", "points", "defects", "bounces"))
     caster: RayCaster | None = cast_rays_at(scene, rays=rays_of_images(scene, supersample=options.supersample))
     refuse_unusable_scene(scene, rig, part, caster)
@@ -158,30 +179,6 @@ def render_image_set(
         replaced=writer.replaced,
         warnings=tuple(warnings),
     )
-
-
-def _check_options(options: RenderOptions) -> None:
-    problems = [
-        f"option 'exposures': expected a number above 0, found {exposure:g}"
-        for exposure in options.exposures
-        if not (np.isfinite(exposure) and exposure > 0.0)
-    ]
-    if len(set(options.exposures)) < len(options.exposures):
-        problems.append("option 'exposures': the same exposure was given twice")
-    if not 1 <= options.supersample <= MOST_SUPERSAMPLE:
-        problems.append(f"option 'supersample': expected 1 to {MOST_SUPERSAMPLE}, found {options.supersample}")
-    if not 0 <= options.bounces <= MOST_BOUNCES:
-        problems.append(f"option 'bounces': expected 0 to {MOST_BOUNCES}, found {options.bounces}")
-    if options.patch_budget < 1:
-        problems.append(f"option 'patch_budget': expected at least 1, found {options.patch_budget}")
-    if options.noise is not None and options.noise < 0:
-        problems.append(f"option 'noise': expected a seed of 0 or more, found {options.noise}")
-    if options.postures is not None and len(set(options.postures)) < len(options.postures):
-        problems.append("option 'postures': the same posture was given twice")
-    if options.points is not None and (problem := points_problem(options.points)):
-        problems.append(f"option 'points': {problem}")
-    if problems:
-        raise InputError(*problems)
 
 
 def _chosen(options: RenderOptions, *names: str) -> dict[str, Any]:

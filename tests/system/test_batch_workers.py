@@ -16,9 +16,13 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
+from typing import ClassVar
 
 import dask.config
 import pytest
+from distributed import LocalCluster
+from distributed.core import Status
 
 from lightopt.batch import Workers, _schedule, run_batch
 from lightopt.cli._batch import command_form, run_captured
@@ -217,6 +221,57 @@ def test_workers_that_slurm_starts(jobs, tmp_path, monkeypatch):
     alone.write_text("\n".join(lines), encoding="utf-8")
     with dask.config.set({"jobqueue.slurm.cores": 1, "jobqueue.slurm.memory": "2GB"}):
         assert run(alone, "slurm", workers=Workers(system="slurm")).count("done") == 2
+
+
+class LocalPods(LocalCluster):
+    """Stand in for ``dask_kubernetes.operator.KubeCluster``: its pods are processes of this machine."""
+
+    made: ClassVar[list[LocalPods]] = []
+
+    def __init__(self, *, quiet: bool) -> None:
+        assert quiet
+        self.scaled = list[int]()
+        super().__init__(
+            n_workers=0,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+            memory_limit=0,
+        )
+        self.made.append(self)
+
+    def scale(self, n: int) -> None:
+        self.scaled = [*self.scaled, n]
+        super().scale(n)
+
+
+@pytest.fixture
+def kubernetes(monkeypatch) -> Workers:
+    operator = ModuleType("dask_kubernetes.operator")
+    operator.KubeCluster = LocalPods  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, operator.__name__, operator)
+    monkeypatch.setattr(LocalPods, "made", [])
+    return Workers(system="kubernetes", number=2)
+
+
+@pytest.mark.slow
+def test_workers_that_kubernetes_starts(jobs, reference, kubernetes):
+    """Ctrl-C removes the pods and what they were writing, and the same call continues with others."""
+    name = "kubernetes"
+
+    def interrupted(_stage: str, _share: float) -> None:
+        raise KeyboardInterrupt
+
+    result = run(jobs, name, workers=kubernetes, run=RunContext(progress=interrupted))
+    assert result.interrupted
+    assert result.count("done") == 1
+    result = run(jobs, name, workers=kubernetes)
+    assert (result.count("done", "kept"), result.interrupted) == (TASKS, False)
+    assert contents(jobs.parent / name) == reference
+    assert not [path for path in (jobs.parent / name).rglob(".*") if path.is_dir()]
+    assert [cluster.status for cluster in LocalPods.made] == [Status.closed, Status.closed]
+    assert [cluster.scaled[0] for cluster in LocalPods.made] == [2, 2]
 
 
 @pytest.mark.nightly

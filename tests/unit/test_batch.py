@@ -6,16 +6,22 @@ Commands are doubles here; tests/system/test_batch_workers.py runs real ones by 
 from __future__ import annotations
 
 import errno
+import inspect
 import json
 import shutil
 import socket
+import sys
+from contextlib import nullcontext
 from pathlib import Path
+from types import ModuleType
+from typing import ClassVar
 
 import pytest
 
 from lightopt.batch import Workers, _schedule, _task, answer_text, jobs_table, run_batch
 from lightopt.batch._expand import expand
 from lightopt.cli._batch import command_form
+from lightopt.cli._main import _COMMANDS
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 
@@ -309,6 +315,13 @@ def test_files_of_the_same_name_are_told_apart_by_their_folders(files):
         ("step: 5", "calibration: none.json", 9, "no such file"),
         (", images_from: images", "", 8, "fit-specular reads images; give images_from: JOB, or images: FOLDER"),
         ("part_from: fit", "images_from: images", 9, "optimize reads no images"),
+        ("step: 5", "step: five", 9, 'jobs[2].options.step: expected a number, found "five"'),
+        ("step: 5", "step: -5", 9, "jobs[2].options.step: expected degrees above 0, found -5"),
+        ("step: 5", "posture-step: 5", 9, "options.posture-step: has no effect without --choose-postures or --target"),
+        ("[1, 1/16]", "[1, 1/x]", 7, "jobs[0].options.exposure: expected a number from"),
+        ("sheet: true", "posture: [a, b]", 7, "options.posture: expected tilt,rotation in degrees, such as 0,82"),
+        ("sheet: true", "noise: -1", 7, "jobs[0].options.noise: expected a seed of 0 or more, found -1"),
+        ("optimize, part_from: fit, options: {step: 5}", "dataset", 9, "jobs[2]: Missing option '--images'"),
         ("rigs: [rig.yaml]", "rigs: [rg.yaml]", 2, "rigs[0]: no such file"),
         ("parts: [parts]", 'parts: ["*.yml"]', 3, "parts[0]: no file matches"),
         ("parts: [parts]", "parts: [empty]", 3, "parts[0]: no file matches"),
@@ -364,6 +377,32 @@ def test_all_that_is_wrong_with_the_file_is_said_at_once(files):
     assert len(messages) == len(expected), messages
     for line, message in expected:
         assert any(f"jobs.yaml:{line}: " in said and message in said for said in messages), message
+
+
+def test_all_values_that_are_wrong_are_said_at_once(files):
+    """Also those that the command would not come to, and none that is wrong only where another one is left out."""
+    options = "{step: five, objective: [paper, areas], exposure: x, exposure-gain: 2, shade-below: 3}"
+    files.edit("jobs.yaml", "{step: 5}", options)
+    expected = [
+        'options.step: expected a number, found "five"',
+        'options.objective: expected coverage or paper or detectability, found "areas"',
+        "options.exposure: expected a number from",
+        "options.shade-below: expected a share of full scale",
+    ]
+    messages = problems(files)
+    assert len(messages) == len(expected), messages
+    for message in expected:
+        assert any("jobs.yaml:9: jobs[2]." in said and message in said for said in messages), message
+
+
+@pytest.mark.parametrize("command", [name for name in _COMMANDS if command_form(name) is not None])
+def test_options_are_checked_without_a_file(command, tmp_path, monkeypatch, capsys):
+    """No command reads its rig, part or images, or writes anything, when its options are checked."""
+    monkeypatch.chdir(tmp_path)
+    needed = {"images": ["--images=2"]} if command == "dataset" else {}
+    assert list(command_form(command).problems(needed)) == []
+    assert not list(tmp_path.iterdir())
+    assert capsys.readouterr() == ("", "")
 
 
 HARDWARE = """\
@@ -450,6 +489,114 @@ def test_packages_that_are_missing(batch, monkeypatch, workers, missing, install
     with pytest.raises(InputError) as caught:
         batch(workers=workers)
     assert install in caught.value.messages[0]
+
+
+class KubeCluster:
+    """Stand in for ``dask_kubernetes.operator.KubeCluster``: the same arguments, and no Kubernetes."""
+
+    name = "dask-user-1"
+    fails: ClassVar[dict[str, BaseException]] = {}
+    calls: ClassVar[list[tuple]] = []
+
+    def __init__(self, *, name=None, namespace=None, image=None, n_workers=None, resources=None, env=None,
+                 worker_command=None, port_forward_cluster_ip=None, create_mode=None, shutdown_on_close=None,
+                 idle_timeout=None, resource_timeout=None, scheduler_service_type=None, custom_cluster_spec=None,
+                 scheduler_forward_port=None, jupyter=False, loop=None, asynchronous=False, quiet=False):  # fmt: skip
+        given = {key: value for key, value in locals().items() if key != "self" and value}
+        self.called("start", given)
+
+    def called(self, *call):
+        self.calls.append(call)
+        if call[0] in self.fails:
+            raise self.fails[call[0]]
+
+    def scale(self, n, worker_group="default"):
+        self.called("scale", n, worker_group)
+
+    def close(self, timeout=3600):
+        self.called("close", timeout)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, value, traceback):
+        self.close()
+
+
+STARTED = [("start", {"quiet": True}), ("scale", 3, "default")]
+
+
+@pytest.fixture
+def pods(monkeypatch):
+    """The calls of a Kubernetes cluster of three pods; run with what fails, and what happens meanwhile."""
+    warned = []
+    operator = ModuleType("dask_kubernetes.operator")
+    operator.KubeCluster = KubeCluster
+    monkeypatch.setitem(sys.modules, operator.__name__, operator)
+    monkeypatch.setattr(KubeCluster, "calls", [])
+
+    def run(meanwhile=None, **fails):
+        monkeypatch.setattr(KubeCluster, "fails", fails)
+        with _schedule._started("kubernetes", 3, RunContext(warn=warned.append)) as cluster:
+            assert isinstance(cluster, KubeCluster)
+            if meanwhile is not None:
+                raise meanwhile
+
+    run.calls, run.warned = KubeCluster.calls, warned
+    return run
+
+
+@pytest.mark.parametrize("meanwhile", [None, InputError("no room"), KeyboardInterrupt(), GeneratorExit()])
+def test_pods_are_started_and_removed_whatever_happens(pods, meanwhile):
+    with nullcontext() if meanwhile is None else pytest.raises(type(meanwhile)) as caught:
+        pods(meanwhile)
+    assert meanwhile is None or caught.value is meanwhile
+    assert pods.calls == [*STARTED, ("close", 3600)]
+    assert pods.warned == []
+
+
+def test_a_cluster_of_pods_that_does_not_start(pods):
+    log = RuntimeError("Scheduler failed to start.\n" + "line of the log\n" * 1000)
+    with pytest.raises(InputError) as caught:
+        pods(start=log)
+    (message,) = caught.value.messages
+    assert message.startswith(
+        "dask-kubernetes could not start a cluster (RuntimeError: Scheduler failed to start. line"
+    )
+    assert len(message) < 700
+    assert pods.calls == STARTED[:1], "what was not started is not removed"
+    with pytest.raises(KeyboardInterrupt):
+        pods(start=KeyboardInterrupt())
+
+
+def test_pods_that_are_refused(pods):
+    with pytest.raises(InputError, match=r"dask-kubernetes could not start 3 workers \(OSError: forbidden\)"):
+        pods(scale=OSError("forbidden"))
+    assert pods.calls == [*STARTED, ("close", 3600)]
+
+
+@pytest.mark.parametrize("meanwhile", [None, InputError("no room"), KeyboardInterrupt()])
+def test_pods_that_cannot_be_removed_cost_no_results(pods, meanwhile):
+    with nullcontext() if meanwhile is None else pytest.raises(type(meanwhile)) as caught:
+        pods(meanwhile, close=TimeoutError("no answer"))
+    assert meanwhile is None or caught.value is meanwhile
+    (message,) = pods.warned
+    assert message.startswith("dask-kubernetes could not remove the cluster dask-user-1 (TimeoutError: no answer)")
+
+
+def test_ctrl_c_while_pods_are_removed(pods):
+    with pytest.raises(KeyboardInterrupt):
+        pods(close=KeyboardInterrupt())
+
+
+def test_the_arguments_are_those_of_dask_kubernetes():
+    """Where the package is installed: it takes any others, too, and hands them on."""
+    real = pytest.importorskip("dask_kubernetes.operator").KubeCluster
+    mine, own = (inspect.signature(cluster).parameters for cluster in (KubeCluster, real))
+    assert set(mine) <= set(own)
+    for name in ("scale", "close"):
+        ours, theirs = (inspect.signature(getattr(cluster, name)).parameters for cluster in (KubeCluster, real))
+        assert list(ours) == list(theirs)
 
 
 def test_progress_counts_tasks(batch):
