@@ -153,8 +153,8 @@ class ImageEvaluator:
         """The evaluator with these postures, the same patches counting, from one of no posture."""
         count = len(self.table.patches)
         seen, left_out = (
-            np.array([np.unpackbits(row[part], count=count) for row in rows], np.bool_).reshape(-1, count)
-            for part in (1, 2)
+            np.array([np.unpackbits(one, count=count) for one in some], np.bool_).reshape(-1, count)
+            for some in ([visible for _, visible, _ in rows], [grazing for _, _, grazing in rows])
         )
         postures = tuple(row[0] for row in rows)
         return replace(self, table=replace(self.table, postures=postures, visible=seen, grazing=left_out))
