@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -246,22 +247,25 @@ def _masks_of_pixels(
     scene: Scene, caster: RayCaster, threads: int, pool: ProcessPool | None
 ) -> tuple[Bool, list[bytes | None]]:
     # as _faces_of_pixels; and of each posture the pixels that an inspection does not leave out, see _masks_of_posture
-    count, masks = len(scene.postures), list[bytes | None]([None] * len(scene.postures))
-    seen = np.zeros(len(scene.mesh.faces), np.bool_)
+    count, masks, lock = len(scene.postures), list[bytes | None]([None] * len(scene.postures)), Lock()
 
-    def keep(number: int, found: tuple[Index, bytes]) -> None:
-        seen[found[0]], masks[number] = True, found[1]
+    faces = np.zeros(-(-len(scene.mesh.faces) // 8), np.uint8)
+
+    def keep(number: int, found: tuple[UInt8, bytes]) -> None:
+        with lock:
+            np.bitwise_or(faces, found[0], out=faces)
+        masks[number] = found[1]
 
     threads_of_posture = 1 if count >= threads or pool is not None else threads
     spread(_masks_of_posture, scene.postures, keep, scene, caster, threads_of_posture, pool=pool, threads=threads)
-    return seen, masks
+    return np.unpackbits(faces, count=len(scene.mesh.faces)).astype(np.bool_), masks
 
 
-def _masks_of_posture(posture: Posture, scene: Scene, caster: RayCaster, threads: int) -> tuple[Index, bytes]:
-    # the faces of pixels; and which pixels are clean, eight to an octet and compressed: of thousands of postures they
-    # take hundreds of megabytes otherwise
+def _masks_of_posture(posture: Posture, scene: Scene, caster: RayCaster, threads: int) -> tuple[UInt8, bytes]:
+    # the faces of pixels, and which pixels are clean, eight to an octet; these compressed, since those of thousands of
+    # postures take hundreds of megabytes otherwise
     masks = mask_pixels(scene, posture, caster, threads=threads)
-    return np.flatnonzero(masks.faces), zlib.compress(np.packbits(masks.clean, axis=1).tobytes(), 1)
+    return np.packbits(masks.faces), zlib.compress(np.packbits(masks.clean, axis=1).tobytes(), 1)
 
 
 def _seen_points(item: tuple[int, slice], scene: Scene, caster: RayCaster, points: tuple[Float64, Float64]) -> Bool:

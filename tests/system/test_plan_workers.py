@@ -21,9 +21,6 @@ from lightopt.core.run_context import RunContext
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and sessions of POSIX")
 
-REQUEST = ("--step", "10", "--patches", "100", "--no-images", "--no-report")
-REQUEST = (*REQUEST, "--choose-postures", "2", "--posture-step", "45", "--exposure", "1,1/16")
-
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -52,10 +49,8 @@ def reference(two) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_two_processes_of_this_machine(two, reference, cli):
-    ran = cli("optimize", two.rig, two.part, "-o", two.folder / "two", *REQUEST, "--workers", 2)
-    assert (ran.status, ran.err) == (0, "")
-    assert contents(two.folder / "two") == reference
+def test_two_processes_of_this_machine(two, reference):
+    assert plan(two, "two", Workers(number=2), RunContext()) == reference
 
 
 @pytest.mark.slow
