@@ -28,7 +28,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks._case import CONFIGS, RIG
-from lightopt.batch import Workers, _schedule, run_batch
+from lightopt.batch import Workers, _cluster, run_batch
 from lightopt.batch._expand import expand
 from lightopt.cli._batch import command_form, run_captured
 
@@ -130,7 +130,7 @@ def write_jobs(folder: Path, parts: int, text: str) -> Path:
 def run(jobs: Path, out: Path, number: int, run_command: RunCommand) -> None:
     """Run the batch in this process (0), or by so many workers."""
     if number == 1:  # one worker on its own is nothing that a user gets without asking for a scheduler
-        with _schedule._local_cluster(1) as cluster:
+        with _cluster.local_cluster(1) as cluster:
             result = run_batch(
                 jobs, out, command_form, run_command, workers=Workers(scheduler=cluster.scheduler_address)
             )

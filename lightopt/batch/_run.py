@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
+from lightopt.batch._cluster import Workers
 from lightopt.batch._expand import FormOf, expand
-from lightopt.batch._schedule import Workers, outcomes_of
+from lightopt.batch._schedule import outcomes_of
 from lightopt.batch._task import TERMINAL_NAME, Outcome, RunCommand, State, Task, published
 from lightopt.core.errors import counted
 from lightopt.core.run_context import RunContext

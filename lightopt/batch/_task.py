@@ -16,8 +16,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
+from lightopt.batch._cluster import version_problems
 from lightopt.core.errors import InputError, error_text, refuse
-from lightopt.core.provenance import computed_by, differences, file_sha256, files_sha256
+from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.images import make_folder, write_text_atomic
 
 RECORD_NAME, TERMINAL_NAME = "task.json", "terminal.txt"
@@ -140,11 +141,10 @@ def run_task(task: Task, run_command: RunCommand, *needed: Outcome) -> Outcome:
     return replace(outcome, seconds=perf_counter() - begun, worker=worker)
 
 
-def worker_problems(expected: str, files: tuple[tuple[str, str], ...] = ()) -> tuple[str, ...]:
+def worker_problems(expected: str, files: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
     """Why this process cannot compute what the one that started the batch would: another version, other files."""
-    other = differences(json.loads(expected), computed_by())
-    if other:
-        return (f"{platform.node()} computes otherwise than the machine that started the batch: {other}",)
+    if other := version_problems(expected):
+        return other
     changed = [path for path, sha256 in files if content_sha256(Path(path)) != sha256]
     reason = f"changed since the batch was started, or another file or none on {platform.node()}"
     return tuple(f"{path}: {reason}; workers need the same files at the same paths" for path in changed)

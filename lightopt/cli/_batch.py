@@ -12,36 +12,33 @@ import typer
 
 from lightopt.cli import _common as common
 from lightopt.cli._terminal import echo, echo_error, echo_paths, run_context, show_table, with_flags
-from lightopt.core.errors import CheckFailed, InputError, counted
+from lightopt.core.errors import CheckFailed, counted
 
 if TYPE_CHECKING:
     from lightopt.batch import BatchResult, CommandForm
 
-workers_option = partial(typer.Option, rich_help_panel="Workers")
-
 MOST_JOBS, MOST_FAILURES = 8, 4  # rows and messages on the terminal; the files have all
 _FILES = {"FILE", "DIR", "SET", "IMAGES"}  # as the help calls values that name files
 _ARGUMENTS = {"rig", "part", "images", "rigs"}
-_OF_THE_BATCH = {"out", "force", "quiet", "verbose", "threads", "resume", "dry_run", "help"}
+_OF_THE_BATCH = {
+    *("out", "force", "quiet", "verbose", "threads", "resume", "dry_run", "help"),
+    *("workers", "scheduler", "slurm", "kubernetes"),
+}
 _WRITTEN = {"json_file", "drawing", "serial_log", "history"}  # files beside the folder of results
 
 
 def batch(
     jobs: Annotated[Path, typer.Argument(metavar="JOBS", help="Batch file (YAML): rigs, parts, jobs.")],
     out: common.Out,
-    workers: int | None = workers_option(
-        None,
-        metavar="N",
-        min=1,
-        help="Number of processes, or of jobs of the batch system; 1: this process, without Dask.",
-        show_default="all processors",
+    workers: int | None = common.workers_option(
+        None, metavar="N", min=1, help=common.WORKERS_HELP, show_default="all processors"
     ),
-    threads: int = workers_option(1, metavar="N", min=1, help="Threads of each command; no result depends on it."),
-    scheduler: str | None = workers_option(
-        None, metavar="ADDRESS", help="Use the workers of this Dask scheduler, such as tcp://10.0.0.5:8786."
+    threads: int = common.workers_option(
+        1, metavar="N", min=1, help="Threads of each command; no result depends on it."
     ),
-    slurm: bool = workers_option(False, "--slurm", help="Start workers as Slurm jobs (dask-jobqueue)."),
-    kubernetes: bool = workers_option(False, "--kubernetes", help="Start workers on Kubernetes (dask-kubernetes)."),
+    scheduler: common.Scheduler = None,
+    slurm: common.Slurm = False,
+    kubernetes: common.Kubernetes = False,
 ) -> None:
     """Run the jobs of JOBS, each for every rig and every part, on this machine or on a cluster.
 
@@ -56,21 +53,11 @@ def batch(
 
     Example: lightopt batch jobs.yaml -o out
     """
-    from lightopt.batch import Workers, answer_text, jobs_table, run_batch
+    from lightopt.batch import answer_text, jobs_table, run_batch
     from lightopt.core.threads import available_processors
 
-    given = [name for name, value in (("--slurm", slurm), ("--kubernetes", kubernetes)) if value]
-    if scheduler is not None:
-        given.append("--scheduler")
-        if workers is not None:
-            raise InputError("--workers: has no effect with --scheduler, whose workers are taken as they are")
-    if len(given) > 1:
-        raise InputError(f"{' and '.join(given)}: expected one of them")
-    where = Workers(
-        number=workers or max(1, available_processors() // threads),
-        scheduler=scheduler,
-        system="slurm" if slurm else "kubernetes" if kubernetes else None,
-    )
+    number = max(1, available_processors() // threads)
+    where = common.chosen_workers(workers, scheduler, slurm, kubernetes, here=number, system=number)
     with run_context() as run:
         result = run_batch(jobs, out, command_form, run_captured, workers=where, threads=threads, run=run)
     echo(f"{answer_text(result.outcomes, len(result.tasks))}; {result.seconds:.1f} s")

@@ -20,6 +20,7 @@ from lightopt.cli._terminal import QUIET, VERBOSE, echo, set_up_log
 from lightopt.core.errors import InputError
 
 if TYPE_CHECKING:
+    from lightopt.batch import Workers
     from lightopt.config import PartConfig, RigConfig
     from lightopt.core.transforms import Posture
     from lightopt.images import ImageSet
@@ -29,6 +30,7 @@ selection_option = partial(typer.Option, rich_help_panel="Selection")
 model_option = partial(typer.Option, rich_help_panel="Model")
 output_option = partial(typer.Option, rich_help_panel="Output")
 hardware_option = partial(typer.Option, rich_help_panel="Hardware")
+workers_option = partial(typer.Option, rich_help_panel="Workers")
 run_option = partial(typer.Option, rich_help_panel="Run")  # headings of options in `--help`
 
 PLAIN: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None}  # of each typer.Typer
@@ -65,6 +67,12 @@ _MIN_IMAGES_HELP = "Number of images of a posture that must show a defect."
 MinImages = Annotated[int, model_option(metavar="K", min=1, help=_MIN_IMAGES_HELP)]
 _THREADS_HELP = "Number of threads; results do not depend on it."
 Threads = Annotated[int | None, run_option(metavar="N", min=1, help=_THREADS_HELP, show_default="all processors")]
+WORKERS_HELP = "Number of processes, or of jobs of the batch system; 1: this process, without Dask."
+_SCHEDULER_HELP = "Use the workers of this Dask scheduler, such as tcp://10.0.0.5:8786."
+Scheduler = Annotated[str | None, workers_option(metavar="ADDRESS", help=_SCHEDULER_HELP)]
+Slurm = Annotated[bool, workers_option("--slurm", help="Start workers as Slurm jobs (dask-jobqueue).")]
+_KUBERNETES_HELP = "Start workers on Kubernetes (dask-kubernetes)."
+Kubernetes = Annotated[bool, workers_option("--kubernetes", help=_KUBERNETES_HELP)]
 _QUIET = run_option("--quiet", "-q", help="Print errors and warnings only.")
 _VERBOSE = run_option("--verbose", "-v", callback=set_up_log, help="Print all details and the log.")
 _SERIAL_LOG_HELP = "Append all bytes sent and received, with times, to this file."
@@ -163,6 +171,26 @@ def options_are_read() -> None:
     """End a command here that was to check its options only; each command calls it before it reads rig and part."""
     if ONLY_OPTIONS.get():
         raise OptionsRead
+
+
+def chosen_workers(
+    number: int | None, scheduler: str | None, slurm: bool, kubernetes: bool, *, here: int, system: int
+) -> Workers:
+    """Where work runs; without --workers so many processes of this machine, or so many jobs of a batch system."""
+    from lightopt.batch import Workers
+
+    given = [name for name, value in (("--slurm", slurm), ("--kubernetes", kubernetes)) if value]
+    if scheduler is not None:
+        given.append("--scheduler")
+        if number is not None:
+            raise InputError("--workers: has no effect with --scheduler, whose workers are taken as they are")
+    if len(given) > 1:
+        raise InputError(f"{' and '.join(given)}: expected one of them")
+    return Workers(
+        number=number or (system if slurm or kubernetes else here),
+        scheduler=scheduler,
+        system="slurm" if slurm else "kubernetes" if kubernetes else None,
+    )
 
 
 def load_inputs(rig: Path, part: Path) -> tuple[RigConfig, PartConfig]:

@@ -122,6 +122,10 @@ def optimize(
     ranking_rows: int = output_option(100, metavar="N", help="Rows of ranking.csv per posture and objective."),
     force: common.Force = False,
     threads: common.Threads = None,
+    workers: int | None = common.workers_option(None, metavar="N", min=1, help=common.WORKERS_HELP, show_default="1"),
+    scheduler: common.Scheduler = None,
+    slurm: common.Slurm = False,
+    kubernetes: common.Kubernetes = False,
 ) -> None:
     """Find the best positions of RIG's lights for PART by exact search.
 
@@ -134,6 +138,8 @@ def optimize(
     positions (images/), maps of overlapping saturated regions (overlap.png), and report.html. Exit status 1 if no
     combination makes any surface usable. --choose-postures and --target choose postures from the stage's range, for one
     set of lights, and write part.planned.yaml; exposures and tolerances refer to the resulting lights and postures.
+    With them, --workers, --scheduler, --slurm or --kubernetes spread the plan over other processes, which need the same
+    version and no files. Results do not depend on them.
 
     Without a CAD model, lights are chosen from images of samples: see lightopt optimize --from-images --help.
 
@@ -146,12 +152,14 @@ def optimize(
     choice = choose_postures is not None or target is not None
     of_defects = "detectability" in (objective or ()) or choice or exposures is not None
     tolerance = light_tolerance is not None or pose_tolerance is not None
+    places = {"--workers": workers, "--scheduler": scheduler, "--slurm": slurm, "--kubernetes": kubernetes}
     dependent = (
         ("--min-images", min_images, of_defects, "--objective detectability"),
         ("--false-alarms", false_alarms, of_defects, "--objective detectability"),
         ("--calibration", calibration, of_defects, "--objective detectability"),
         ("--posture-step", posture_step, choice, "--choose-postures or --target"),
         ("--allow-outside", allow_outside, choice, "--choose-postures or --target"),
+        *((name, value or None, choice, "--choose-postures or --target") for name, value in places.items()),
         ("--exposure-gain", exposure_gain, exposures is not None, "--exposure"),
         ("--tolerance-target", tolerance_target, tolerance, "--light-tolerance or --pose-tolerance"),
     )
@@ -167,8 +175,11 @@ def optimize(
     )
 
     from lightopt import design
+    from lightopt.batch import other_processes
+    from lightopt.core.threads import available_processors
     from lightopt.report.design import blind_pictures, design_report
 
+    where = common.chosen_workers(workers, scheduler, slurm, kubernetes, here=1, system=available_processors())
     tolerances = None
     if tolerance:
         off = {"light_deg": light_tolerance or 0.0, "pose_deg": pose_tolerance or 0.0}
@@ -201,7 +212,8 @@ def optimize(
         threshold, rate = _calibrated(calibration, loaded_rig, loaded_part, min_images, false_alarms)
         options = replace(options, threshold=threshold, false_alarms=rate)
     with run_context(threads) as run:
-        result = design.optimize(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
+        with other_processes(where, run) as spread:
+            result = design.optimize(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=spread)
         output = design.write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
         design.finish_design(output, design_report(output) if options.report else None)
     show_plan(result.plan)

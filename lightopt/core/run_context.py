@@ -1,12 +1,16 @@
-"""What a run needs beside its inputs: threads, and where progress, messages and warnings go."""
+"""What a run needs beside its inputs: threads, other processes, and where progress, messages and warnings go."""
 
 import logging
 from collections.abc import Callable
 from copy import copy
 from functools import partial
 from threading import Lock
+from typing import TYPE_CHECKING
 
 from lightopt.core.errors import InputError
+
+if TYPE_CHECKING:
+    from lightopt.core.parallel import ProcessPool
 
 _log = logging.getLogger("lightopt.core")
 
@@ -19,7 +23,7 @@ def ignore(_share: float) -> None:
 
 
 class RunContext:
-    """Threads of a run, and where it reports to. No result depends on it.
+    """Threads of a run, other processes that compute for it, and where it reports to. No result depends on it.
 
     threads: At least 1; all processors where it is None
     progress: Called from the calling thread with the stage of the work and the share of it that is done
@@ -39,6 +43,7 @@ class RunContext:
         if threads is not None and threads < 1:
             raise InputError(f"threads: expected at least 1, found {threads}")
         self.threads = threads
+        self.pool: ProcessPool | None = None
         self._progress, self._inform, self._warn = progress, inform, warn
         self._warnings: dict[str, None] = {}
 
@@ -64,6 +69,12 @@ class RunContext:
         """Progress of one stage."""
         _log.info("%s", name)
         return ignore if self._progress is None else partial(self._progress, name)
+
+    def spread_over(self, pool: "ProcessPool") -> "RunContext":
+        """The same run with other processes, for what can be spread over them."""
+        inner = copy(self)  # with the same warnings
+        inner.pool = pool
+        return inner
 
     def within(self, name: str) -> "RunContext":
         """Context of a part of the run, whose stages are reported as "name, stage"."""

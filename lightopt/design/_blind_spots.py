@@ -31,11 +31,12 @@ from lightopt.design._misalignment import Setup
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import share_text
 from lightopt.design.responses._evidence import units_needed
-from lightopt.design.responses._image_evaluator import ImageEvaluator
+from lightopt.design.responses._image_evaluator import ImageEvaluator, PatchRow
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
 from lightopt.design.responses._pairs import Counts, add_counts, add_units
 from lightopt.geometry import Patches
 from lightopt.images import csv_text
+from lightopt.lights import PanelLight
 from lightopt.rendering import grain_of
 from lightopt.scene import Placement
 
@@ -272,20 +273,38 @@ def planned_visibility(
     `setup` has the lights, postures and planned exposures; `candidates` (None where no light moves) and
     `all_exposures` are those to choose from. The patches of `evaluator` are those of the blind spots.
     """
-    found: list[PostureVisibility] = []
-    for index, posture in enumerate(setup.postures):
-        panels = [[panel] for panel in setup.panels(index)]
-        matrices = evaluator.matrices(posture, panels, exposures=setup.exposures[index])
-        # light by light, and of each as many positions as there is room for: all at all exposures would be much to hold
-        batches = (
-            evaluator.in_batches(posture, positions, exposures=all_exposures)
-            for positions in (panels if candidates is None else candidates.panels)
-        )
-        every = (((matrix, 0) for some in of_light for matrix in some) for of_light in batches)
-        chosen, possible = (defect_visibility(some, thresholds, least=least) for some in (by_light(matrices), every))
-        found.append((posture, chosen, possible))
-        progress((index + 1) / len(setup.postures))
-    return tuple(found)
+    found: dict[int, PostureVisibility] = {}
+    items = [
+        (evaluator.row(posture), tuple(setup.panels(index)), setup.exposures[index])
+        for index, posture in enumerate(setup.postures)
+    ]
+    free = None if candidates is None else candidates.panels
+    goal = all_exposures, thresholds, least
+    # in this process the threads are those of each posture
+    evaluator.spread(_visibility_in, items, found.__setitem__, free, *goal, threads=1, progress=progress)
+    return tuple(found[index] for index in range(len(items)))
+
+
+def _visibility_in(
+    item: tuple[PatchRow, Sequence[PanelLight], Sequence[float]],
+    evaluator: ImageEvaluator,
+    free: Sequence[Sequence[PanelLight]] | None,
+    all_exposures: tuple[float, ...],
+    thresholds: LevelThresholds,
+    least: int,
+) -> PostureVisibility:
+    row, lights, exposures = item
+    posture, evaluator = row[0], evaluator.of_rows([row])
+    panels = [[panel] for panel in lights]
+    matrices = evaluator.matrices(posture, panels, exposures=exposures)
+    # light by light, and of each as many positions as there is room for: all at all exposures would be much to hold
+    batches = (
+        evaluator.in_batches(posture, positions, exposures=all_exposures)
+        for positions in (panels if free is None else free)
+    )
+    every = (((matrix, 0) for some in of_light for matrix in some) for of_light in batches)
+    chosen, possible = (defect_visibility(some, thresholds, least=least) for some in (by_light(matrices), every))
+    return posture, chosen, possible
 
 
 Colour = tuple[int, int, int]  # red, green and blue, 0 to 255

@@ -73,8 +73,8 @@ def optimize(
     results, candidates, visibility = _search(matrices)
     if chosen is not None:
         # one set of lights for all postures is one result: the same positions, scored by all planned images together
-        free, progress = _problem.candidates_of(rig, options), run.stage("the score along each angle")
-        results = (planned_answers(results[0], chosen, candidates, free, progress),)
+        free = _problem.candidates_of(rig, options)
+        results = (planned_answers(results[0], chosen, candidates, free, run),)
 
     planned, seen = _complete(matrices, results, candidates, plan, chosen)
     blind = None
@@ -273,7 +273,9 @@ def _complete(
         planned = replace(planned, defects=shares)
     free = candidates if chosen is None else _problem.candidates_of(problem.rig, options)
     goal, progress = (problem.thresholds, options.min_images), run.stage("blind spots")
-    return planned, planned_visibility(evaluator, lights, free, plan.all_exposures, *goal, progress)
+    return planned, planned_visibility(
+        replace(evaluator, pool=run.pool), lights, free, plan.all_exposures, *goal, progress
+    )
 
 
 def _placed_tolerances(

@@ -3,6 +3,7 @@
 import logging
 import math
 import threading
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,6 +39,7 @@ class RayCaster:
     """
 
     def __init__(self, vertices: Float64, faces: Int32, *, rays: float = math.inf) -> None:
+        self._made_of = vertices, faces, rays
         low, high = bounding_box(vertices)
         self.centre: Float64 = 0.5 * (low + high)
         self.radius = float(0.5 * np.linalg.norm(high - low))
@@ -57,6 +59,11 @@ class RayCaster:
             self._run("INTERSECT", np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
         how = "one by one, by embreex" if self._packets is None else "in packets"
         _log.info("hierarchy over %s triangles; rays are cast %s", f"{len(faces):,}", how)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # another process builds the hierarchy for itself
+        vertices, faces, rays = self._made_of
+        return partial(RayCaster, rays=rays), (vertices, faces)
 
     @property
     def rays_cast(self) -> int:

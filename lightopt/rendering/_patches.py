@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
+from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32, Int64, UInt8
+from lightopt.core.parallel import ProcessPool, spread
 from lightopt.core.threads import Task, available_processors, blocks, run_all
 from lightopt.core.transforms import Posture
 from lightopt.geometry import (
@@ -145,6 +149,7 @@ def build_patches(
     budget: int = DEFAULT_PATCH_BUDGET,
     edges: bool = True,
     threads: int | None = None,
+    pool: ProcessPool | None = None,
 ) -> PatchTable:
     """Cut the faces that the camera sees towards the pixel's footprint, within a budget (paper, section 3.3).
 
@@ -154,33 +159,30 @@ def build_patches(
         other half, the budget may be exceeded by up to a half, and the table says so.
     edges: Whether patches at silhouettes and creases, which an inspection leaves out, are as good as others; else they
         count as grazing.
+    pool: Other processes that postures are spread over
     """
     mesh = scene.mesh
     views = [view_from_part(scene, posture) for posture in scene.postures]
     nearest = [(view.camera, project(view.camera, mesh.vertices)[2].min()) for view in views]
     footprint = min(pixel_footprint(camera, max(float(depth), 1e-3)) for camera, depth in nearest)
     threads = threads or available_processors()
-    clean = None
+    over_postures = partial(spread, pool=pool, threads=threads)
     if edges:
-        seen = _faces_of_pixels(mesh, views, caster, threads)
+        seen, masks = _faces_of_pixels(mesh, views, caster, threads), [None] * len(views)
     else:
-        seen, clean = _masks_of_pixels(scene, caster, threads)
+        seen, masks = _masks_of_pixels(scene, caster, threads, pool)
     # a face too narrow for any pixel's centre, such as a wall seen at a grazing angle, shows by its centroid
     facets = face_normals(mesh)
     rest = np.flatnonzero(~seen)
     by_centroid = np.zeros((len(views), len(mesh.faces)), np.bool_)
 
-    def find_narrow(view: int, some: slice) -> None:
-        face = rest[some]
-        a, b, c = (mesh.vertices[mesh.faces[face, k]] for k in range(3))
-        centroids = (a + b + c) / 3.0
-        by_centroid[view, face] = visible_points(centroids, facets[face], views[view], caster)
+    def keep_narrow(number: int, sees: Bool) -> None:
+        view, some = narrow[number]
+        by_centroid[view, rest[some]] = sees
 
-    def in_blocks(work: Callable[..., None], count: int) -> None:
-        tasks = ((work, (k, slice(*some))) for k in range(len(views)) for some in blocks(count, _BLOCK_POINTS))
-        run_all(tasks, threads=threads)
-
-    in_blocks(find_narrow, len(rest))
+    narrow = [(k, slice(*some)) for k in range(len(views)) for some in blocks(len(rest), _BLOCK_POINTS)]
+    a, b, c = (mesh.vertices[mesh.faces[rest, k]] for k in range(3))
+    over_postures(_seen_points, narrow, keep_narrow, scene, caster, ((a + b + c) / 3.0, facets[rest]))
     no_pixel = ~seen
     seen |= by_centroid.any(axis=0)
     hidden, shown = int((~seen).sum()), int(seen.sum())
@@ -198,18 +200,17 @@ def build_patches(
     shape, candidates = (len(views), len(patches)), np.flatnonzero(seen[patches.face])
     visible, grazing = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
 
-    def find_visible(view: int, some: slice) -> None:
-        patch = candidates[some]
-        face, points = patches.face[patch], patches.centroids[patch]
-        sees, fresh = by_centroid[view, face], ~tried[face]
-        sees[fresh] = visible_points(points[fresh], facets[face[fresh]], views[view], caster)
-        visible[view, patch] = sees
-        grazing[view, patch] = _grazing(points, patches.normals[patch], sees, views[view])
-        if clean is not None:
-            grazing[view, patch[sees]] |= ~_at_points(clean[view], views[view].camera, points[sees])
+    face = patches.face[candidates]
+    points = patches.centroids[candidates], facets[face], patches.normals[candidates], ~tried[face]
 
-    in_blocks(find_visible, len(candidates))
-    over = shown < budget < int(visible.any(axis=0).sum()) and most > budget - shown
+    def keep_visible(number: int, found: tuple[Bool, Bool]) -> None:
+        view, some = shares[number]
+        visible[view, candidates[some]], grazing[view, candidates[some]] = found
+
+    shares = [(k, slice(*some)) for k in range(len(views)) for some in blocks(len(candidates), _BLOCK_POINTS)]
+    items = [(k, some, by_centroid[k, face[some]], masks[k]) for k, some in shares]
+    over_postures(_seen_patches, items, keep_visible, scene, caster, points)
+    exceeds = shown < budget < int(visible.any(axis=0).sum()) and most > budget - shown
     return PatchTable(
         patches=patches,
         postures=scene.postures,
@@ -218,7 +219,7 @@ def build_patches(
         max_edge=edge,
         footprint=footprint,
         seen_faces=shown if shown >= budget else 0,
-        exceeded=budget if over else 0,
+        exceeded=budget if exceeds else 0,
     )
 
 
@@ -242,19 +243,55 @@ def _faces_of_pixels(mesh: TriangleMesh, views: Sequence[PartView], caster: RayC
     return seen
 
 
-def _masks_of_pixels(scene: Scene, caster: RayCaster, threads: int) -> tuple[Bool, UInt8]:
-    # as _faces_of_pixels; and of each posture the pixels that an inspection does not leave out, eight to an octet
-    camera, count = scene.camera, len(scene.postures)
-    seen = np.zeros(len(scene.mesh.faces), np.bool_)
-    clean = np.zeros((count, camera.height, -(-camera.width // 8)), np.uint8)
+def _masks_of_pixels(
+    scene: Scene, caster: RayCaster, threads: int, pool: ProcessPool | None
+) -> tuple[Bool, list[bytes | None]]:
+    # as _faces_of_pixels; and of each posture the pixels that an inspection does not leave out, see _masks_of_posture
+    count, masks, lock = len(scene.postures), list[bytes | None]([None] * len(scene.postures)), Lock()
 
-    def mask(view: int, posture: Posture) -> None:
-        masks = mask_pixels(scene, posture, caster, threads=1 if count >= threads else threads)
-        seen[masks.faces] = True
-        clean[view] = np.packbits(masks.clean, axis=1)
+    faces = np.zeros(-(-len(scene.mesh.faces) // 8), np.uint8)
 
-    run_all(((mask, pair) for pair in enumerate(scene.postures)), threads=threads)
-    return seen, clean
+    def keep(number: int, found: tuple[UInt8, bytes]) -> None:
+        with lock:
+            np.bitwise_or(faces, found[0], out=faces)
+        masks[number] = found[1]
+
+    threads_of_posture = 1 if count >= threads or pool is not None else threads
+    spread(_masks_of_posture, scene.postures, keep, scene, caster, threads_of_posture, pool=pool, threads=threads)
+    return np.unpackbits(faces, count=len(scene.mesh.faces)).astype(np.bool_), masks
+
+
+def _masks_of_posture(posture: Posture, scene: Scene, caster: RayCaster, threads: int) -> tuple[UInt8, bytes]:
+    # the faces of pixels, and which pixels are clean, eight to an octet; these compressed, since those of thousands of
+    # postures take hundreds of megabytes otherwise
+    masks = mask_pixels(scene, posture, caster, threads=threads)
+    return np.packbits(masks.faces), zlib.compress(np.packbits(masks.clean, axis=1).tobytes(), 1)
+
+
+def _seen_points(item: tuple[int, slice], scene: Scene, caster: RayCaster, points: tuple[Float64, Float64]) -> Bool:
+    # which of some points are seen in a posture
+    view, some = item
+    places, facets = points
+    return visible_points(places[some], facets[some], view_from_part(scene, scene.postures[view]), caster)
+
+
+def _seen_patches(
+    item: tuple[int, slice, Bool, bytes | None],
+    scene: Scene,
+    caster: RayCaster,
+    points: tuple[Float64, Float64, Float64, Bool],
+) -> tuple[Bool, Bool]:
+    # which of some patches are seen in a posture, and which of these at a grazing angle or an edge; those that are not
+    # fresh were tried before
+    number, some, sees, mask = item
+    (places, facets, normals), fresh = (one[some] for one in points[:3]), points[3][some]
+    view, sees = view_from_part(scene, scene.postures[number]), sees.copy()
+    sees[fresh] = visible_points(places[fresh], facets[fresh], view, caster)
+    grazing = _grazing(places, normals, sees, view)
+    if mask is not None:
+        octets = np.frombuffer(zlib.decompress(mask), np.uint8).reshape(view.camera.height, -1)
+        grazing[sees] |= ~_at_points(octets, view.camera, places[sees])
+    return sees, grazing
 
 
 def _at_points(octets: UInt8, camera: PinholeCamera, points: Float64) -> Bool:

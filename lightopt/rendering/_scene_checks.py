@@ -1,14 +1,16 @@
 """Checks before rendering: no panel is inside the part, and enough pixels see the part."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster, points_inside
-from lightopt.lights import SurfaceLight, outlines, panel_grid
+from lightopt.lights import PanelLight, SurfaceLight, outlines, panel_grid
 from lightopt.rendering._surface import trace_hits
 from lightopt.scene import PartView, Scene, pixel_footprint, screen_window, unit_hint, view_from_part
 
@@ -29,11 +31,20 @@ class PanelInPart(NamedTuple):
 def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
     """Panels that are inside the part, posture by posture."""
     found: list[PanelInPart] = []
+    low, high = scene.mesh.bounds
+    margin = 1e-6 * float(np.linalg.norm(high - low))
+    everywhere = [_panel_points(light) for light in scene.lights]
+    together = np.concatenate([np.zeros((0, 3)), *everywhere])
+    first = np.cumsum([0, *map(len, everywhere)])
     for posture in scene.postures:
-        for light in view_from_part(scene, posture).lights:
-            points = panel_grid(light, PANEL_POINTS)
-            if isinstance(light, SurfaceLight):
-                points = np.concatenate([light.targets, outlines(light).reshape(-1, 3)])
+        # of thousands of panels, all points at once: hardly any is near the part
+        rotation, translation = scene.stage.transform(posture)
+        places = (together - translation) @ rotation
+        near = np.flatnonzero(np.all((places >= low - margin) & (places <= high + margin), axis=1))
+        lights = np.unique(np.searchsorted(first, near, side="right") - 1)
+        some = replace(scene, lights=tuple(scene.lights[i] for i in lights))
+        for light in view_from_part(some, posture).lights:
+            points = _panel_points(light)
             inside = int(np.count_nonzero(points_inside(points, scene.mesh)))
             if inside:
                 text = (
@@ -43,6 +54,12 @@ def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
                 )
                 found.append(PanelInPart(light.name, posture, inside / len(points), text))
     return tuple(found)
+
+
+def _panel_points(light: PanelLight) -> Float64:
+    if isinstance(light, SurfaceLight):
+        return np.concatenate([light.targets, outlines(light).reshape(-1, 3)])
+    return panel_grid(light, PANEL_POINTS)
 
 
 def too_few_pixels(scene: Scene, caster: RayCaster) -> tuple[int, str] | None:

@@ -6,9 +6,7 @@ that were running, and that the rest, and the next run, are the same byte for by
 
 from __future__ import annotations
 
-import json
 import os
-import random
 import shutil
 import signal
 import subprocess
@@ -21,10 +19,11 @@ from typing import ClassVar
 
 import dask.config
 import pytest
+from clusters import Cluster, kill_some
 from distributed import LocalCluster
 from distributed.core import Status
 
-from lightopt.batch import Workers, _schedule, run_batch
+from lightopt.batch import Workers, _cluster, run_batch
 from lightopt.cli._batch import command_form, run_captured
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
@@ -75,48 +74,6 @@ def reference(jobs) -> dict[str, bytes]:
     return contents(jobs.parent / "alone")
 
 
-class Cluster:
-    """``dask scheduler`` and ``dask worker``, as a user starts them."""
-
-    def __init__(self, folder: Path) -> None:
-        self.file = folder / "scheduler.json"
-        self._folder = folder
-        self._processes = [
-            self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0")
-        ]
-        self.workers: list[subprocess.Popen[bytes]] = []
-        for _ in range(2):
-            self.add_worker()
-        while not self.file.is_file():
-            assert self._processes[0].poll() is None
-            time.sleep(0.05)
-
-    @property
-    def address(self) -> str:
-        return json.loads(self.file.read_text(encoding="utf-8"))["address"]
-
-    def add_worker(self) -> None:
-        own = "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(self._folder)
-        self.workers.append(self._start("worker", *own))
-
-    def kill(self, number: int) -> None:
-        """Kill a worker without warning, and start another."""
-        worker = self.workers.pop(number)
-        worker.kill()
-        worker.wait()
-        self.add_worker()
-
-    def close(self) -> None:
-        for process in (*self.workers, *self._processes):
-            process.kill()
-            process.wait()
-
-    def _start(self, *words: str) -> subprocess.Popen[bytes]:
-        environment = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "50"}
-        command = [sys.executable, "-m", "dask", *words, "--scheduler-file", str(self.file)]
-        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
-
-
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory) -> Iterator[Cluster]:
     own = Cluster(tmp_path_factory.mktemp("cluster"))
@@ -124,19 +81,6 @@ def cluster(tmp_path_factory) -> Iterator[Cluster]:
         yield own
     finally:
         own.close()
-
-
-def kill_some(cluster: Cluster, times: int, seed: int) -> RunContext:
-    """A context in which workers are killed as tasks are completed, while they compute."""
-    draw, left = random.Random(seed), [times]
-
-    def killing(_stage: str, share: float) -> None:
-        if left[0] and share < 1.0:
-            left[0] -= 1
-            time.sleep(draw.uniform(0.0, 0.3))
-            cluster.kill(draw.randrange(2))
-
-    return RunContext(progress=killing)
 
 
 @pytest.mark.slow
@@ -154,7 +98,7 @@ def test_killed_workers_lose_nothing(jobs, reference, cluster):
 
 @pytest.mark.slow
 def test_workers_of_another_version_are_refused(jobs, cluster, monkeypatch):
-    monkeypatch.setattr(_schedule, "computed_by", lambda: {"lightopt": "9.9"})
+    monkeypatch.setattr(_cluster, "computed_by", lambda: {"lightopt": "9.9"})
     with pytest.raises(InputError) as caught:
         run(jobs, "refused", workers=Workers(scheduler=cluster.address))
     assert 'lightopt: previously "9.9", now "0' in caught.value.messages[0]

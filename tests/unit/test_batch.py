@@ -18,7 +18,7 @@ from typing import ClassVar
 
 import pytest
 
-from lightopt.batch import Workers, _schedule, _task, answer_text, jobs_table, run_batch
+from lightopt.batch import Workers, _cluster, _schedule, _task, answer_text, jobs_table, run_batch
 from lightopt.batch._expand import expand
 from lightopt.cli._batch import command_form
 from lightopt.cli._main import _COMMANDS
@@ -141,8 +141,8 @@ def test_a_second_run_does_nothing_and_a_change_repeats_what_depends_on_it(batch
 
 def test_another_version_makes_everything_anew(batch, monkeypatch):
     batch()
-    made_by = {**_task.computed_by(), "lightopt": "another"}
-    for module in ("_expand", "_task"):
+    made_by = {**_cluster.computed_by(), "lightopt": "another"}
+    for module in ("_expand", "_cluster"):
         monkeypatch.setattr(f"lightopt.batch.{module}.computed_by", lambda: made_by)
     assert batch().count("done") == 6
 
@@ -309,6 +309,7 @@ def test_files_of_the_same_name_are_told_apart_by_their_folders(files):
         ("sheet: true", "sheets: true", 7, 'no such option of render in a batch; did you mean "sheet"?'),
         ("sheet: true", "no-shadows: true", 7, "write shadows: false"),
         ("sheet: true", "force: true", 7, "no such option of render in a batch; its options are light"),
+        ("step: 5", "workers: 2", 9, "no such option of optimize in a batch"),
         ("sheet: true", "sheet: 1", 7, "expected true or false, found 1"),
         ("sheet: true", "sheet: false", 7, "leave the option out"),
         ("sheet: true", "noise: true", 7, "expected a value, found true"),
@@ -467,7 +468,7 @@ def test_a_result_that_went_with_its_worker_is_computed_again(then, state):
 
 
 def test_a_scheduler_that_does_not_answer(batch, monkeypatch):
-    monkeypatch.setattr(_schedule, "_ANSWER_S", 0.2)
+    monkeypatch.setattr(_cluster, "_ANSWER_S", 0.2)
     with pytest.raises(InputError, match=r"tcp://127.0.0.1:1: no Dask scheduler answers"):
         batch(workers=Workers(scheduler="tcp://127.0.0.1:1"))
     with pytest.raises(InputError, match="no Dask scheduler answers"):
@@ -537,7 +538,7 @@ def pods(monkeypatch):
 
     def run(meanwhile=None, **fails):
         monkeypatch.setattr(KubeCluster, "fails", fails)
-        with _schedule._started("kubernetes", 3, RunContext(warn=warned.append)) as cluster:
+        with _cluster._started("kubernetes", 3, RunContext(warn=warned.append)) as cluster:
             assert isinstance(cluster, KubeCluster)
             if meanwhile is not None:
                 raise meanwhile

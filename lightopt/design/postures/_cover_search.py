@@ -172,7 +172,7 @@ class _Greedy:
     def _add_most(self) -> None:
         now = self.together(self.chosen)
         while True:
-            merits = self.weights.all_gains(now, self.candidates, threads=self.threads)
+            merits = self.weights.all_gains(now, self.candidates, range(len(self.candidates)), threads=self.threads)
             gains = [0 if i in self.chosen else benefit for i, (_, benefit) in enumerate(merits)]
             self.states.append((self.weights.benefit(now), sorted(gains, reverse=True)))
             best = max(self.allowed, key=lambda i: gains[i], default=None)
@@ -218,7 +218,7 @@ def improve_by_exchange(
         for place in range(len(now)):
             rest = weights.sum_counts((candidates[i] for i in [*now[:place], *now[place + 1 :]]), k)
             covered, benefit = weights.merit(rest)
-            gains = weights.all_gains(rest, [candidates[i] for i in others], threads=threads)
+            gains = weights.all_gains(rest, candidates, others, threads=threads)
             for i, gain in zip(others, gains, strict=True):
                 other = covered + gain[0], benefit + gain[1]
                 if other > (merit if best is None else best[0]):
@@ -312,4 +312,4 @@ class _Search:
         self.left -= max(1, self.candidates[0].size) * len(some)
         if self.left < 0:
             raise _WorkLimitReached
-        return self.weights.all_gains(now, [self.candidates[i] for i in some], threads=self.threads)
+        return self.weights.all_gains(now, self.candidates, some, threads=self.threads)

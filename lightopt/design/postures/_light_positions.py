@@ -16,21 +16,24 @@ import numpy as np
 
 from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import Share, part_of
+from lightopt.core.run_context import Share, ignore, part_of
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design.objectives._scores_by_units import PositionCounts, combination_sums
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE
-from lightopt.design.responses._image_evaluator import ImageEvaluator
+from lightopt.design.responses._image_evaluator import ImageEvaluator, PatchRow
 from lightopt.design.responses._luminance_matrix import select_rows
-from lightopt.design.responses._pairs import PairWeights, add_units
+from lightopt.design.responses._pairs import Packed, PackedCounts, PairWeights, add_units, pack_counts
 from lightopt.design.search import _exact_search
+from lightopt.lights import PanelLight
 
 Rows = Sequence[Int64]
 ExposedPosture = tuple[Posture, tuple[float, ...]]  # with the exposures that an image of it may be taken with
 
 # of the counts of all candidate postures, and of all positions of the lights, that are held at a time
 MOST_COUNT_BYTES = 1_500_000_000
+
+POSITIONS_AT_ONCE = 8  # positions of a light that one task of another process counts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,15 +153,55 @@ def position_counts(
     evaluator: ImageEvaluator, postures: Sequence[ExposedPosture], candidates: Candidates, progress: Share
 ) -> list[PositionCounts]:
     """Units of evidence, up to what is needed, by each position of each light in postures: (positions, k, p, words)."""
-    empty = evaluator.weights.zero_counts(evaluator.needed)
-    totals = [np.repeat(empty[None], len(some), axis=0) for some in candidates.panels]
+    panels = candidates.panels
+    if evaluator.pool is None:
+        return _added_counts(evaluator, postures, panels, progress)
+    totals = [_zero_counts(evaluator, len(some)) for some in panels]
+    blocks = [
+        (light, slice(start, min(start + POSITIONS_AT_ONCE, len(some))))
+        for light, some in enumerate(panels)
+        for start in range(0, len(some), POSITIONS_AT_ONCE)
+    ]
+
+    def keep(number: int, packed: list[Packed]) -> None:
+        light, some = blocks[number]
+        totals[light][some] = list(PackedCounts(packed, totals[light].shape[1:]))
+
+    rows = [(evaluator.row(posture), exposures) for posture, exposures in postures]
+    evaluator.spread(_packed_block, blocks, keep, rows, panels, threads=evaluator.threads, progress=progress)
+    return totals
+
+
+def _packed_block(
+    block: tuple[int, slice],
+    evaluator: ImageEvaluator,
+    rows: Sequence[tuple[PatchRow, tuple[float, ...]]],
+    panels: Sequence[Sequence[PanelLight]],
+) -> list[Packed]:
+    light, some = block
+    own, postures = evaluator.of_rows([row for row, _ in rows]), [(row[0], exposures) for row, exposures in rows]
+    (total,) = _added_counts(own, postures, [panels[light][some]])
+    return [pack_counts(counts) for counts in total]
+
+
+def _added_counts(
+    evaluator: ImageEvaluator,
+    postures: Sequence[ExposedPosture],
+    panels: Sequence[Sequence[PanelLight]],
+    progress: Share = ignore,
+) -> list[PositionCounts]:
+    totals = [_zero_counts(evaluator, len(some)) for some in panels]
     for done, (posture, exposures) in enumerate(postures, start=1):
-        images = replace(evaluator, exposures=exposures).flags(posture, candidates.panels)
+        images = replace(evaluator, exposures=exposures).flags(posture, panels)
         for total, layer in zip(totals, images, strict=True):
             for position, flags in enumerate(layer):
                 add_units(total[position], flags)
         progress(done / len(postures))
     return totals
+
+
+def _zero_counts(evaluator: ImageEvaluator, positions: int) -> PositionCounts:
+    return np.repeat(evaluator.weights.zero_counts(evaluator.needed)[None], positions, axis=0)
 
 
 def best_positions(

@@ -15,7 +15,7 @@ import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import CheckFailed, counted, percent
-from lightopt.core.run_context import RunContext, Share
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design import _blind_spots, _problem
 from lightopt.design._candidates import Candidates, Curve, place_of, score_curves
@@ -26,7 +26,7 @@ from lightopt.design.postures._cover_search import Cover, best_set, cover_steps,
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._light_positions import best_positions, position_counts, position_counts_fit
 from lightopt.design.postures._posture_search import PostureChoice, PostureRequest, choose_postures
-from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
+from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, PatchRow, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._pairs import Counts, unpack_flags
 from lightopt.design.search._exact_search import Ranked
@@ -123,7 +123,7 @@ class _JointPlanner:
         """What the planned images show, posture by posture; bounds are of all postures at any of the exposures."""
         weights, postures = self.whole.weights, self.whole.table.postures
         indices = [postures.index(posture) for posture in plan.postures]
-        every = [self._counts(plan, posture, self.whole.exposures) for posture in postures]
+        every = self.whole.counts_of_postures(plan.panels, self.run.stage("all postures at all exposures"))
         free = greedy_cover(every, weights, count=len(indices), threads=self.whole.threads)
         own = {i: self._counts(plan, postures[i], plan.exposures_of(postures[i])) for i in sorted(indices)}
         cover = replace(
@@ -149,7 +149,7 @@ PROVEN_OF_ONE = "the positions that the first objective chose, the only ones tha
 
 
 def planned_answers(
-    result: SetResult, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share
+    result: SetResult, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, run: RunContext
 ) -> SetResult:
     """The best lights of each objective, scored for defects by what they show in the plan's postures and exposures.
 
@@ -164,18 +164,19 @@ def planned_answers(
     # of all planned images together, as a share of what the camera sees in any candidate posture
     goal = replace(first, share_of=SHARES_OF, area=area)
     answers = tuple(_planned(answer, goal, chosen, candidates, free is not None) for answer in result.answers)
-    return replace(result, answers=answers, curves=_curves(answers[0].found.best, chosen, candidates, free, progress))
+    return replace(result, answers=answers, curves=_curves(answers[0].found.best, chosen, candidates, free, run))
 
 
 def _curves(
-    best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share
+    best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, run: RunContext
 ) -> tuple[Curve, ...]:
-    at, evaluator, weights = places_of(candidates, best), chosen.evaluator, chosen.evaluator.weights
+    progress, at = run.stage("the score along each angle"), places_of(candidates, best)
+    evaluator, weights = chosen.evaluator, chosen.evaluator.weights
     among = free is not None and all(place in some for place, some in zip(at, free.places, strict=True))
     if free is None or not among or not position_counts_fit(evaluator, free):
         return ()
     postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
-    lights = position_counts(replace(evaluator, images=chosen.choice.images), postures, free, progress)
+    lights = position_counts(replace(evaluator, images=chosen.choice.images, pool=run.pool), postures, free, progress)
 
     def score(combination: tuple[int, ...]) -> int:
         shown = (places[k] for places, k in zip(lights, combination, strict=True))
@@ -259,14 +260,24 @@ def target_not_reached(target: float, choice: PostureChoice, evaluator: ImageEva
 def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[int, float]:
     # surface × defects by reason, over all candidate postures, under the chosen lights
     thresholds = LevelThresholds.of_sensor(evaluator.scene.sensor, shade_share=0.0)
-    seen: list[_blind_spots.DefectVisibility] = []
-    for posture in evaluator.table.postures:
-        matrices = evaluator.matrices(posture, [[panel] for panel in choice.panels], exposures=evaluator.exposures)
-        seen.append(_blind_spots.defect_visibility(_blind_spots.by_light(matrices), thresholds, least=least))
+    rows, found = (
+        [evaluator.row(posture) for posture in evaluator.table.postures],
+        dict[int, _blind_spots.DefectVisibility](),
+    )
+    evaluator.spread(_visibility_of_row, rows, found.__setitem__, choice.panels, thresholds, least, threads=1)
+    seen = [found[place] for place in range(len(rows))]
     # the shares are of the surface that the camera sees in one of them
     areas = np.zeros(len(evaluator.table.patches))
     areas[evaluator.patches] = evaluator.table.patches.areas[evaluator.patches]
     return _blind_spots.blind_spots(areas, seen).by_reason()
+
+
+def _visibility_of_row(
+    row: PatchRow, evaluator: ImageEvaluator, panels: Sequence[PanelLight], thresholds: LevelThresholds, least: int
+) -> _blind_spots.DefectVisibility:
+    own = evaluator.of_rows([row])
+    matrices = own.matrices(row[0], [[panel] for panel in panels], exposures=own.exposures)
+    return _blind_spots.defect_visibility(_blind_spots.by_light(matrices), thresholds, least=least)
 
 
 def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
@@ -297,9 +308,10 @@ def plan_postures(
         "for all of them"
     )
     scene = replace(scene, postures=postures)
-    table = build_patches(scene, caster=caster, budget=options.patch_budget, edges=False, threads=run.threads)
+    threads, pool, budget = run.threads, run.pool, options.patch_budget
+    table = build_patches(scene, caster=caster, budget=budget, edges=False, threads=threads, pool=pool)
     detection = _problem.detection_model_of(scene, part, options)
-    whole = ImageEvaluator(scene, table, caster, detection, shadows=options.shadows, threads=run.threads)
+    whole = ImageEvaluator(scene, table, caster, detection, shadows=options.shadows, threads=threads, pool=pool)
     drawn = replace(whole, table=drawn_patches(table, DRAWN_PATCHES))
     request = PostureRequest(count=plan.choose_postures, target=plan.target, limit=options.limit)
     further = plan.all_exposures, plan.exposure_gain
@@ -314,6 +326,7 @@ def plan_postures(
             "'min_images', or change the lights"
         )
     travel = way_through(rig, choice.postures), pace_text(rig)
+    whole = replace(whole, pool=None)  # what is done with the result may come after these processes
     return ChosenPostures(choice, whole, len(drawn.patches), left_out, *travel, plan)
 
 

@@ -18,15 +18,14 @@ from functools import partial
 
 import numpy as np
 
-from lightopt.core.run_context import RunContext, Share, WorkCounter
-from lightopt.core.threads import available_processors, run_all
+from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design.postures import _light_positions
 from lightopt.design.postures._cover_search import Cover, best_set, greedy_cover, improve_by_exchange
 from lightopt.design.postures._exposures import Brackets
 from lightopt.design.responses._image_evaluator import ImageCache, ImageEvaluator
-from lightopt.design.responses._pairs import Counts, refuse_memory
+from lightopt.design.responses._pairs import Counts, packed_bytes, refuse_memory
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.lights import PanelLight
 
@@ -105,7 +104,7 @@ class AlternatingSearch:
     def __post_init__(self) -> None:
         self.postures = self.evaluator.table.postures
         self._passes = 0
-        self._counts: dict[Lights, list[Counts]] = {}
+        self._counts: dict[Lights, Sequence[Counts]] = {}
         self._positions: dict[tuple[int, ...], _light_positions.LightPositions] = {}
 
     def improve(self, solution: Solution, most: int, request: PostureRequest) -> Solution:
@@ -169,29 +168,27 @@ class AlternatingSearch:
             self._positions[key] = found
         return self._positions[key]
 
-    def _counts_under(self, panels: Sequence[PanelLight], lights: Lights) -> list[Counts]:
+    def _counts_under(self, panels: Sequence[PanelLight], lights: Lights) -> Sequence[Counts]:
         # what every posture shows under these lights, once for as many as there is room for
         if lights not in self._counts:
             self._passes += 1
-            size = len(self.postures) * self.evaluator.weights.zero_counts(self.evaluator.needed).nbytes
-            if (len(self._counts) + 1) * size > CACHED_BYTES:
+            if (len(self._counts) + 1) * count_bytes(self.evaluator) > CACHED_BYTES:
                 # those of the initial positions are needed again at the end
                 self._counts = {one: counts for one, counts in self._counts.items() if one is None}
-            # posture by posture in each thread: none waits for another at the end of a posture
-            evaluator, found = replace(self.evaluator, threads=1), dict[int, Counts]()
-            work = WorkCounter(len(self.postures), self._stage("postures for lights"))
-
-            def count(i: int, posture: Posture) -> None:
-                found[i] = evaluator.counts(posture, panels)
-                work.add(1)
-
-            threads = self.evaluator.threads or available_processors()
-            run_all(((count, pair) for pair in enumerate(self.postures)), threads=threads, done=work.report)
-            self._counts[lights] = [found[i] for i in range(len(self.postures))]
+            progress = self._stage("postures for lights")
+            self._counts[lights] = self.evaluator.counts_of_postures(panels, progress)
         return self._counts[lights]
 
     def _stage(self, name: str) -> Share:
         return self.run.stage(f"{name}, {self.where}, pass {self._passes}")
+
+
+def count_bytes(evaluator: ImageEvaluator) -> int:
+    """Most bytes of the counts of all postures under some lights."""
+    assert evaluator.detection is not None
+    table, defects = evaluator.table, len(evaluator.detection.catalogue.defects)
+    seen = sum(int(np.count_nonzero(rows & ~left)) for rows, left in zip(table.visible, table.grazing, strict=True))
+    return packed_bytes(seen, evaluator.needed, defects)
 
 
 def choose_postures(
@@ -210,10 +207,9 @@ def choose_postures(
     candidates: Positions to choose from; None where no light moves.
     Raises InputError: More postures than memory is meant for; lights that collide in every combination.
     """
-    postures = len(whole.table.postures)
-    size = postures * whole.needed * len(whole.patches) * whole.weights.masks.shape[1] * 8
-    what = f"counts: {postures} postures × {len(whole.patches):,} patches"
-    refuse_memory(what, size, _light_positions.MOST_COUNT_BYTES, "raise option 'posture_step_deg'")
+    what = f"counts: {len(whole.table.postures)} postures × {len(whole.patches):,} patches"
+    room, remedy = _light_positions.MOST_COUNT_BYTES, "raise option 'posture_step_deg'"
+    refuse_memory(what, count_bytes(whole), room, remedy)
     search = partial(AlternatingSearch, candidates=candidates, run=run or RunContext())
     # the chosen postures are looked at again when they are found
     full = on_drawn = search(replace(whole, images=ImageCache(CACHED_BYTES)), where="all patches", prove=True)

@@ -9,17 +9,18 @@ at edges then counts as little as what is seen at a grazing angle, since an insp
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from threading import Lock
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Float32, Float64, Index
+from lightopt.core.arrays import Float32, Float64, Index, UInt8
 from lightopt.core.errors import counted
+from lightopt.core.parallel import ProcessPool, spread
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, available_processors, run_all, threads_each
 from lightopt.core.transforms import Posture
@@ -43,6 +44,11 @@ MOST_BYTES = 1_000_000_000
 DRAWN_PATCHES = 20_000
 """Patches that represent all where much is tried: the first iterations of the search, and tolerances."""
 
+
+T = TypeVar("T")
+
+# a posture of a patch table: which patches are visible, and which at a grazing angle, eight to an octet
+PatchRow = tuple[Posture, UInt8, UInt8]
 
 _Passed = Float64 | float  # share of the light that the lens lets pass
 _Block = tuple[slice, SurfacePoints, _Passed]  # patches that are worked on together
@@ -82,6 +88,9 @@ class ImageCache:
         self._lock = Lock()
         self._images: dict[Any, tuple[NDArray[Any], ...]] = {}
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return ImageCache, (self._most_bytes,)  # another process fills one of its own
+
     def clear(self) -> None:
         self._bytes = 0
         self._images.clear()
@@ -111,11 +120,16 @@ class ImageEvaluator:
     exposures: tuple[float, ...] = (1.0,)  # that an image may be taken with: it shows what it shows with any of them
     images: ImageCache | None = None  # levels and flags of images of these very patches: looked up first
     keeps_images: bool = False  # whether new ones are kept there
+    pool: ProcessPool | None = None  # other processes, over which postures and positions are spread
+    counted: Index | None = None  # the patches that count, where the table has only some of the postures
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # without what is found once
 
     @cached_property
     def patches(self) -> Index:
         """Indices of the patches that are inspectable in one posture or more, ascending, shape (p,)."""
-        return np.flatnonzero(self.table.inspectable_anywhere)
+        return np.flatnonzero(self.table.inspectable_anywhere) if self.counted is None else self.counted
 
     @cached_property
     def weights(self) -> _pairs.PairWeights:
@@ -129,6 +143,44 @@ class ImageEvaluator:
         rows = [self.table.postures.index(posture) for posture in postures]
         visible, grazing = self.table.visible[rows], self.table.grazing[rows]
         return replace(self.table, postures=tuple(postures), visible=visible, grazing=grazing)
+
+    def row(self, posture: Posture) -> PatchRow:
+        """What the table has of a posture alone, as small as a task should be."""
+        row = self.table.postures.index(posture)
+        return posture, np.packbits(self.table.visible[row]), np.packbits(self.table.grazing[row])
+
+    def of_rows(self, rows: Sequence[PatchRow]) -> "ImageEvaluator":
+        """The evaluator with these postures, the same patches counting, from one of no posture."""
+        count = len(self.table.patches)
+        seen, left_out = (
+            np.array([np.unpackbits(one, count=count) for one in some], np.bool_).reshape(-1, count)
+            for some in ([visible for _, visible, _ in rows], [grazing for _, _, grazing in rows])
+        )
+        postures = tuple(row[0] for row in rows)
+        return replace(self, table=replace(self.table, postures=postures, visible=seen, grazing=left_out))
+
+    def spread(
+        self,
+        function: Callable[..., T],
+        items: Sequence[Any],
+        keep: Callable[[int, T], None],
+        *shared: Any,
+        threads: int | None,
+        progress: Share | None = None,
+    ) -> None:
+        """Call ``function(item, evaluator, *shared)`` for each item, and `keep` with its place and the result.
+
+        The evaluator is one of no posture, with one thread where other processes compute.
+        """
+        own = replace(self, table=self.table_of(()), counted=self.patches)
+        if self.pool is None:
+            spread(function, items, keep, own, *shared, pool=None, threads=threads, report=progress)
+            return
+        # most of an evaluator is the same on all patches and on drawn ones: other processes need it once
+        absent: Any = None
+        own = replace(own, scene=absent, caster=absent, detection=None, threads=1, pool=None)
+        parts = function, own, self.scene, self.caster, self.detection
+        spread(_with_evaluator, items, keep, *parts, *shared, pool=self.pool, report=progress)
 
     def matrices(
         self,
@@ -294,6 +346,32 @@ class ImageEvaluator:
         """Units of evidence of each pair by the images of a posture, one of each light, up to what is needed."""
         images = self.flags(posture, [[panel] for panel in panels])
         return self.weights.sum_counts((layer[0] for layer in images), self.needed)
+
+    def counts_of_postures(self, panels: Sequence[PanelLight], progress: Share | None = None) -> _pairs.PackedCounts:
+        """The same of every posture of the table."""
+        packed: dict[int, _pairs.Packed] = {}
+        shape = self.weights.zero_counts(self.needed).shape
+        rows = [self.row(posture) for posture in self.table.postures]
+        # posture by posture in each thread: none waits for another at the end of a posture
+        single = replace(self, threads=1)
+        single.spread(_counts_of_row, rows, packed.__setitem__, tuple(panels), threads=self.threads, progress=progress)
+        return _pairs.PackedCounts([packed[place] for place in range(len(rows))], shape)
+
+
+def _counts_of_row(row: PatchRow, evaluator: ImageEvaluator, panels: Sequence[PanelLight]) -> _pairs.Packed:
+    return _pairs.pack_counts(evaluator.of_rows([row]).counts(row[0], panels))
+
+
+def _with_evaluator(
+    item: Any,
+    function: Callable[..., T],
+    evaluator: ImageEvaluator,
+    scene: Scene,
+    caster: RayCaster,
+    detection: DetectionModel | None,
+    *shared: Any,
+) -> T:
+    return function(item, replace(evaluator, scene=scene, caster=caster, detection=detection), *shared)
 
 
 def luminance_matrix(

@@ -13,10 +13,11 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, reduce
+from typing import overload
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Int64, UInt8, UInt64, read_only
+from lightopt.core.arrays import Bool, Int32, Int64, UInt8, UInt64, read_only
 from lightopt.core.errors import InputError, refuse
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
@@ -85,6 +86,7 @@ def _planned(catalogue: tuple[CatalogueEntry, ...]) -> PlannedCatalogue:
 
 Words = UInt64
 Counts = UInt64  # shape (k, p, words): flag l says that a pair has l + 1 units of evidence or more
+Packed = tuple[Int32, UInt8]  # see pack_counts
 Merit = tuple[int, int]  # weight covered, and benefit
 
 
@@ -119,6 +121,42 @@ def widen_octets(octets: UInt8, width: int) -> Words:
     whole = np.zeros((*octets.shape[:-1], 8 * width), np.uint8)
     whole[..., : octets.shape[-1]] = octets
     return whole.view("<u8").astype(np.uint64, copy=False)
+
+
+class PackedCounts(Sequence[Counts]):
+    """Counts of as many candidates, each widened where it is read.
+
+    Of each only the patches that have any are held, and of their flags the octets that are in use.
+    """
+
+    def __init__(self, packed: Sequence["Packed"], shape: tuple[int, int, int]) -> None:
+        self._packed, self._shape = packed, shape  # the shape is that of a candidate's counts
+
+    def __len__(self) -> int:
+        return len(self._packed)
+
+    @overload
+    def __getitem__(self, index: int) -> Counts: ...
+    @overload
+    def __getitem__(self, index: slice) -> "PackedCounts": ...
+    def __getitem__(self, index: int | slice) -> "Counts | PackedCounts":
+        if isinstance(index, slice):
+            return PackedCounts(self._packed[index], self._shape)
+        patches, octets = self._packed[index]
+        counts = np.zeros(self._shape, np.uint64)
+        counts[:, patches] = widen_octets(octets, self._shape[2])
+        return counts
+
+
+def pack_counts(counts: Counts) -> "Packed":
+    """The patches that have any units, and their counts as octets."""
+    patches = np.flatnonzero(counts[0].any(axis=-1)).astype(np.int32)
+    return patches, narrow_words(counts[:, patches])
+
+
+def packed_bytes(patches: int, k: int, defects: int) -> int:
+    """Most bytes of the packed counts, up to k, of so many patches that have any."""
+    return patches * (4 + k * -(-defects // 8))
 
 
 def add_units(total: Counts, more: Counts) -> None:
@@ -246,8 +284,11 @@ class PairWeights:
         added = [int(_added_weight(*layer, self.areas, self.masks, self.factors)) for layer in layers]
         return added[-1], sum(added)
 
-    def all_gains(self, counts: Counts, candidates: Sequence[Counts], *, threads: int | None) -> list[Merit]:
-        return in_threads(lambda more: self.gains(counts, more), candidates, threads)
+    def all_gains(
+        self, counts: Counts, candidates: Sequence[Counts], some: Sequence[int], *, threads: int | None
+    ) -> list[Merit]:
+        """The gains of some of the candidates."""
+        return in_threads(lambda one: self.gains(counts, candidates[one]), some, threads)
 
 
 @kernel
