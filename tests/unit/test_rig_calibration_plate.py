@@ -114,7 +114,9 @@ def test_intervals_cover_as_often_as_they_say():
     rms, inside = statistics(200)
     assert rms[:4].max() < 0.01
     assert inside.mean(axis=0).min() > 0.92
-    assert inside.mean(axis=0).max() < 0.98
+    assert inside[:, :4].mean(axis=0).max() < 0.98
+    # here the plate lies flat, and the vignetting is centred, which the fit does not know
+    assert inside[:, 4:].mean(axis=0).max() < 0.995
     # with and without fall-off, whose errors are of other kinds; a hundred seeds each
     assert min(inside[parity::2, :4].mean() for parity in (0, 1)) > 0.9
 
