@@ -14,11 +14,11 @@ from hidden_rig import NOMINAL, hidden_rig, true_stage
 from rig_targets import LIGHTS, RADIUS
 
 from lightopt.config import PlateTargetConfig
-from lightopt.core.transforms import Posture
+from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, fit_ball
 from lightopt.estimate.rig_calibration._board_fit import fit_board
 from lightopt.estimate.rig_calibration._files import PLATE_TILTS_DEG
-from lightopt.estimate.rig_calibration._plate_fit import _cosines, _irradiance, fit_plate, plate_cells
+from lightopt.estimate.rig_calibration._plate_fit import SLOPE_PRIOR, _cosines, _irradiance, fit_plate, plate_cells
 from lightopt.scene import pixel_directions
 
 PLATE = PlateTargetConfig(size_mm=(50.0, 50.0))
@@ -45,6 +45,7 @@ def ball_views(rng, panels, rig):
 def plate_views(rng, panels, rig, board, light):
     """Levels of the cells where a calibrated rig has them, by what the hidden rig's camera sees there."""
     gains, exponent, kappa, (v1, v2) = light
+    slope = rotation_from_vector(np.array([*rng.normal(0.0, SLOPE_PRIOR, 2), 0.0]))  # of the plate on the table
     shape = rig.camera.height, rig.camera.width
     for posture in PLATE_POSTURES:
         place = {"posture": posture, "plate": PLATE, "camera": board.camera, "stage": board.stage, "cell": CELL}
@@ -53,7 +54,7 @@ def plate_views(rng, panels, rig, board, light):
         pixels = cells.place * half + board.camera.axis_px
         rotation, translation = true_stage(rig).transform(misread(rng, posture))
         rays = pixel_directions(rig.camera, *np.ascontiguousarray(pixels.T))
-        normal = rotation[:, 2]
+        normal = (rotation @ slope)[:, 2]
         away = ((translation - rig.camera.position) @ normal) / (rays @ normal)
         points = rig.camera.position + rays * away[:, None]
         square = np.sum(np.square((pixels - rig.camera.axis_px) / half), axis=1)
