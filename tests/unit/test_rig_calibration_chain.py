@@ -18,7 +18,14 @@ from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, fit_ball
 from lightopt.estimate.rig_calibration._board_fit import fit_board
 from lightopt.estimate.rig_calibration._files import PLATE_TILTS_DEG
-from lightopt.estimate.rig_calibration._plate_fit import SLOPE_PRIOR, _cosines, _irradiance, fit_plate, plate_cells
+from lightopt.estimate.rig_calibration._plate_fit import (
+    CENTRE_PRIOR,
+    SLOPE_PRIOR,
+    _cosines,
+    _irradiance,
+    fit_plate,
+    plate_cells,
+)
 from lightopt.scene import pixel_directions
 
 PLATE = PlateTargetConfig(size_mm=(50.0, 50.0))
@@ -47,17 +54,18 @@ def plate_views(rng, panels, rig, board, light):
     gains, exponent, kappa, (v1, v2) = light
     slope = rotation_from_vector(np.array([*rng.normal(0.0, SLOPE_PRIOR, 2), 0.0]))  # of the plate on the table
     shape = rig.camera.height, rig.camera.width
+    half = 0.5 * np.hypot(*shape)
+    middle = rig.camera.axis_px + rng.normal(0.0, CENTRE_PRIOR, 2) * half  # of the vignetting
     for posture in PLATE_POSTURES:
         place = {"posture": posture, "plate": PLATE, "camera": board.camera, "stage": board.stage, "cell": CELL}
         cells = plate_cells(np.zeros(shape), np.ones(shape, bool), light="", **place)
-        half = 0.5 * np.hypot(*shape)
         pixels = cells.place * half + board.camera.axis_px
         rotation, translation = true_stage(rig).transform(misread(rng, posture))
         rays = pixel_directions(rig.camera, *np.ascontiguousarray(pixels.T))
         normal = (rotation @ slope)[:, 2]
         away = ((translation - rig.camera.position) @ normal) / (rays @ normal)
         points = rig.camera.position + rays * away[:, None]
-        square = np.sum(np.square((pixels - rig.camera.axis_px) / half), axis=1)
+        square = np.sum(np.square((pixels - middle) / half), axis=1)
         for panel, gain in zip(panels, gains, strict=True):
             cosines = _cosines([panel], np.zeros(len(points), int), points, np.broadcast_to(normal, points.shape))
             levels = 120.0 * gain * _irradiance(*cosines, exponent=exponent, kappa=kappa)[0]
