@@ -25,7 +25,8 @@ class Cluster:
         self.workers: list[subprocess.Popen[bytes]] = []
         for _ in range(2):
             self.add_worker()
-        while not self.file.is_file():
+        # the scheduler makes the file, and then writes it
+        while not (self.file.is_file() and self.file.read_text(encoding="utf-8").endswith("}")):
             assert self._processes[0].poll() is None
             time.sleep(0.05)
 
