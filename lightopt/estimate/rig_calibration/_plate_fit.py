@@ -60,7 +60,8 @@ class PlateView:
 class PlateFit:
     """The panels' light and the lens's dimming.
 
-    lights: As they were given, with gain, fall-off, emission exponent, and pose and size as both ball and plate show
+    lights: As they were given, with gain, fall-off, emission exponent, and place and size as both ball and plate show;
+        rotated as the ball shows
     emission_exponent: n, common to all panels; not fitted where the views do not decide it, and 0 where it would be
         less, with a warning
     fall_off_decided: Whether the plate shows if there is an inverse-square fall-off; else it is as the rig file has it
