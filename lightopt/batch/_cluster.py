@@ -203,11 +203,18 @@ def version_problems(expected: str) -> tuple[str, ...]:
     return (f"{platform.node()} computes otherwise than the machine that started it: {other}",) if other else ()
 
 
-LOST_CONNECTION = "the connection to the scheduler was lost"
+def failure_of(future: Any) -> BaseException | None:
+    """Why the task of a future failed; None where it has a result.
+
+    Where the worker that holds the result was lost, this waits until another one has computed it again.
+    """
+    error: BaseException | None = None if future.status == "cancelled" else future.exception()
+    # it may be cancelled while this waits
+    return InputError("the connection to the scheduler was lost") if future.status == "cancelled" else error
 
 
 def failure_text(error: BaseException) -> str:
-    """Why a task failed, of an exception that its future has."""
+    """The words for what :func:`failure_of` returns."""
     if getattr(error, "task", None) is not None:  # Dask's, of a task that it gave up
         return "each worker that ran it was lost, perhaps for lack of memory: give it more memory, or run it by itself"
     return error_text(error)

@@ -13,14 +13,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from lightopt.batch._cluster import (
-    LOST_CONNECTION,
-    Workers,
-    connected,
-    expected_versions,
-    failure_text,
-    version_problems,
-)
+from lightopt.batch._cluster import Workers, connected, expected_versions, failure_of, failure_text, version_problems
 from lightopt.core.errors import InputError, LightoptError, refuse
 from lightopt.core.run_context import RunContext, Share
 
@@ -114,10 +107,7 @@ def _run(expected: str, function: Callable[..., Any], item: Any, *shared: Any) -
 
 
 def _result_of(future: Any) -> Any:
-    # where the worker that holds the result was lost, this waits until another one has computed it again
-    error = None if future.status == "cancelled" else future.exception()
-    if future.status == "cancelled":
-        raise InputError(LOST_CONNECTION)
+    error = failure_of(future)
     if error is None:
         return future.result()
     if isinstance(error, LightoptError):

@@ -5,7 +5,7 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from lightopt.batch._cluster import LOST_CONNECTION, Workers, connected, failure_text
+from lightopt.batch._cluster import Workers, connected, failure_of, failure_text
 from lightopt.batch._task import Outcome, RunCommand, Task, remove_leftovers, run_task
 from lightopt.core.run_context import RunContext
 
@@ -58,10 +58,7 @@ def _computed(
 
 def _outcome(future: Any, places: Mapping[str, str]) -> Outcome:
     place = places[future.key]
-    # where the worker that holds the result was lost, this waits until another one has computed it again
-    error = None if future.status == "cancelled" else future.exception()
-    if future.status == "cancelled":
-        return Outcome(place=place, state="failed", messages=(LOST_CONNECTION,))
+    error = failure_of(future)
     if error is None:
         return future.result()
     lost: str | None = getattr(error, "task", None)

@@ -28,5 +28,5 @@ from ._part import MOST_ACROSS, InspectionConfig, PartConfig, PlacementConfig, R
 from ._pose import standing_at
 from ._ranges import RangesConfig
 from ._rig import RigConfig
-from ._targets import BoardTargetConfig as BoardTargetConfig, PlateTargetConfig, TargetsConfig
+from ._targets import READING_ERROR_DEG, BoardTargetConfig as BoardTargetConfig, PlateTargetConfig, TargetsConfig
 from ._yaml_file import read_opencv_file

@@ -6,6 +6,9 @@ from pydantic import Field
 
 from lightopt.config import _fields as fields
 
+READING_ERROR_DEG = 0.02
+"""Standard deviation of a stage's readings, where nothing else is known [deg]."""
+
 _Squares = Annotated[int, Field(ge=3, le=200)]
 _Error = Annotated[float, Field(gt=0, le=100), fields.expecting("a standard deviation above 0")]
 
@@ -62,5 +65,5 @@ class TargetsConfig(fields.FileConfig):
     """The plate; absent if none is used."""
     panel_size_error_mm: _Error | None = 0.1
     """Standard deviation of the rig file's panel sizes [mm]; null if they are not known."""
-    reading_error_deg: _Error = 0.02
+    reading_error_deg: _Error = READING_ERROR_DEG
     """Standard deviation of the stage's readings [deg]."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._ball_fit import BallView, MirroredPanel, mirrored_image, posed_panel
+from lightopt.estimate.rig_calibration._plate_fit import _cosines, _irradiance
 from lightopt.lights import panel_corners, place_light
 from lightopt.scene import Stage, place_camera, project
 
@@ -79,3 +80,9 @@ def panel_errors(fitted, true):
     turn = vector_of_rotation(true_axes.T @ axes)
     offset = fitted.centre - true.centre
     return np.concatenate([true_axes.T @ offset, turn, np.subtract(fitted.size, true.size)]), offset
+
+
+def irradiance(light, points, normal, *, exponent, kappa=0.0):
+    """Level of a Lambertian surface with R_d = 1 under a panel with gain 1."""
+    cosines = _cosines([light], np.zeros(len(points), np.intp), points, np.broadcast_to(normal, points.shape))
+    return _irradiance(*cosines, exponent=exponent, kappa=kappa)[0]

@@ -18,14 +18,7 @@ from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, fit_ball
 from lightopt.estimate.rig_calibration._board_fit import fit_board
 from lightopt.estimate.rig_calibration._files import PLATE_TILTS_DEG
-from lightopt.estimate.rig_calibration._plate_fit import (
-    CENTRE_PRIOR,
-    SLOPE_PRIOR,
-    _cosines,
-    _irradiance,
-    fit_plate,
-    plate_cells,
-)
+from lightopt.estimate.rig_calibration._plate_fit import CENTRE_PRIOR, SLOPE_PRIOR, fit_plate, plate_cells
 from lightopt.scene import pixel_directions
 
 PLATE = PlateTargetConfig(size_mm=(50.0, 50.0))
@@ -67,8 +60,7 @@ def plate_views(rng, panels, rig, board, light):
         points = rig.camera.position + rays * away[:, None]
         square = np.sum(np.square((pixels - middle) / half), axis=1)
         for panel, gain in zip(panels, gains, strict=True):
-            cosines = _cosines([panel], np.zeros(len(points), int), points, np.broadcast_to(normal, points.shape))
-            levels = 120.0 * gain * _irradiance(*cosines, exponent=exponent, kappa=kappa)[0]
+            levels = 120.0 * gain * targets.irradiance(panel, points, normal, exponent=exponent, kappa=kappa)
             levels *= 1.0 + v1 * square + v2 * square**2
             noisy = levels * (1.0 + rng.normal(0.0, 0.005, len(levels)))
             yield replace(cells, light=panel.name, levels=noisy)

@@ -15,7 +15,7 @@ from lightopt.config import PlateTargetConfig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._ball_fit import posed_panel
-from lightopt.estimate.rig_calibration._plate_fit import _cosines, _irradiance, fit_plate, plate_cells
+from lightopt.estimate.rig_calibration._plate_fit import fit_plate, plate_cells
 from lightopt.geometry import TriangleMesh
 from lightopt.optics import Reflectance, Sensor
 from lightopt.rendering import render
@@ -28,12 +28,6 @@ SHAPE = (CAMERA.height, CAMERA.width)
 # what the ball leaves open of each panel: range and the ball's centre move all, the rest each alone
 OUTWARD = np.array([light.outward for light in LIGHTS])
 KNOWN = 32
-
-
-def irradiance(light, points, normal, *, exponent, kappa=0.0):
-    """Level of a Lambertian surface with R_d = 1 under a panel with gain 1."""
-    cosines = _cosines([light], np.zeros(len(points), np.intp), points, np.broadcast_to(normal, points.shape))
-    return _irradiance(*cosines, exponent=exponent, kappa=kappa)[0]
 
 
 def geometry_covariance():
@@ -67,7 +61,7 @@ def plate_levels(rng, *, inverse_square=True, noise=0.005, exact=False, exponent
         for posture in POSTURES:
             view = CELLS[posture]
             square = np.sum(np.square(view.place), axis=1)
-            level = 120.0 * gain * irradiance(panel, view.points, view.normal, exponent=n, kappa=kappa)
+            level = 120.0 * gain * targets.irradiance(panel, view.points, view.normal, exponent=n, kappa=kappa)
             level *= 1.0 + v1 * square + v2 * square**2
             views.append(replace(view, light=panel.name, levels=level * (1.0 + rng.normal(0.0, noise, len(level)))))
     return views, found, gains, n, (v1, v2)
@@ -209,5 +203,5 @@ def test_irradiance_is_that_of_the_renderer():
     images = next(iter(render(scene, shadows=False)))
     for panel, image in zip(panels, images.lights, strict=True):
         view = cells_of(posture, image.level.astype(np.float64), light=panel.name)
-        predicted = 120.0 * irradiance(panel, view.points, view.normal, exponent=panel.emission_exponent)
+        predicted = 120.0 * targets.irradiance(panel, view.points, view.normal, exponent=panel.emission_exponent)
         assert np.allclose(view.levels, predicted, rtol=2e-4)

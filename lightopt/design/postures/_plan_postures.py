@@ -260,10 +260,8 @@ def target_not_reached(target: float, choice: PostureChoice, evaluator: ImageEva
 def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[int, float]:
     # surface × defects by reason, over all candidate postures, under the chosen lights
     thresholds = LevelThresholds.of_sensor(evaluator.scene.sensor, shade_share=0.0)
-    rows, found = (
-        [evaluator.row(posture) for posture in evaluator.table.postures],
-        dict[int, _blind_spots.DefectVisibility](),
-    )
+    rows = [evaluator.row(posture) for posture in evaluator.table.postures]
+    found: dict[int, _blind_spots.DefectVisibility] = {}
     evaluator.spread(_visibility_of_row, rows, found.__setitem__, choice.panels, thresholds, least, threads=1)
     seen = [found[place] for place in range(len(rows))]
     # the shares are of the surface that the camera sees in one of them

@@ -121,7 +121,7 @@ class ImageEvaluator:
     images: ImageCache | None = None  # levels and flags of images of these very patches: looked up first
     keeps_images: bool = False  # whether new ones are kept there
     pool: ProcessPool | None = None  # other processes, over which postures and positions are spread
-    counted: Index | None = None  # the patches that count, where the table has only some of the postures
+    inspectable: Index | None = None  # the patches that count, where the table has only some of the postures
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}  # without what is found once
@@ -129,7 +129,7 @@ class ImageEvaluator:
     @cached_property
     def patches(self) -> Index:
         """Indices of the patches that are inspectable in one posture or more, ascending, shape (p,)."""
-        return np.flatnonzero(self.table.inspectable_anywhere) if self.counted is None else self.counted
+        return np.flatnonzero(self.table.inspectable_anywhere) if self.inspectable is None else self.inspectable
 
     @cached_property
     def weights(self) -> _pairs.PairWeights:
@@ -172,7 +172,7 @@ class ImageEvaluator:
 
         The evaluator is one of no posture, with one thread where other processes compute.
         """
-        own = replace(self, table=self.table_of(()), counted=self.patches)
+        own = replace(self, table=self.table_of(()), inspectable=self.patches)
         if self.pool is None:
             spread(function, items, keep, own, *shared, pool=None, threads=threads, report=progress)
             return

@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 
+from lightopt.config import READING_ERROR_DEG
 from lightopt.core.arrays import Bool, Float64, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
@@ -270,7 +271,7 @@ def fit_board(
     camera: PinholeCamera,
     stage: Stage | None = None,
     on_evidence: bool = True,
-    angle_error_deg: float = 0.02,
+    angle_error_deg: float = READING_ERROR_DEG,
 ) -> BoardFit:
     """Fit camera pose, focal length, principal point, k1, tilt axis, and the board's pose and bow to its corners.
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.optimize import least_squares
 
-from lightopt.config import PlateTargetConfig
+from lightopt.config import READING_ERROR_DEG, PlateTargetConfig
 from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import Posture
@@ -28,7 +28,6 @@ EXPONENT_PRIOR, VIGNETTING_PRIOR = 1.0, 0.5
 CENTRE_PRIOR = 0.02  # of the vignetting, which is near the principal point [half of the image's diagonal]
 GRADIENT_PRIOR = 0.2  # rotation of a panel whose gradient it is, for n = 1 [rad]
 SLOPE_PRIOR = np.radians(0.1)  # of the plate on the table
-READING_ERROR_DEG = 0.02
 LAMBERT_PRIOR = 0.03  # of κ, for a plate that reflects as cosθ to the power 1 + κ; real ones are several % off Lambert
 EXPONENT_DECIDED = 0.5  # standard error of n from which the rig file's is kept
 HELD = 1e-6  # standard error of an n that is not fitted
@@ -183,7 +182,7 @@ def fit_plate(
             text += ". The panels are brighter from the side than from ahead, or the plate is not matt"
         warnings = (text,)
         # gains and panels are those of an exponent of 0; their errors are not less for that
-        fit = replace(kept.held(0.0, HELD), covariance=fit.covariance)
+        fit = replace(kept.solve(0.0, HELD), covariance=fit.covariance)
         exponent = Measured(value=0.0, error=exponent.error, interval_95=(0.0, max(0.0, high)))
 
     # of n, κ, v₁, v₂, then levels and moves: the rest is not of the rig
@@ -276,7 +275,7 @@ class _Problem:
         self._prior = np.full(self.levels.stop, np.inf)
         self._prior[1:_TILTS] = [lambert, *[VIGNETTING_PRIOR] * 2, *[CENTRE_PRIOR] * 2, *[SLOPE_PRIOR] * 2]
         self._prior[self._tilts], self._prior[self._gradients] = max(np.radians(reading), HELD), GRADIENT_PRIOR
-        self._panels = np.linalg.inv(np.linalg.cholesky(panels_covariance))
+        self._whitening = np.linalg.inv(np.linalg.cholesky(panels_covariance))
         self._cosines = self._of_panels(np.zeros(_EACH))
         # relative changes of the light, for n = 1 and panels where the ball shows them
         flat = _irradiance(*self._cosines, exponent=1.0)[0]
@@ -304,7 +303,7 @@ class _Problem:
         prior = np.concatenate([[exponent_error], self._prior[1:]])
         of_moves = slice(len(prior), len(start))
         known = np.zeros((len(start), len(start)))
-        known[: len(prior), : len(prior)], known[of_moves, of_moves] = np.diag(1.0 / prior), self._panels
+        known[: len(prior), : len(prior)], known[of_moves, of_moves] = np.diag(1.0 / prior), self._whitening
 
         def residuals(x: Float64) -> Float64:
             return np.concatenate([(self._predicted(x)[0] - self._levels) / self._error, known @ (x - start)])
