@@ -15,7 +15,7 @@ from lightopt.config import PlateTargetConfig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._ball_fit import posed_panel
-from lightopt.estimate.rig_calibration._plate_fit import fit_plate, plate_cells
+from lightopt.estimate.rig_calibration._plate_fit import CENTRE_PRIOR, SLOPE_PRIOR, fit_plate, plate_cells
 from lightopt.geometry import TriangleMesh
 from lightopt.optics import Reflectance, Sensor
 from lightopt.rendering import render
@@ -56,12 +56,15 @@ def plate_levels(rng, *, inverse_square=True, noise=0.005, exact=False, exponent
     n, kappa = 1.0 + rng.normal(0.0, 0.3), rng.normal(0.0, 0.0 if exact else 0.03)
     n = n if exponent is None else exponent
     v1, v2 = rng.normal(-0.1, 0.05), rng.normal(0.0, 0.02)
+    # the plate lies askew, and the vignetting is not centred
+    slope, middle = (rng.normal(0.0, 0.0 if exact else prior, 2) for prior in (SLOPE_PRIOR, CENTRE_PRIOR))
     views = []
     for gain, panel in zip(gains, panels, strict=True):
         for posture in POSTURES:
             view = CELLS[posture]
-            square = np.sum(np.square(view.place), axis=1)
-            level = 120.0 * gain * targets.irradiance(panel, view.points, view.normal, exponent=n, kappa=kappa)
+            square = np.sum(np.square(view.place - middle), axis=1)
+            normal = view.normal + slope @ view.normal_changes[:2]
+            level = 120.0 * gain * targets.irradiance(panel, view.points, normal, exponent=n, kappa=kappa)
             level *= 1.0 + v1 * square + v2 * square**2
             views.append(replace(view, light=panel.name, levels=level * (1.0 + rng.normal(0.0, noise, len(level)))))
     return views, found, gains, n, (v1, v2)
@@ -108,9 +111,8 @@ def test_intervals_cover_as_often_as_they_say():
     rms, inside = statistics(200)
     assert rms[:4].max() < 0.01
     assert inside.mean(axis=0).min() > 0.92
-    assert inside[:, :4].mean(axis=0).max() < 0.98
-    # here the plate lies flat, and the vignetting is centred, which the fit does not know
-    assert inside[:, 4:].mean(axis=0).max() < 0.995
+    assert inside[:, :6].mean(axis=0).max() < 0.98
+    assert inside[:, 6].mean() < 0.995  # v4: 198 of 200, which a bound of 0.98 refuses
     # with and without fall-off, whose errors are of other kinds; a hundred seeds each
     assert min(inside[parity::2, :4].mean() for parity in (0, 1)) > 0.9
 
