@@ -24,7 +24,15 @@ from ._load import (
     load_rig,
     load_targets,
 )
-from ._part import MOST_ACROSS, InspectionConfig, PartConfig, PlacementConfig, ReflectanceConfig, RegionConfig
+from ._part import (
+    MOST_ACROSS,
+    BrushingConfig,
+    InspectionConfig,
+    PartConfig,
+    PlacementConfig,
+    ReflectanceConfig,
+    RegionConfig,
+)
 from ._pose import standing_at
 from ._ranges import RangesConfig
 from ._rig import RigConfig

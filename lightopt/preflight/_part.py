@@ -193,6 +193,8 @@ def check_brushing(checked: CheckedScene) -> Iterator[Finding]:
         text = f"the lobe is {own.model.across_ratio:.3g} times as wide across the brushing; it has a direction on "
         text += f"{percent(1.0 - share)} of this surface in view"
         if share > _WITHOUT_DIRECTION:
-            text += ", and is along the normal on the rest: directions are in the mesh file's coordinates"
+            by_texture = isinstance(checked.scene.mesh.brushing[number], geometry.TextureBrushing)
+            why = "the texture coordinates have none" if by_texture else "it is along the normal"
+            text += f"; on the rest {why}" + ("" if by_texture else ": directions are in the mesh file's coordinates")
         kind = "warning" if share > _WITHOUT_DIRECTION else "ok"
         yield Finding(kind, "brushing", text, checked.part.source.at(*keys, "brushing"), {"share": 1.0 - share})

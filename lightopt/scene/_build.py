@@ -17,6 +17,7 @@ from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
 from lightopt.optics import DiffuseForm, Reflectance, Sensor, SpecularModel, least_white_level, white_level
 from lightopt.scene import _camera as cameras
+from lightopt.scene._brushing import brushings, faces_without_direction, with_brushing
 from lightopt.scene._defects import outside_stage_range, place_defects
 from lightopt.scene._image_area import obstructions
 from lightopt.scene._lights import build_lights
@@ -139,18 +140,6 @@ def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, see
     return reflectance
 
 
-def _brushing(own: ReflectanceConfig) -> geometry.Brushing | None:
-    # in the mesh file's coordinates
-    given = own.brushing
-    if given is None:
-        return None
-    if given.direction is not None:
-        return geometry.StraightBrushing(np.array(given.direction))
-    if given.around_axis is not None:
-        return geometry.RoundBrushing(np.array(given.around_axis.point_mm), np.array(given.around_axis.direction))
-    return geometry.CurvedBrushing(np.array(given.along_curve_mm))
-
-
 def build_camera(rig: RigConfig) -> cameras.PinholeCamera:
     """The rig's camera, world frame; InputError where the lens model folds the image over."""
     c = rig.camera
@@ -264,12 +253,11 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[geometry.TriangleMesh, Pl
         chord_tolerance_mm=tolerance,
         angular_tolerance=min(MOST_ANGULAR_TOLERANCE, angular_tolerance),
         max_triangles=m.max_triangles,
-        pieces=bool(part.regions),
+        pieces=bool(part.regions) or any(own and own.along_texture for _, own in brushings(part)),
     )
+    loaded = with_brushing(loaded, part)
     mesh = mesh_of_regions(loaded, part) if part.regions else loaded.mesh
-    own = (part.reflectance, *(region.reflectance for region in part.regions))
-    if any(one.brushing for one in own):
-        mesh = replace(mesh, brushing=tuple(map(_brushing, own)))
+    warnings = loaded.warnings + faces_without_direction(mesh, part)
     rx, ry, rz = (math.radians(angle) for angle in part.placement.rotate_deg)
     rotation = rotation_z(rz) @ rotation_y(ry) @ rotation_x(rx)
     turned = geometry.transformed(mesh, rotation, np.zeros(3))
@@ -281,7 +269,7 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[geometry.TriangleMesh, Pl
         shift = -0.5 * (low + high)
     shift = shift + np.array(part.placement.translate_mm, dtype=np.float64)
     placed = geometry.transformed(turned, np.eye(3), shift)
-    return placed, Placement(rotation=rotation, translation=shift), loaded.warnings
+    return placed, Placement(rotation=rotation, translation=shift), warnings
 
 
 def chord_tolerance(part: PartConfig, footprint: float) -> float:
