@@ -312,7 +312,7 @@ class RegionConfig(Frozen):
     """Faces of this colour in the mesh file: #RRGGBB as CAD programs show it (STEP, .glb), or as painted (.ply)."""
     group: fields.Text | None = None
     """Faces of this name in the mesh file: a group, object or material (.obj), a node, mesh or material (.glb), a part
-    of an assembly (STEP)."""
+    of an assembly or a body (STEP)."""
     faces_at_mm: _Points | None = None
     """Points in the mesh file's coordinates [mm]: the CAD face at each; of meshes, the surface up to its creases."""
     box_mm: BoxConfig | None = None

@@ -77,7 +77,8 @@ def parse_glb(name: str, data: bytes) -> list[dict[str, Any]]:
     """Meshes of a GLB file, placed by their nodes, axes as stored: positions, normals, indexed triangles.
 
     Returns: ``vertices`` [file unit] (n, 3), ``faces`` (m, 3), ``vertex_normals`` (n, 3) and ``texture``
-        (n, 2) where the file has them, ``piece``, a :class:`MeshPiece`.
+        (n, 2) where the file has them, ``piece``, a :class:`MeshPiece`, ``node``, its number, and ``local``, vertices
+        in the node's frame.
     """
     tree, blob = split_glb(name, data)
     parts: list[dict[str, Any]] = []
@@ -111,6 +112,7 @@ def parse_glb(name: str, data: bytes) -> list[dict[str, Any]]:
                 material = tree["materials"][primitive["material"]] if "material" in primitive else {}
                 names = (one.get("name") for one in (nodes[index], mesh, material))
                 part["piece"] = MeshPiece(tuple(dict.fromkeys(str(n) for n in names if n)), _colour(material))
+                part["node"], part["local"] = index, vertices
                 parts.append(part)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise InputError(f"{name}: the GLB data is damaged: {error!r}") from error
