@@ -68,11 +68,11 @@ def read_step(
                 "tolerance is mesh.chord_tolerance_mm, or without it a share of a pixel's footprint: check distance_mm "
                 "and pixel_size_um of the camera"
             )
-        unit = declared_unit_mm(data)
-        bodies = step_bodies(data, unit) if pieces and unit is not None else []
         fine, output = fine_one.result(deadline)
     check_budget(name, glb_triangle_count(name, split_glb(name, fine)[0]), max_triangles)
     parts = parse_glb(name, fine)
+    unit = declared_unit_mm(data)
+    bodies = step_bodies(data, unit) if pieces and unit is not None else []
     warnings = name_bodies(parts, bodies, _MM_PER_GLB_UNIT)
     raw = joined(name, parts, "STEP", repeats_vertices=True)
     warnings += (f"the CAD kernel reported while reading the STEP file: {output}",) if output else ()

@@ -6,7 +6,8 @@ a body's only if it has as many faces, and all of the body's vertices are among 
 
 import re
 from dataclasses import dataclass, replace
-from itertools import groupby
+from functools import cache
+from itertools import groupby, islice
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,9 @@ def _body(number: int, instances: dict[int, tuple[bytes, bytes]], unit_mm: float
 
 def _decoded(text: str) -> str:
     # ISO 10303-21, 6.4.3: '' is one quote, \X2\...\X0\ has 16 bits for each letter, \X\ has 8
-    text = re.sub(r"\\X2\\([0-9A-F]+)\\X0\\", lambda one: bytes.fromhex(one[1]).decode("utf-16-be", "replace"), text)
+    text = re.sub(
+        r"\\X2\\((?:[0-9A-F]{4})+)\\X0\\", lambda one: bytes.fromhex(one[1]).decode("utf-16-be", "replace"), text
+    )
     text = re.sub(r"\\X\\([0-9A-F]{2})", lambda one: chr(int(one[1], 16)), text)
     return "" if text in ("NONE", "None") else text.replace("''", "'").strip()
 
@@ -89,9 +92,11 @@ def _names(faces: list[Float64], bodies: list[StepBody]) -> tuple[str, ...] | No
     low, high = np.array([one.min(axis=0) for one in faces]), np.array([one.max(axis=0) for one in faces])
     same = _SAME_MM + _SAME_SHARE * float((high.max(axis=0) - low.min(axis=0)).max())
 
-    def ways(begin: int, rest: list[StepBody]) -> set[tuple[str, ...]]:
+    @cache
+    def ways(begin: int) -> frozenset[tuple[str, ...]]:
+        # of the faces from one on; no more than two
         found = set[tuple[str, ...]]() if begin < len(faces) else {()}
-        for body in rest:
+        for body in bodies:
             end = begin + body.faces
             if not begin < end <= len(faces) or not len(body.points):
                 continue
@@ -99,11 +104,10 @@ def _names(faces: list[Float64], bodies: list[StepBody]) -> tuple[str, ...] | No
             if (body.points >= least).all() and (body.points <= most).all():
                 corners = KDTree(np.concatenate(faces[begin:end]))
                 if (corners.query(body.points)[0] <= same).all():
-                    later = ways(end, [one for one in rest if one is not body])
-                    found |= {(body.name,) * body.faces + more for more in later}
-        return found
+                    found |= {(body.name,) * body.faces + more for more in ways(end)}
+        return frozenset(islice(found, 2))
 
     from scipy.spatial import KDTree  # takes long to load, and most commands do not need it
 
-    found = ways(0, bodies) if len(bodies) <= _MOST_BODIES else set[tuple[str, ...]]()
+    found = ways(0) if len(bodies) <= _MOST_BODIES else ()
     return next(iter(found)) if len(found) == 1 else None

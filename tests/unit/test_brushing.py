@@ -316,6 +316,10 @@ def test_faces_without_direction_are_counted(bench):
     (warning,) = scene.warnings
     assert "part.yaml:6: reflectance.brushing: 5 of 24 triangles have no texture coordinates" in warning
     assert not scene.mesh.across_brushing(np.zeros((5, 3)), np.repeat(UP, 5, axis=0), np.arange(5)).any()
+    findings = check_scene(load_rig(bench.rig), load_part(bench.part)).findings
+    (found,) = [one for one in findings if one.topic == "brushing"]
+    assert found.level == "warning"
+    assert found.text.endswith("79 % of this surface in view; on the rest the texture coordinates have none")
     write_mesh(bench.folder / "part.obj", corners, 0.0 * texture)
     with pytest.raises(InputError, match=r"part.yaml:6: reflectance\.brushing: 24 of 24 triangles .* no surface has"):
         build_scene(bench.rig, bench.part)
