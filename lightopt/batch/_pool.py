@@ -69,9 +69,9 @@ class _Pool:
         def begin(place: int) -> Any:
             # The same item at the same worker each time, which may have images of it: another one where that is lost
             # or has too much to do. Not pure: the name of a task is no hash of what it is given
-            preferred = {"workers": [workers[place % len(workers)]], "allow_other_workers": True} if workers else {}
             task = self._expected, function, items[place], *everywhere
-            future = self._client.submit(_run, *task, pure=False, **preferred)
+            own = [workers[place % len(workers)]] if workers else None
+            future = self._client.submit(_run, *task, pure=False, workers=own, allow_other_workers=own is not None)
             places[future.key] = place
             return future
 
