@@ -5,9 +5,9 @@ images are, seen from where the rays begin. The numbers of rays double until the
 
     I(v) = 1/(π·W) ∫ (R_d N·l + R_s / cosθ_o · exp(−δ²/(2σ²))) · I₂(l) dω
 
-I₂ is the level that the other surface shows in direction −l, or the surroundings' level, and W the white level
-(:mod:`lightopt.optics._albedo`). Directions are those of cells of a unit square, which are divided where levels differ.
-Nothing is random: the same scene gives the same bytes.
+I₂ is the level that the other surface shows in direction −l, or that of a light's housing or the surroundings. W is the
+white level (:mod:`lightopt.optics._albedo`). Directions are those of cells of a unit square, which are divided where
+levels differ. Nothing is random: the same scene gives the same bytes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lightopt.core.arrays import Float64, Index
+from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, dot, minus, plus, scaled, vector_at
@@ -42,7 +42,7 @@ from lightopt.optics import (
 )
 from lightopt.rendering._converged_panel import ConvergedPanel, converged_panel, isolated_levels
 from lightopt.rendering._surface import PointRows, SurfacePoints, surface_at
-from lightopt.scene import Scene
+from lightopt.scene import Housings, Scene
 
 # cells of the unit square of (u, turn), from which directions are made, with a first ray through the middle of each
 LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (6, 8), (2, 4)
@@ -71,28 +71,52 @@ class PartLight:
     caster: RayCaster
     blocker: RayCaster | None  # for shadows; None for none
     lights: Sequence[PanelLight | ConvergedPanel]  # part frame, from :meth:`of_scene`
+    housings: Housings | None = None  # part frame
 
     @classmethod
     def of_scene(
-        cls, scene: Scene, lights: Sequence[PanelLight], caster: RayCaster, *, shadows: bool = True
+        cls,
+        scene: Scene,
+        lights: Sequence[PanelLight],
+        caster: RayCaster,
+        *,
+        housings: Housings | None = None,
+        shadows: bool = True,
     ) -> PartLight:
         """That of a scene's part.
 
         lights: Part frame; panels get places that the lobe cannot tell apart or, where these are too many, are whole
+        housings: Part frame
         """
         mirrored = [_mirrored_light(light, scene.sharpest.sigma, caster) for light in lights]
-        return cls(scene=scene, caster=caster, blocker=caster if shadows else None, lights=mirrored)
+        blocker = caster if shadows else None
+        return cls(scene=scene, caster=caster, blocker=blocker, lights=mirrored, housings=housings)
 
     @cached_property
     def white(self) -> float:
         """White level of the part [grey level]."""
         return white_level(self.scene.reflectances[0])
 
-    @property
-    def surroundings(self) -> Float64:
-        """Level of the surroundings under each light, shape (lights,)."""
+    @cached_property
+    def weights(self) -> Float64:
+        """Of each light, to which its surroundings' level is proportional, shape (lights,)."""
         lights = (one.light if isinstance(one, ConvergedPanel) else one for one in self.lights)
-        return np.array([self.scene.environment * light.total_weight for light in lights])
+        return np.array([light.total_weight for light in lights])
+
+    def surroundings(self, origins: Float64, directions: Float64) -> Float64:
+        """Levels that rays meet which go by the part, under a light of weight 1, shape (k,)."""
+        levels = np.full(len(origins), self.scene.environment)
+        if self.housings is not None:
+            levels[_on_rectangles(self.housings.rectangles, origins, directions)] = self.housings.level
+        return levels
+
+    def mirrors_housing(self, surface: SurfacePoints) -> Bool | None:
+        """Whether points would mirror a housing to their views, shape (k,); None without housings."""
+        if self.housings is None:
+            return None
+        cosines = np.einsum("ij,ij->i", surface.normals, surface.views)[:, None]
+        mirrored = 2.0 * cosines * surface.normals - surface.views
+        return _on_rectangles(self.housings.rectangles, surface.points, mirrored)
 
     def diffuse(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
         """What diffuse reflection adds to the levels of points, about its error, and glints, shape (3, lights, k).
@@ -127,7 +151,8 @@ class PartLight:
         step, area = max(1, _RAYS_AT_ONCE // (cells[0] * cells[1])), 1.0 / (cells[0] * cells[1])
         if not by_lobe and self.scene.bounces > 1:
             # light of the surroundings is no glint, however bright these are
-            most = MOST_OF_A_RAY + 2.0 * factor * area * float(self.surroundings.max(initial=0.0))
+            around = max(self.scene.environment, 0.0 if self.housings is None else self.housings.level)
+            most = MOST_OF_A_RAY + 2.0 * factor * area * around * float(self.weights.max(initial=0.0))
         # what the lobe throws on diffuse surface are caustics
         shown = self.scene.reflectances
         if not by_lobe:
@@ -188,7 +213,7 @@ class PartLight:
         other = surface_at(hits, self.scene.mesh, hits.points - directions[met], outside=surface.outside)
         found = levels(other)
         seen = np.zeros((*found.shape[:2], len(point)))
-        seen[0][:, own] = self.surroundings[:, None]
+        seen[0][:, own] = self.weights[:, None] * self.surroundings(origins, ways)
         seen[..., met] = found
         return seen * weights
 
@@ -210,7 +235,7 @@ class PartLight:
         if not bounces:
             return np.zeros((1, len(self.lights), len(surface)))
         levels = isolated_levels(surface, self.lights, shown, self.blocker, penumbrae=False)[None]
-        if surface.front.any() and (bounces > 1 or self.scene.environment):
+        if surface.front.any() and (bounces > 1 or self.scene.is_surrounded):
             seen_from_front = np.flatnonzero(surface.front)
             for index, some, own in surface.take(seen_from_front).by_material(self.scene.reflectances):
                 nodes = _cells(len(some), NESTED_CELLS)
@@ -234,6 +259,22 @@ def _mirrored_light(light: PanelLight, sigma: float, caster: RayCaster) -> Panel
     whole = replace(light, points="auto", normalisation="mean", gain=light.total_weight)
     cells = k if k <= MOST_POINTS else 0
     return replace(converged_panel(whole, centre=caster.centre, radius=caster.radius), cells=cells)
+
+
+@kernel
+def _on_rectangles(rectangles: Float64, origins: Float64, directions: Float64) -> Bool:
+    # whether rays meet any of some rectangles, as those of housings
+    met = np.zeros(len(origins), np.bool_)
+    for i in range(len(origins)):
+        origin, way = vector_at(origins, i), vector_at(directions, i)
+        for rectangle in rectangles:
+            towards, normal = minus(vector_at(rectangle, 0), origin), vector_at(rectangle, 1)
+            facing, height = dot(way, normal), dot(towards, normal)
+            if facing * height > 0.0:
+                place = minus(scaled(way, height / facing), towards)
+                across, along = dot(place, vector_at(rectangle, 2)), dot(place, vector_at(rectangle, 3))
+                met[i] |= abs(across) <= 1.0 and abs(along) <= 1.0
+    return met
 
 
 @kernel

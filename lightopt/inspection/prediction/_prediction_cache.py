@@ -58,7 +58,7 @@ class PredictionCache:
         As it is if nothing was calibrated, and if other light than that of the lights themselves reaches the part,
         which the fit does not know.
         """
-        if rig.calibration is None or scene.bounces or scene.environment:
+        if rig.calibration is None or scene.bounces or scene.is_surrounded:
             return scene
         if self.adjustment is None:
             self.adjustment = adjust_rig(rig, scene, observations, register=register, run=run)
