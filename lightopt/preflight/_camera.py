@@ -160,7 +160,7 @@ def check_motion(checked: CheckedScene) -> Iterator[Finding]:
         text = f"the part moves {least:.3g} to {largest:.3g} px in the {1e3 * motion.exposure_s:.4g} ms of exposure 1"
         level: Level = "warning" if largest > MOST_MOTION_PX else "ok"
         if level == "warning":
-            text += f"; exposure {MOST_MOTION_PX / largest:.2g} has {MOST_MOTION_PX:g} px. Fits and plans take the "
+            text += f"; {MOST_MOTION_PX:g} px takes exposure {MOST_MOTION_PX / largest:.2g}. Fits and plans take the "
             text += "part to be at rest"
         yield checked.of_posture(sample, level, "motion", text, least_px=least, largest_px=largest)
 

@@ -508,8 +508,8 @@ class _PostureJob:
 
     def add_bounces(self, threads: int) -> None:
         """Add the light that reaches the camera from the part, or its surroundings, by way of the part."""
-        own: dict[str, Any] = {"housings": self.view.housings, "shadows": self.shadow_caster is not None}
-        light = PartLight.of_scene(self.scene, self.view.lights, self.caster, **own)
+        around: dict[str, Any] = {"housings": self.view.housings, "shadows": self.shadow_caster is not None}
+        light = PartLight.of_scene(self.scene, self.view.lights, self.caster, **around)
 
         def trace(columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
             hits, surface = self._trace(columns, rows)
