@@ -10,6 +10,7 @@ import pytest
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_image_set, read_png
+from lightopt.inspection import InspectOptions, inspect_set
 from lightopt.optics import expose
 from lightopt.preflight import check_scene
 from lightopt.rendering import cast_rays_at, render_posture
@@ -138,3 +139,20 @@ def test_the_virtual_bench_captures_a_part_that_moves(cli, moving):
         assert np.abs(found.astype(int) - expected).max() <= 1
     still = render_posture(replace(scene, motion=None), scene.postures[0], caster=cast_rays_at(scene)).lights[0].level
     assert np.abs(read_png(moving.out / "posture_0_0/light1.png").astype(int) - np.clip(still, 0, 255)).max() > 50
+
+
+def test_inspection_predicts_the_blur_of_each_exposure(cli, moving):
+    """Good images of a part that moves: as predicted in motion, and nearly all of it a defect if predicted at rest."""
+    options = ("--noise", "3", "--exposure", "1,1/8", "--light", "light1", *FEW)
+    assert cli("render", moving.rig, moving.part, "-o", moving.out, *options).status == 0
+    rig, part = load_rig(moving.rig), load_part(moving.part)
+    at_rest = rig.model_copy(update={"stage": rig.stage.model_copy(update={"motion": None})})
+    at_rest._source = rig.source
+    options = InspectOptions(register=False, fusion=None, detector="residual", min_images=1)
+    found, still = (inspect_set(one, part, read_image_set(moving.out), options=options) for one in (rig, at_rest))
+    assert (len(found.defects), bool(still.defects)) == (0, True)
+    view = found.postures[0].view
+    chosen = view.clean & ~view.saturated
+    off = (np.abs(view.level - view.predicted) / np.hypot(view.deviation, view.slack))[chosen]
+    assert np.mean(off**2) < 1.5
+    assert np.mean(view.saturated) < 0.5 * np.mean(view.predicted > 255.0)  # the short exposure counts there
