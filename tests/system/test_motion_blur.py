@@ -174,7 +174,10 @@ def test_the_simulated_camera_blurs_by_the_time_of_its_exposure():
     bench = BenchOptics(scene, BenchTruth())
     frames = {}
     for exposure in (1.0, 0.25):
+        bench.prepare(scene.postures[0], exposure=exposure)
+        prepared = len(bench._layers)
         frames[exposure] = bench.frame({"light0": 1.0}, scene.postures[0], exposure=exposure)
+        assert len(bench._layers) == prepared  # nothing was left to render
         own = replace(scene, lights=scene.lights[:1])
         expected = expose(
             image(own, exposure=exposure).astype(np.float32), sensor=scene.sensor, exposure=exposure, full_scale=255.0
