@@ -10,7 +10,7 @@ from ._defects import DefectConfig, PixelPlaceConfig
 from ._edit import copied_text, referenced_files, with_list, with_values
 from ._fields import MOST_BOUNCES, MOST_POINTS, points_problem
 from ._hardware import AxisConfig, ChannelConfig, ControllerConfig, HardwareConfig, PictureConfig, StageDeviceConfig
-from ._light import RANGE_KEYS, LightConfig
+from ._light import HOUSED, RANGE_KEYS, LightConfig
 from ._load import (
     FileKind,
     LightsOnly,

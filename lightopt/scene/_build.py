@@ -20,10 +20,10 @@ from lightopt.scene import _camera as cameras
 from lightopt.scene._brushing import brushings, faces_without_direction, with_brushing
 from lightopt.scene._defects import outside_stage_range, place_defects
 from lightopt.scene._image_area import obstructions
-from lightopt.scene._lights import build_lights
+from lightopt.scene._lights import build_housings, build_lights
 from lightopt.scene._reflectance_table import table_lobes
 from lightopt.scene._regions import mesh_of_regions
-from lightopt.scene._scene import PartRegion, Placement, Scene, view_from_part
+from lightopt.scene._scene import Motion, PartRegion, Placement, Scene, view_from_part
 from lightopt.scene._stage import Stage
 
 CHORD_TOLERANCE_MM = 0.01
@@ -64,7 +64,9 @@ def build_scene(
     # lights that are off stand there, too
     camera = replace(camera, obstructions=obstructions(camera, build_lights(rig) if lights else placed))
     mesh, placement, warnings = _mesh(part, cameras.pixel_footprint(camera, rig.camera.distance_mm))
-    reflectance, regions = _reflectances(part, seen=bounces > 0 or rig.environment.level > 0.0)
+    housings = build_housings(rig)
+    surrounded = rig.environment.level > 0.0 or (housings is not None and housings.level > 0.0)
+    reflectance, regions = _reflectances(part, seen=bounces > 0 or surrounded)
     scene = Scene(
         camera=camera,
         lights=placed,
@@ -78,6 +80,8 @@ def build_scene(
         freedoms=6 if part.placement.registration == "full" else 3,
         bounces=bounces,
         environment=rig.environment.level,
+        housings=housings,
+        motion=_motion(rig),
     )
     warnings += _check_view(scene, rig, part)
     waviness = None
@@ -205,6 +209,14 @@ def build_stage(rig: RigConfig) -> Stage:
         tilt_scale=s.tilt_axis.scale,
         rotary_scale=rotary_scale,
     )
+
+
+def _motion(rig: RigConfig) -> Motion | None:
+    own, exposure_us = rig.stage.motion, rig.camera.exposure_us
+    if own is None or exposure_us is None or not any((*own.velocity_mm_per_s, own.rotation_deg_per_s)):
+        return None
+    velocity = np.array(own.velocity_mm_per_s, np.float64)
+    return Motion(velocity=velocity, turn_deg_per_s=own.rotation_deg_per_s, exposure_s=1e-6 * exposure_us)
 
 
 def build_sensor(camera: CameraConfig) -> Sensor:
