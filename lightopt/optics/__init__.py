@@ -5,6 +5,7 @@ A model is a scalar function compiled as a kernel, called per surface point and 
 """
 
 from ._albedo import least_white_level, white_level
+from ._exponential import exponential
 from ._gaussian_sum import gaussian_sum
 from ._lens import airy_diameter, airy_kernel, circle_of_confusion, depth_of_field, pupil_points
 from ._reflection_model import (

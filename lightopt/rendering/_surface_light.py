@@ -38,6 +38,7 @@ from lightopt.optics import (
     Lobe,
     Reflectance,
     diffuse_term,
+    exponential,
     farthest_exponent,
     fresnel_factor,
     gaussian_lobe,
@@ -184,10 +185,11 @@ def _values_of_nodes(at: SurfacePoint, e: Element, at_s: Float64, at_t: Float64,
     # horizon. As in `whole_panel`, the processor works on several nodes at once
     p, n, v, _ = at
     count_s, count_t = len(at_s), len(at_t)
-    values, chord = np.empty((count_s, count_t)), np.empty(count_t)
-    across, lit_across, n_dot_l, size = np.zeros(count_t), np.zeros(count_t), np.empty(count_t), np.empty(count_t)
-    cosine, sine = np.ones(count_t), np.zeros(count_t)
+    values, work = np.empty((count_s, count_t)), np.zeros((7, count_t))
+    chord, across, lit_across, n_dot_l, size = work[0], work[1], work[2], work[3], work[4]
+    cosine, sine = work[5], work[6]
     for j in range(count_t):
+        cosine[j] = 1.0
         if e.shape == SPHERE:
             cosine[j], sine[j] = math.cos(at_t[j]), math.sin(at_t[j])
     for i in range(count_s):
@@ -459,10 +461,11 @@ def _sinh_nodes(
     # places along a side and their weights
     u0, u1 = math.asinh((low - centre) / width), math.asinh((high - centre) / width)
     count = min(max(LEAST_TAIL_NODES, times * tail_nodes(u0, u1, singular, error)), MAX_NODES)
-    at, weights = np.empty(count), np.empty(count)
+    at, weights, half = np.empty(count), np.empty(count), 0.5 * width
     for i in range(count):
-        u = u0 + (u1 - u0) * NODES[count, i]
-        at[i], weights[i] = centre + width * math.sinh(u), WEIGHTS[count, i] * (u1 - u0) * width * math.cosh(u)
+        up = exponential(u0 + (u1 - u0) * NODES[count, i])
+        down = 1.0 / up
+        at[i], weights[i] = centre + half * (up - down), WEIGHTS[count, i] * (u1 - u0) * half * (up + down)
     return at, weights
 
 
@@ -686,31 +689,29 @@ def _add_smooth(
     # where the lobe is smooth all over an element, which is above the horizon: sets the light of these points from the
     # nodes of diffuse light, and they are no longer `near`. Where the element adds hardly anything, few nodes do
     (p, n, v), (few, nodes, many), (limit, greatest) = columns, rules, limits
-    rule, level = np.zeros(len(near), np.int64), np.empty(len(near))
+    rule = np.zeros(len(near), np.int64)
     striped = len(many[0]) == len(nodes[0])
     for j in range(len(near)):
         at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
+        if not near[j] or at.n_dot_v <= 0.0:
+            continue
         towards = minus(e.centre, at.p)
         half, spread = half_vector_cone(at, e.centre, e.reach)
         nearest = max(0.0, length(minus(at.n, half)) - spread) if spread < math.pi else 0.0
         angle = min(math.pi * e.reach**2 / dot(towards, towards), math.pi)
-        level[j] = greatest[j] * specular_lobe(nearest * nearest / lobe.widening, 0.0, lobe) * angle
-        rule[j] = FAINT_NODES if level[j] < FAINT_LEVEL else 0
-    for j in range(len(near)):
-        at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
-        if not near[j] or at.n_dot_v <= 0.0:
-            rule[j] = 0
-        elif rule[j] == 0:
-            if lobe.ggx and level[j] < FAINT_AT_HORIZON:
-                # masking lets its light end at the horizon, not break off
+        level = greatest[j] * specular_lobe(nearest * nearest / lobe.widening, 0.0, lobe) * angle
+        if level < FAINT_LEVEL:
+            rule[j] = FAINT_NODES
+        elif lobe.ggx and level < FAINT_AT_HORIZON:
+            # masking lets its light end at the horizon, not break off
+            rule[j] = DIFFUSE_NODES
+        elif dot(at.n, towards) >= e.reach:
+            error = min(ELEMENT_ERROR / level, 0.1)
+            wanted = smooth_nodes(at, e.centre, e.reach, lobe_at(lobe, frames, j), error, limit[j])
+            if wanted <= DIFFUSE_NODES + (not striped):
                 rule[j] = DIFFUSE_NODES
-            elif dot(at.n, minus(e.centre, at.p)) >= e.reach:
-                error = min(ELEMENT_ERROR / level[j], 0.1)
-                wanted = smooth_nodes(at, e.centre, e.reach, lobe_at(lobe, frames, j), error, limit[j])
-                if wanted <= DIFFUSE_NODES + (not striped):
-                    rule[j] = DIFFUSE_NODES
-                elif wanted <= MANY_NODES + 1 and not striped:
-                    rule[j] = MANY_NODES
+            elif wanted <= MANY_NODES + 1 and not striped:
+                rule[j] = MANY_NODES
     _add_nodes(columns, frames, rule == FAINT_NODES, few, lobe, work, specular)
     _add_nodes(columns, frames, rule == DIFFUSE_NODES, nodes, lobe, work, specular)
     _add_nodes(columns, frames, rule == MANY_NODES, many, lobe, work, specular)

@@ -11,7 +11,6 @@ from lightopt.core.arrays import Bool, Float32, Float64, Index
 from lightopt.core.transforms import Posture
 from lightopt.defects import Waviness, tangent_references
 from lightopt.geometry import RayCaster
-from lightopt.lights import PanelLight
 from lightopt.scene import Scene, lens_share, surface_footprint, with_reflectances
 
 ReferenceName = Literal["model", "good-parts", "self"]
@@ -126,17 +125,18 @@ def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int
     share = lens_share(scene.camera, pixels.column + 0.5, pixels.row + 0.5)
     passed = 1.0 if share is None else share
 
-    def spread(panel: PanelLight) -> Float32:
-        source = rendering.panel_to_shade(panel, caster)
-        (shaded,) = rendering.shade_variants(surface, references, [source], variants, caster=caster, dtype=np.float32)
-        image = np.zeros(pixels.shape, np.float32)
-        image[pixels.row, pixels.column] = np.hypot(*(one - shaded.good for one in shaded.varied)) * passed
-        return image
+    sources = [rendering.panel_to_shade(panel, caster) for panel in pixels.view.lights]
+    spread: dict[str, Float32] = {}
+    for group in rendering.channel_groups(sources):
+        own = [sources[i] for i in group]
+        found = rendering.shade_variants(surface, references, own, variants, caster=caster, dtype=np.float32)
+        for i, shaded in zip(group, found, strict=True):
+            image = np.zeros(pixels.shape, np.float32)
+            image[pixels.row, pixels.column] = np.hypot(*(one - shaded.good for one in shaded.varied)) * passed
+            spread[pixels.view.lights[i].name] = image
 
     return WavyLevels(
-        spread={panel.name: spread(panel) for panel in pixels.view.lights},
-        waviness=scene.waviness,
-        footprint=surface_footprint(pixels.view.camera, surface.points),
+        spread=spread, waviness=scene.waviness, footprint=surface_footprint(pixels.view.camera, surface.points)
     )
 
 
