@@ -175,7 +175,7 @@ def test_variants_of_whole_lights_are_the_light_on_other_surfaces(kind, model, s
 @pytest.mark.parametrize("sigma", [0.01, 0.0475, 0.15])
 @pytest.mark.parametrize("model", MODELS)
 def test_variants_under_the_quadrants_of_a_dome(model, sigma):
-    """Steep and gentle variants in any order, channels together: half a percent off the light of leaning surfaces."""
+    """Steep and gentle variants in any order, channels together: within about a percent of leaning surfaces."""
     surface, references = surface_of(np.random.default_rng(5))
     few = np.arange(0, POINTS, 10)
     surface, references = surface.take(few), references[few]
@@ -199,4 +199,4 @@ def test_variants_under_the_quadrants_of_a_dome(model, sigma):
         diffuse_light, specular_light = shade_surface_lights(leaning, lights, reflectance=own, caster=None)
         expected = own.R_d * diffuse_light + own.R_s * specular_light
         for one, level in zip(found, expected, strict=True):
-            assert np.mean(np.abs(one.varied[t] - level) > 0.005 * level.max() + 0.1) <= 0.02
+            assert np.mean(np.abs(one.varied[t] - level) > 0.012 * level.max() + 0.1) <= 0.02
