@@ -1,13 +1,13 @@
 """A small detector trained on datasets of lightopt, the same one trained on pasted noise, and ``inspect``.
 
-``python -m benchmarks.detector_training [--parts cover-knob spout] [--samples 160] [--seeds 1 2 3 4 5] [--pieces 30]
-[--goods 40] [--width 320] [--page]``. Needs ``scikit-learn``, which is no dependency of lightopt.
+``python -m benchmarks.detector_training [--parts cover-knob spout] [--samples 160] [--defects 3 6] [--seeds 1 2 3 4 5]
+[--pieces 30] [--goods 40] [--width 320] [--page]``. Needs ``scikit-learn``, which is no dependency of lightopt.
 
-The detector is gradient boosting on features of each pixel: deviations from the mean of good pieces, in its standard
-deviations, and local contrast, both at three widths and under each light, the light that deviates most first. Both
-kinds of training have the good images of the dataset. One has its defective images, with defects that are marked as
-invisible left out; the other has as many good images into which patches of noise are pasted. Each training is repeated
-with datasets of other seeds.
+The detector is gradient boosting on features of each pixel under each light, the light that deviates most first:
+deviations from the mean of good pieces, in its standard deviations and in those of the noise, at several widths; their
+extremes nearby; their slopes and curvatures; and local contrast. Both kinds of training have the good images of the
+dataset. One has its defective images, with defects that are marked as invisible left out; the other has as many good
+images into which as many patches of noise are pasted. Each training is repeated with datasets of other seeds.
 
 The test is on pieces that ``lightopt render`` makes with nine rays in each pixel, other seeds, other defects and other
 places on the stage. All detectors have the same pieces, and are compared at thresholds with equal rates of false alarms
@@ -35,7 +35,7 @@ from benchmarks._case import write_records
 from benchmarks.inspection import ROOT, replace_block
 from benchmarks.loop import files
 from lightopt import load_part, load_rig
-from lightopt.config import PartConfig, RigConfig
+from lightopt.config import PartConfig, RangesConfig, RigConfig, load_ranges
 from lightopt.dataset import DatasetOptions, make_dataset
 from lightopt.dataset._formats import pixels_of
 from lightopt.images import ImageSet, read_image_set, read_png
@@ -54,8 +54,10 @@ from lightopt.scene import build_catalogue
 
 Array = NDArray[Any]
 
-WIDTHS_PX = (0.0, 1.0, 2.5)
+WIDTHS_PX = (0.0, 1.0, 2.5, 5.0)
 CONTRASTS_PX = ((0.7, 3.0), (1.5, 6.0), (3.0, 12.0))
+NEAR_PX = (5, 11)  # sides of the squares whose extremes count
+CURVED_PX = (1.2, 2.5)  # widths at which slope and curvature are taken
 OTHERS = 6  # pixels without a defect for each pixel with one
 LEAST_SPREAD = 1.0  # of good pieces [level]
 SHIFT_MM, TURN_DEG = 0.2, 0.5  # by which pieces of the test are off their place, as those of the dataset
@@ -179,17 +181,30 @@ class Golden:
 
     def features(self, images: Array) -> Array:
         """Of each pixel, shape (H, W, features)."""
-        off = (images - self.mean) / self.spread
-        found = [off if width == 0.0 else ndimage.gaussian_filter(off, (0, width, width)) for width in WIDTHS_PX]
-        noise = np.sqrt(1.0 + np.maximum(images, 0.0) / 60.0)
-        for narrow, wide in CONTRASTS_PX:
-            local = [ndimage.gaussian_filter(images, (0, width, width)) for width in (narrow, wide)]
-            found.append((local[0] - local[1]) / noise)
-        found.append(np.log(self.spread))
+        noise, off = np.sqrt(1.0 + np.maximum(images, 0.0) / 60.0), (images - self.mean) / self.spread
+        wide = [off if width == 0.0 else _smooth(off, width) for width in WIDTHS_PX]
+        found = [*wide, *(((_smooth(images, a) - _smooth(images, b)) / noise) for a, b in CONTRASTS_PX)]
+        for side in NEAR_PX:
+            found += [
+                ndimage.maximum_filter(wide[1], (1, side, side)),
+                ndimage.minimum_filter(wide[1], (1, side, side)),
+            ]
+        change, spread = (images - self.mean) / noise, np.log(self.spread)
+        found += [_smooth(change, 0.8), spread, ndimage.maximum_filter(spread, (1, 9, 9))]
+        for width in CURVED_PX:
+            right, down, xx, xy, yy = (
+                _smooth(change, width, order) for order in ((0, 1), (1, 0), (0, 2), (1, 1), (2, 0))
+            )
+            mean, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+            found += [width * np.hypot(right, down), width**2 * (mean + half), width**2 * (mean - half)]
         stacked = np.stack(found, axis=-1).astype(np.float32)  # (lights, H, W, features)
         order = np.argsort(-np.abs(stacked[..., 1]), axis=0)
         stacked = np.take_along_axis(stacked, order[..., None], axis=0)
         return np.moveaxis(stacked, 0, -2).reshape(*images.shape[1:], -1)
+
+
+def _smooth(images: Array, width: float, order: tuple[int, int] = (0, 0)) -> Array:
+    return ndimage.gaussian_filter(images, (0, width, width), (0, *order))
 
 
 def read_samples(folder: Path, lights: list[str]) -> Iterator[tuple[dict[str, str], Array, Array]]:
@@ -207,12 +222,12 @@ def read_samples(folder: Path, lights: list[str]) -> Iterator[tuple[dict[str, st
         yield row, images, labels
 
 
-def paste_noise(images: Array, part: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Patches of noise on the images of a good piece, and where they are."""
+def paste_noise(images: Array, part: Array, rng: np.random.Generator, number: tuple[int, int]) -> tuple[Array, Array]:
+    """Patches of noise on the images of a good piece, from the least to the most number, and where they are."""
     images, labels = images.copy(), np.zeros(images.shape[1:], np.int8)
     places = np.argwhere(part)
     y, x = np.mgrid[: part.shape[0], : part.shape[1]]
-    for _ in range(int(rng.integers(1, 3))):
+    for _ in range(int(rng.integers(*number, endpoint=True))):
         row, column = places[rng.integers(len(places))]
         length, width = np.exp(rng.uniform(np.log(2.0), np.log(30.0), 2))
         turn = rng.uniform(0.0, np.pi)
@@ -284,17 +299,19 @@ def render_piece(rig: RigConfig, part: PartConfig, folder: Path, seed: int, defe
     return Piece(images, labels, np.hypot(geometry["N.X"], geometry["N.Z"]) > 0.0, found)
 
 
-def curves_of(folder: Path, setup: tuple[RigConfig, PartConfig], seed: int, samples: int, test: Test) -> list[Curve]:
-    """What the detector finds that is trained on a dataset of a seed, and the one that is trained on pasted noise."""
-    rig, part = setup
-    make_dataset(rig, part, folder, options=DatasetOptions(images=samples, seed=seed, fusion=None))
+def curves_of(
+    folder: Path, setup: tuple[RigConfig, PartConfig, RangesConfig], options: DatasetOptions, test: Test
+) -> list[Curve]:
+    """What the detector finds that is trained on a dataset, and the one that is trained on pasted noise."""
+    (rig, part, ranges), seed = setup, options.seed
+    make_dataset(rig, part, folder, options=options, ranges=ranges)
     every = list(read_samples(folder, [light.name for light in rig.lights]))
     good = [images for _, images, labels in every if not labels.any()]
     bad = [(images, labels) for _, images, labels in every if labels.any()]
     golden = Golden.of(good)
     shown = golden.mean.max(axis=0) > 2.0
     rng = np.random.default_rng([3, seed])
-    pasted = [paste_noise(good[i % len(good)], shown, rng) for i in range(len(bad))]
+    pasted = [paste_noise(good[i % len(good)], shown, rng, ranges.defects) for i in range(len(bad))]
     plain = training_pixels(golden, [(images, np.zeros(shown.shape, np.int8)) for images in good], shown, seed)
     classifiers = [train(training_pixels(golden, some, shown, seed), plain, seed) for some in (bad, pasted)]
     pieces, goods = (
@@ -358,8 +375,12 @@ def compare(folder: Path, name: str, given: argparse.Namespace) -> Study:
     )
     placed = np.stack([test.by_kind(np.unique(one.labels[one.labels >= 0]).tolist()) for one in test.pieces])
     curves = {DATASET: list[Curve](), PASTED: list[Curve]()}
+    ranges_file = folder / "ranges.yaml"
+    ranges_file.write_text(f"format: lightopt-ranges/1\ndefects: {given.defects}\n", encoding="utf-8")
+    setup = rig, part, load_ranges(ranges_file)
     for seed in given.seeds:
-        own = curves_of(folder / f"dataset-{seed}", (rig, part), seed, given.samples, test)
+        options = DatasetOptions(images=given.samples, seed=seed, fusion=None)
+        own = curves_of(folder / f"dataset-{seed}", setup, options, test)
         for some, one in zip(curves.values(), own, strict=True):
             some.append(one)
             found = [int(one.found[one.least(rate, np.arange(given.goods))].sum()) for rate in RATES]
@@ -419,6 +440,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--parts", nargs="+", default=["cover-knob"])
     parser.add_argument("--samples", type=int, default=160, help="of each dataset")
+    parser.add_argument("--defects", type=int, nargs=2, default=[3, 6], help="of a defective sample, least and most")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5], help="of the datasets, one each")
     parser.add_argument("--pieces", type=int, default=30, help="with a defect of each kind")
     parser.add_argument("--goods", type=int, default=40, help="good pieces of the test")

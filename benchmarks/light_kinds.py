@@ -155,8 +155,9 @@ class MitsubaLight:
         ]
         return np.concatenate(found, axis=1)
 
-    def _batch(self, surface: SurfacePoints, sigma: float, samples: int, seed: tuple[int, int], diffuse: bool) -> Array:
-        mi, dr, size = self._mi, self._dr, len(surface) * samples
+    def _begun(self, size: int, samples: int, seed: tuple[int, int]) -> tuple[Any, Callable[[Array], Any]]:
+        # a sampler, and what repeats the rows of an array for each sample
+        mi, dr = self._mi, self._dr
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(1_000_003 * seed[0] + seed[1], size)
         index = dr.arange(mi.UInt32, size) // samples
@@ -164,6 +165,11 @@ class MitsubaLight:
         def rows(array: Array) -> Any:
             return mi.Vector3f(*(dr.gather(mi.Float, mi.Float(x.astype(np.float32)), index) for x in array.T))
 
+        return sampler, rows
+
+    def _batch(self, surface: SurfacePoints, sigma: float, samples: int, seed: tuple[int, int], diffuse: bool) -> Array:
+        mi, dr, size = self._mi, self._dr, len(surface) * samples
+        sampler, rows = self._begun(size, samples, seed)
         p, n, v = mi.Point3f(rows(surface.points)), rows(surface.normals), rows(surface.views)
         # half vectors as dense as the lobe in angle and azimuth: dω of light is 4 (V·H) dω of H
         first, second = sampler.next_2d()

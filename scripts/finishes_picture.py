@@ -2,7 +2,7 @@
 
 ``python scripts/finishes_picture.py``. finishes.png: the sample knob with each form of the lobe, all reflecting as much
 light, under all four lights; the fourth root of the levels, by one highest level. brushed.png: the same of a surface
-that is brushed in three ways. diffuse-forms.png: a sphere with each form of the diffuse component under one panel;
+that is brushed in four ways. diffuse-forms.png: a sphere with each form of the diffuse component under one panel;
 levels.
 """
 
@@ -17,7 +17,15 @@ from PIL import Image, ImageDraw
 
 from lightopt import build_scene, render
 from lightopt.core.arrays import Float64
-from lightopt.geometry import CurvedBrushing, RoundBrushing, StraightBrushing, TriangleMesh
+from lightopt.geometry import (
+    CurvedBrushing,
+    LoadedMesh,
+    RoundBrushing,
+    StraightBrushing,
+    TextureBrushing,
+    TriangleMesh,
+    texture_brushing,
+)
 from lightopt.optics import LAMBERT, DiffuseForm, Reflectance, SpecularModel
 from lightopt.scene import Scene
 
@@ -80,12 +88,21 @@ def finishes_picture(target: Path) -> None:
 
 
 def brushed_picture(target: Path) -> None:
-    """Draw the sample knob brushed in three ways."""
+    """Draw the sample knob brushed in four ways."""
     scene = replace(_scene(WIDTH, HEIGHT), reflectance=BRUSHED)
-    scenes = {name: replace(scene, mesh=replace(scene.mesh, brushing=(way,))) for name, way in BRUSHINGS.items()}
+    ways = BRUSHINGS | {"along a texture": _spiral(scene.mesh)}
+    scenes = {name: replace(scene, mesh=replace(scene.mesh, brushing=(way,))) for name, way in ways.items()}
     levels = {name: _sum_of_lights(one)[:, CROP:-CROP] for name, one in scenes.items()}
     top = max(level.max() for level in levels.values())
     _save(target, {name: (level / top) ** 0.25 for name, level in levels.items()})
+
+
+def _spiral(mesh: TriangleMesh) -> TextureBrushing:
+    # along a texture that is wound about Z, 60 mm outwards in a turn
+    x, y, _ = mesh.vertices[mesh.faces].transpose(2, 0, 1)
+    turn = np.unwrap(np.arctan2(y, x), axis=1) / (2.0 * np.pi)
+    texture = np.stack([turn, np.hypot(x, y) / 60.0 - turn], axis=2)
+    return texture_brushing(LoadedMesh(mesh, (), texture=texture), "u")
 
 
 def diffuse_forms_picture(target: Path) -> None:

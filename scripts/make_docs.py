@@ -19,6 +19,7 @@ from finishes_picture import brushed_picture, diffuse_forms_picture, finishes_pi
 from frames_drawing import frames_drawing
 from lens_picture import lens_picture
 from lighting_picture import lighting_picture
+from machine_pictures import housings_picture, motion_picture
 from PIL import Image
 from regions_picture import regions_picture
 from statistic_picture import statistic_picture
@@ -240,6 +241,8 @@ def main() -> None:
         bounce_picture(PICTURES / "interreflection.png")
         lighting_picture(PICTURES / "lighting-systems.png")
         lens_picture(PICTURES / "lens.png")
+        motion_picture(PICTURES / "motion.png")
+        housings_picture(PICTURES / "housings.png")
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
     replace_block(DOCS / "tutorial" / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")
     if not quick:

@@ -63,13 +63,18 @@ class _Pool:
         everywhere = [self._send(one) for one in shared]
         places: dict[Any, int] = {}
 
+        threads: Any = self._client.nthreads()
+        workers = sorted(threads)
+
         def begin(place: int) -> Any:
-            # not pure: the name of a task is no hash of what it is given
-            future = self._client.submit(_run, self._expected, function, items[place], *everywhere, pure=False)
+            # The same item at the same worker each time, which may have images of it: another one where that is lost
+            # or has too much to do. Not pure: the name of a task is no hash of what it is given
+            task = self._expected, function, items[place], *everywhere
+            own = [workers[place % len(workers)]] if workers else None
+            future = self._client.submit(_run, *task, pure=False, workers=own, allow_other_workers=own is not None)
             places[future.key] = place
             return future
 
-        threads: Any = self._client.nthreads()
         most = max(_WAITING, _WAITING_OF_THREAD * sum(threads.values()))
         begun = min(most, len(items))
         completed = as_completed([begin(place) for place in range(begun)], loop=self._client.loop)

@@ -10,7 +10,7 @@ from ._defects import DefectConfig, PixelPlaceConfig
 from ._edit import copied_text, referenced_files, with_list, with_values
 from ._fields import MOST_BOUNCES, MOST_POINTS, points_problem
 from ._hardware import AxisConfig, ChannelConfig, ControllerConfig, HardwareConfig, PictureConfig, StageDeviceConfig
-from ._light import RANGE_KEYS, LightConfig
+from ._light import HOUSED, RANGE_KEYS, LightConfig
 from ._load import (
     FileKind,
     LightsOnly,
@@ -24,7 +24,15 @@ from ._load import (
     load_rig,
     load_targets,
 )
-from ._part import MOST_ACROSS, InspectionConfig, PartConfig, PlacementConfig, ReflectanceConfig, RegionConfig
+from ._part import (
+    MOST_ACROSS,
+    BrushingConfig,
+    InspectionConfig,
+    PartConfig,
+    PlacementConfig,
+    ReflectanceConfig,
+    RegionConfig,
+)
 from ._pose import standing_at
 from ._ranges import RangesConfig
 from ._rig import RigConfig

@@ -197,7 +197,7 @@ class CameraConfig(Frozen):
     sensor: SensorConfig
     """The sensor, and how it turns light into levels."""
     exposure_us: fields.Positive | None = None
-    """Exposure time [µs] that counts as exposure 1 on real hardware."""
+    """Exposure time [µs] that counts as exposure 1, on real hardware and of a part that moves."""
 
     @model_validator(mode="wrap")
     @classmethod

@@ -39,6 +39,7 @@ RANGE_KEYS = ("elevation_range_deg", "azimuth_range_deg", "distance_range_mm", "
 """Keys that say where a light can be moved to."""
 
 MOST_CHANNELS = 256
+HOUSED = ("panel", "bar", "backlight", "display", "led_array")  # kinds of light in the middle of a flat housing
 _AROUND_PART = ("dome", "low_angle_ring", "tunnel")  # kinds of light that may have the origin in their middle
 
 _LightElevation = Annotated[float, Field(ge=-90, lt=180), fields.expecting(fields.ABOVE_TABLE)]

@@ -145,9 +145,9 @@ _Curve = Annotated[
 
 
 class BrushingConfig(Frozen):
-    """Which way a surface is brushed, by one of three keys; signs and lengths do not count."""
+    """Which way a surface is brushed, by one of four keys; signs and lengths do not count."""
 
-    one_of = ("direction", "around_axis", "along_curve_mm")
+    one_of = ("direction", "around_axis", "along_curve_mm", "along_texture")
 
     direction: fields.Direction | None = None
     """Along a line, as sheet metal is: its direction in the mesh file's coordinates."""
@@ -156,6 +156,8 @@ class BrushingConfig(Frozen):
     along_curve_mm: _Curve | None = None
     """Along a curve, as it runs where it is nearest: its corners, in the mesh file's coordinates [mm]. The direction
     turns evenly from one corner to the next."""
+    along_texture: Literal["u", "v"] | None = None
+    """As the mesh file's texture coordinates run (.obj, .glb, .ply): u: as u grows and v stays; v: as v grows."""
 
 
 class ReflectanceConfig(Frozen):
@@ -310,7 +312,7 @@ class RegionConfig(Frozen):
     """Faces of this colour in the mesh file: #RRGGBB as CAD programs show it (STEP, .glb), or as painted (.ply)."""
     group: fields.Text | None = None
     """Faces of this name in the mesh file: a group, object or material (.obj), a node, mesh or material (.glb), a part
-    of an assembly (STEP)."""
+    of an assembly or a body (STEP)."""
     faces_at_mm: _Points | None = None
     """Points in the mesh file's coordinates [mm]: the CAD face at each; of meshes, the surface up to its creases."""
     box_mm: BoxConfig | None = None

@@ -11,6 +11,15 @@ from lightopt.config._hardware import HardwareConfig, misfits
 from lightopt.config._pose import CalibrationConfig, RotaryAxisConfig, TiltAxisConfig
 
 
+class MotionConfig(fields.Frozen):
+    """How the part moves while the camera exposes: on a conveyor, or on a table that has not settled."""
+
+    velocity_mm_per_s: fields.Coordinates = (0.0, 0.0, 0.0)
+    """Velocity of the part, world frame [mm/s]."""
+    rotation_deg_per_s: fields.Number = 0.0
+    """Speed of the rotary axis [deg/s]."""
+
+
 class StageConfig(fields.Frozen):
     """The stage that turns the part: a rotary axis (about Z) carried by a tilt cradle (about X)."""
 
@@ -24,6 +33,17 @@ class StageConfig(fields.Frozen):
     """Measured axis of the cradle; along X through pivot_mm if absent."""
     rotary_axis: RotaryAxisConfig | None = None
     """Measured scale of the rotary axis."""
+    motion: MotionConfig | None = None
+    """The part's motion while the camera exposes, for camera.exposure_us at exposure 1; at rest if absent."""
+
+
+class HousingsConfig(fields.Frozen):
+    """Housings of the lights: rectangles in whose middle the flat lights shine."""
+
+    margin_mm: Annotated[float, Field(ge=0, le=1e4), fields.expecting("a length from 0 to 10000 (a number)")]
+    """How far a housing reaches beyond the light on each side [mm]."""
+    level: fields.Coefficient = 0.0
+    """Level of the housings in images of a light of gain 1, whichever light is on [levels of the part's full_scale]."""
 
 
 class EnvironmentConfig(fields.Frozen):
@@ -31,6 +51,8 @@ class EnvironmentConfig(fields.Frozen):
 
     level: fields.Coefficient = 0.0
     """Level of the surroundings in images of a light of gain 1, in all directions [levels of the part's full_scale]."""
+    housings: HousingsConfig | None = None
+    """Housings of panels, bars, backlights, displays and LED arrays, mirrored in place of `level`; none if absent."""
 
 
 class VirtualBenchConfig(fields.Frozen):
@@ -124,6 +146,24 @@ class RigConfig(fields.FileConfig):
     def _of_its_lights(cls, value: object, handler: fields.Handler, info: ValidationInfo) -> Any:
         lights = info.data.get("lights")
         return fields.with_complaints(value, handler, () if lights is None else _light.programme_misfits(value, lights))
+
+    @field_validator("environment", mode="wrap")
+    @classmethod
+    def _housed(cls, value: object, handler: fields.Handler, info: ValidationInfo) -> Any:
+        lights: tuple[_light.LightConfig, ...] | None = info.data.get("lights")
+        given = fields.value_of(value, "housings") is not None
+        reason = f"no light of the rig has a rectangle for its housing; kinds that have one: {', '.join(_light.HOUSED)}"
+        alone = given and lights is not None and not any(light.kind in _light.HOUSED for light in lights)
+        return fields.with_complaints(value, handler, [(("housings",), reason)] if alone else ())
+
+    @field_validator("stage", mode="wrap")
+    @classmethod
+    def _timed(cls, value: object, handler: fields.Handler, info: ValidationInfo) -> Any:
+        camera = info.data.get("camera")
+        moves = fields.value_of(value, "motion") is not None
+        reason = "the rig's camera has no exposure_us; add the exposure time [µs] that counts as exposure 1"
+        untimed = moves and camera is not None and camera.exposure_us is None
+        return fields.with_complaints(value, handler, [(("motion",), reason)] if untimed else ())
 
     @field_serializer("lights")
     def _entries(self, _: tuple[_light.LightConfig, ...]) -> list[dict[str, Any]]:

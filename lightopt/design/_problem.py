@@ -267,12 +267,16 @@ def usable_postures(
     panels: Every position of a light, world frame; the scene's own lights are ignored.
     allow_outside_px: How far the part may leave the view at a side of the image [px].
     """
+    unseen = {posture: _out_of_view(scene, posture, allow_outside_px) for posture in scene.postures}
+    others = tuple(posture for posture, reason in unseen.items() if reason is None)
+    # all postures at once: the points of thousands of panels are computed once
+    inside = panels_in_part(replace(scene, lights=tuple(panels), postures=others))
+    first_inside = {found.posture: found.light for found in reversed(inside)}
     usable: list[Posture] = []
     left_out: list[ExcludedPosture] = []
-    for posture in scene.postures:
-        found = _out_of_view(scene, posture, allow_outside_px)
-        if found is None and (inside := panels_in_part(replace(scene, lights=tuple(panels), postures=(posture,)))):
-            found = f"a position of {inside[0].light} is inside the part", "part"
+    for posture, found in unseen.items():
+        if found is None and posture in first_inside:
+            found = f"a position of {first_inside[posture]} is inside the part", "part"
         if found is None:
             usable.append(posture)
         else:

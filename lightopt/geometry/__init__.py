@@ -10,6 +10,7 @@ from ._mesh_formats import box_mesh, sphere_mesh, stl_bytes as stl_bytes
 from ._patches import Patches, estimate_patch_count, longest_edges, refine
 from ._regions import BoxRegion, ColouredRegion, MaskRegion, NamedRegion, Region, RegionAtPoints, mesh_with_regions
 from ._silhouettes import Silhouettes, triangles_before, triangles_in_row
+from ._texture import TextureBrushing, texture_brushing
 from ._topology import merge_rows, mesh_edges, points_inside
 from ._triangle_mesh import (
     Brushing,

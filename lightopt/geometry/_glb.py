@@ -76,8 +76,9 @@ def placed(matrix: Float64, vertices: Float64, faces: Int64, normals: Float64 | 
 def parse_glb(name: str, data: bytes) -> list[dict[str, Any]]:
     """Meshes of a GLB file, placed by their nodes, axes as stored: positions, normals, indexed triangles.
 
-    Returns: ``vertices`` [file unit] (n, 3), ``faces`` (m, 3), ``vertex_normals`` (n, 3) where the file has them,
-        ``piece``, a :class:`MeshPiece`.
+    Returns: ``vertices`` [file unit] (n, 3), ``faces`` (m, 3), ``vertex_normals`` (n, 3) and ``texture``
+        (n, 2) where the file has them, ``piece``, a :class:`MeshPiece`, ``node``, its number, and ``local``, vertices
+        in the node's frame.
     """
     tree, blob = split_glb(name, data)
     parts: list[dict[str, Any]] = []
@@ -102,11 +103,16 @@ def parse_glb(name: str, data: bytes) -> list[dict[str, Any]]:
                 normals = None
                 if "NORMAL" in attributes:
                     normals = _accessor(tree, blob, attributes["NORMAL"]).astype(np.float64)
-                faces = _accessor(tree, blob, primitive["indices"]).astype(np.int64).reshape(-1, 3)
+                which = primitive.get("indices")
+                corners = np.arange(len(vertices)) if which is None else _accessor(tree, blob, which).astype(np.int64)
+                faces = corners.reshape(-1, 3)
                 part: dict[str, Any] = placed(matrix, vertices, faces, normals)
+                if "TEXCOORD_0" in attributes:
+                    part["texture"] = _accessor(tree, blob, attributes["TEXCOORD_0"])
                 material = tree["materials"][primitive["material"]] if "material" in primitive else {}
                 names = (one.get("name") for one in (nodes[index], mesh, material))
                 part["piece"] = MeshPiece(tuple(dict.fromkeys(str(n) for n in names if n)), _colour(material))
+                part["node"], part["local"] = index, vertices
                 parts.append(part)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise InputError(f"{name}: the GLB data is damaged: {error!r}") from error
@@ -140,17 +146,19 @@ def _local(node: dict[str, Any]) -> Float64:
 
 
 def _accessor(tree: dict[str, Any], blob: bytes, index: int) -> NDArray[Any]:
-    """Numbers of an accessor, shape (count,) or (count, 3)."""
+    """Numbers of an accessor, shape (count,), (count, 2) or (count, 3)."""
     accessor = tree["accessors"][index]
     if "sparse" in accessor or "bufferView" not in accessor:
         raise ValueError(f"accessor {index} is sparse or compressed")
     view = tree["bufferViews"][accessor["bufferView"]]
     dtype = np.dtype(_COMPONENTS[accessor["componentType"]])
-    width = {"SCALAR": 1, "VEC3": 3}[accessor["type"]]
+    width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}[accessor["type"]]
     offset = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
     stride = view.get("byteStride", dtype.itemsize * width)
     count = int(accessor["count"])
     if offset + stride * (count - 1) + dtype.itemsize * width > len(blob):
         raise ValueError(f"accessor {index} reads past the end of the data")
     values = np.ndarray((count, width), dtype, blob, offset, (stride, dtype.itemsize))
+    if accessor.get("normalized"):
+        values = values / np.iinfo(dtype).max
     return values[:, 0] if width == 1 else values

@@ -44,6 +44,7 @@ class LoadedMesh:
     warnings: tuple[str, ...]
     pieces: tuple[MeshPiece, ...] = ()  # of the file, where they were asked for and it has any
     piece: Int32 | None = None  # index of the piece of each face of the mesh, shape (m,)
+    texture: Float64 | None = None  # u, v of the corners of each face, NaN where it has none, (m, 3, 2); with pieces
 
 
 def load_mesh(
@@ -74,7 +75,7 @@ def load_mesh(
     chord_tolerance_mm: STEP: largest distance between triangles and the surface [mm]
     angular_tolerance: STEP: largest bend between neighbouring tangents along an edge [rad]
     max_triangles: More are refused, before loading where the header gives their number
-    pieces: Whether to keep which faces are of which group, CAD face or colour of the file
+    pieces: Whether to keep which faces are of which group, CAD face or colour of the file, and texture coordinates
     Raises InputError: The file is missing, of an unknown format, empty, cut off or damaged; it needs a unit; it has no
         triangles, coordinates that are not finite, or indices out of range; or a limit was reached
     """
@@ -115,6 +116,7 @@ def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None)
     repaired = repair_winding(vertices, faces[keep])
     warnings += repaired.warnings
     merged = len(placed) - len(first)
+    turned = repaired.faces[:, 1] != faces[keep][:, 1]
     if crease_angle is None:
         mesh = _compact(vertices, repaired.faces)
         merged = merged if raw.normals is None else 0
@@ -124,14 +126,17 @@ def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None)
             warnings.append(f"{cancelled} vertex normals cancelled out: taken from a face")
     else:
         own = raw.faces[keep].astype(np.int32)
-        turned = repaired.faces[:, 1] != faces[keep][:, 1]
         own[turned] = own[turned][:, (0, 2, 1)]
         bend, points = None if raw.format == "STEP" else crease_angle, np.multiply(placed, scale, dtype=np.float64)
         mesh, replaced, merged = carried_normals(points, own, repaired.pairs, raw.normals, crease_angle=bend)
         warnings += replaced
     warnings += _vertex_warnings(raw, merged)
     _log.info("mesh of %s triangles", f"{len(mesh.faces):,}")
-    return LoadedMesh(mesh, tuple(warnings), raw.pieces, None if raw.piece is None else raw.piece[keep])
+    texture = None if raw.texture is None else raw.texture[keep]
+    if texture is not None:
+        texture[turned] = texture[turned][:, (0, 2, 1)]
+    piece = None if raw.piece is None else raw.piece[keep]
+    return LoadedMesh(mesh, tuple(warnings), raw.pieces, piece, texture)
 
 
 def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:
@@ -217,7 +222,7 @@ def smooth_normals(
         smooth = ~pairs.same_direction & (_bends(flat, pairs.corners) <= crease_angle + _ANGLE_ROUNDING)
         return flat, _join_corners(3 * len(faces), pairs.corners[smooth])
 
-    (flat, group), angles = side_by_side(groups, lambda: _corner_angles(vertices, faces))
+    (flat, group), angles = side_by_side(groups, lambda: corner_angles(vertices, faces))
     members = np.flatnonzero(group == np.arange(len(group), dtype=np.int32))
     number = np.empty(len(group), dtype=np.int32)
     number[members] = np.arange(len(members), dtype=np.int32)
@@ -324,7 +329,7 @@ def _join_corners(corner_count: int, pairs: Int32) -> Int32:
 
 
 @kernel
-def _corner_angles(vertices: Float64, faces: Int32) -> Float64:
+def corner_angles(vertices: Float64, faces: Int32) -> Float64:
     angles = np.empty((len(faces), 3))
     for f in range(len(faces)):
         for k in range(3):

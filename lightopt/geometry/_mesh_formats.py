@@ -48,6 +48,7 @@ class RawMesh:
     warnings: tuple[str, ...] = ()  # what was noticed while reading
     pieces: tuple[MeshPiece, ...] = ()  # where they were asked for
     piece: Int32 | None = None  # index of the piece of each face, shape (m,)
+    texture: Float64 | None = None  # u, v of the corners of each face, NaN where it has none, (m, 3, 2); with pieces
 
 
 def check_budget(name: str, triangles: int, max_triangles: int) -> None:
@@ -111,7 +112,7 @@ def _check_ascii_stl(name: str, data: bytes) -> int:
 def read_ply(name: str, data: bytes, max_triangles: int, *, pieces: bool = False) -> RawMesh:
     """Triangles of an ASCII or binary PLY file; polygons are cut into fans, vertex normals kept.
 
-    pieces: Whether to keep which triangles have which colour, by themselves or at two corners
+    pieces: Whether to keep which triangles have which colour, by themselves or at two corners, and texture coordinates
     """
     end = re.search(rb"^end_header[ \t]*\r?\n", data, re.MULTILINE)
     if not data.startswith(b"ply") or end is None:
@@ -140,6 +141,11 @@ def read_ply(name: str, data: bytes, max_triangles: int, *, pieces: bool = False
     if len(raw.vertices) != counts.get("vertex", 0) or len(raw.faces) < counts.get("face", 0):
         found = f"{len(raw.vertices)} vertices and {len(raw.faces)} triangles. The file is damaged; export it again"
         raise InputError(f"{name}: the PLY header announces {_listed(counts)}; found {found}")
+    if pieces and re.search(r"^property list \w+ \w+ texcoord\b", header, re.MULTILINE):
+        # trimesh gives a vertex the coordinates of one of its corners
+        of_faces = loaded["metadata"]["_ply_raw"]["face"]["data"]["texcoord"]
+        corners = np.asarray(of_faces if is_ascii else of_faces["f1"], np.float64)
+        raw = replace(raw, texture=corners.reshape(-1, 3, 2) if corners.shape == (len(raw.faces), 6) else None)
     return _coloured(raw, loaded) if pieces else raw
 
 
@@ -198,7 +204,7 @@ def _listed(counts: dict[str, int]) -> str:
 def read_obj(name: str, data: bytes, max_triangles: int, *, pieces: bool = False) -> RawMesh:
     """Triangles of a Wavefront OBJ file; polygons are cut into fans, vertex normals kept where all have them.
 
-    pieces: Whether to keep which triangles are of which object, group and material
+    pieces: Whether to keep which triangles are of which object, group and material, and texture coordinates
     """
     from trimesh.exchange.obj import load_obj
 
@@ -246,7 +252,7 @@ def _numbered_groups(data: bytes) -> tuple[bytes, dict[str, MeshPiece]]:
 def read_glb(name: str, data: bytes, max_triangles: int, *, pieces: bool = False) -> RawMesh:
     """Triangles of a binary glTF 2.0 file [m], all nodes in place, from Y up, as glTF is, to Z up: (x, −z, y).
 
-    pieces: Whether to keep which triangles are of which node, mesh and material
+    pieces: Whether to keep which triangles are of which node, mesh and material, and texture coordinates
     """
     tree, _ = split_glb(name, data)
     count = glb_triangle_count(name, tree)
@@ -303,6 +309,11 @@ def joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertice
         warnings = (f"{len(normals)} of {len(parts)} pieces of the {kind} file carry vertex normals: not used",)
     carried = np.concatenate(normals) if complete else None
     pieces = tuple(part["piece"] for part in parts if "piece" in part)
+    uvs = [getattr(part.get("visual"), "uv", part.get("texture")) for part in parts]
+    texture = None
+    if any(uv is not None for uv in uvs):
+        rows = [np.full((len(v), 2), np.nan) if uv is None else uv[:, :2] for uv, v in zip(uvs, vertices, strict=True)]
+        texture = np.concatenate(rows, dtype=np.float64)[np.concatenate(faces)]
     return RawMesh(
         np.concatenate(vertices),
         np.concatenate(faces),
@@ -312,6 +323,7 @@ def joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertice
         warnings,
         pieces,
         np.repeat(np.arange(len(parts), dtype=np.int32), [len(some) for some in faces]) if pieces else None,
+        texture,
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.errors import InputError
 from lightopt.geometry._load_mesh import LoadedMesh
+from lightopt.geometry._texture import TextureBrushing
 from lightopt.geometry._topology import merge_rows
 from lightopt.geometry._triangle_mesh import SurfaceFinder, TriangleMesh, face_normals
 
@@ -277,8 +278,14 @@ def _cut_sides(loaded: LoadedMesh, wanted: Bool, share: Callable[[Float64], Floa
         source += [some] * len(pattern)
     order = np.argsort(np.concatenate(source), kind="stable")
     all_faces = np.concatenate(faces)[order].astype(np.int32)
-    piece = None if loaded.piece is None else loaded.piece[np.concatenate(source)[order]]
-    return replace(loaded, mesh=TriangleMesh(vertices, all_faces, normals), piece=piece)
+    of = np.concatenate(source)[order]
+    piece = None if loaded.piece is None else loaded.piece[of]
+    brushing = tuple(
+        replace(own, source=own.source[of]) if isinstance(own, TextureBrushing) else own for own in mesh.brushing
+    )
+    return replace(
+        loaded, mesh=TriangleMesh(vertices, all_faces, normals, brushing=brushing), piece=piece, texture=None
+    )
 
 
 def _channels(colour: str) -> Index:

@@ -18,8 +18,8 @@ LEAST_SINE = 0.02  # sine of the angle between brushing and normal below which a
 class Brushing(Protocol):
     """A field of directions; their lengths and signs do not count."""
 
-    def along(self, points: Float64) -> Float64:
-        """Vectors along the brushing at points [mm], both of shape (k, 3); 0 where there is no direction."""
+    def along(self, points: Float64, face: Int32 | Index, /) -> Float64:
+        """Vectors along the brushing at points [mm] of some faces, shape (k, 3); 0 where there is no direction."""
         ...
 
     def moved(self, rotation: Float64, translation: Float64, /) -> "Brushing":
@@ -33,7 +33,7 @@ class StraightBrushing:
 
     direction: Float64
 
-    def along(self, points: Float64) -> Float64:
+    def along(self, points: Float64, _face: Int32 | Index) -> Float64:
         return np.broadcast_to(self.direction, points.shape)
 
     def moved(self, rotation: Float64, _translation: Float64) -> "StraightBrushing":
@@ -47,7 +47,7 @@ class RoundBrushing:
     point: Float64
     axis: Float64
 
-    def along(self, points: Float64) -> Float64:
+    def along(self, points: Float64, _face: Int32 | Index) -> Float64:
         # none on the axis itself
         return np.cross(self.axis, points - self.point)
 
@@ -64,7 +64,7 @@ class CurvedBrushing:
 
     corners: Float64
 
-    def along(self, points: Float64) -> Float64:
+    def along(self, points: Float64, _face: Int32 | Index) -> Float64:
         pieces = np.diff(self.corners, axis=0)
         pieces /= np.linalg.norm(pieces, axis=1, keepdims=True)
         at_corners = np.concatenate([pieces[:1], pieces[:-1] + pieces[1:], pieces[-1:]])
@@ -92,28 +92,6 @@ def _nearest_place(corners: Float64, points: Float64) -> tuple[Int32, Float64]:
             if dot(left, left) < least:
                 piece[i], share[i], least = j, along, dot(left, left)
     return piece, share
-
-
-def vectors_across(
-    brushing: tuple[Brushing | None, ...], material: UInt8 | None, points: Float64, normals: Float64
-) -> Float64:
-    """Unit tangents across the brushing; 0 where nothing is brushed or the brushing has no direction; shape (k, 3).
-
-    brushing: Of each material
-    material: Number of each point's, shape (k,); None for number 0
-    points, normals: [mm] and unit normals, shape (k, 3)
-    """
-    across = np.zeros(points.shape)
-    for number, own in enumerate(brushing):
-        if own is None:
-            continue
-        index = slice(None) if material is None else np.flatnonzero(material == number)
-        along = own.along(points[index])
-        size = np.linalg.norm(along, axis=1, keepdims=True)
-        aside = np.cross(normals[index], along / np.where(size > 0.0, size, 1.0))
-        sine = np.linalg.norm(aside, axis=1, keepdims=True)
-        across[index] = np.where(sine >= LEAST_SINE, aside / np.maximum(sine, LEAST_SINE), 0.0)
-    return across
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +143,17 @@ class TriangleMesh:
         """
         if not any(self.brushing):
             return None
-        return vectors_across(self.brushing, None if self.material is None else self.material[face], points, normals)
+        across = np.zeros(points.shape)
+        for number, own in enumerate(self.brushing):
+            if own is None:
+                continue
+            index = slice(None) if self.material is None else np.flatnonzero(self.material[face] == number)
+            along = own.along(points[index], face[index])
+            size = np.linalg.norm(along, axis=1, keepdims=True)
+            aside = np.cross(normals[index], along / np.where(size > 0.0, size, 1.0))
+            sine = np.linalg.norm(aside, axis=1, keepdims=True)
+            across[index] = np.where(sine >= LEAST_SINE, aside / np.maximum(sine, LEAST_SINE), 0.0)
+        return across
 
     @property
     def bounds(self) -> Float64:

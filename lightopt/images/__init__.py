@@ -17,6 +17,7 @@ from ._manifest import (
     MANIFEST_NAME,
     REPEATABILITY_KEY,
     ImageEntry,
+    ImageKey,
     Manifest,
     SourceFile,
     dark_name,

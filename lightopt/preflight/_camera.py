@@ -9,7 +9,7 @@ import numpy as np
 from lightopt.optics import depth_of_field
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, Level, percent
 from lightopt.rendering import too_few_pixels
-from lightopt.scene import blur_diameter, build_sensor, pixel_footprint, view_size
+from lightopt.scene import blur_diameter, build_sensor, motion_blur, pixel_footprint, view_size
 
 # a black level or a saturation level that costs more than this share of the full scale is worth a warning
 LOST_RANGE = 0.25
@@ -18,6 +18,7 @@ MOST_MAGNIFICATION, LEAST_PIXEL_UM = 20.0, 0.3  # beyond these a length has prob
 # what is blurred over more than a pixel is out of focus; a larger share of the surface seen is worth a warning
 FOCUS_PX, MOST_OUT_OF_FOCUS = 1.0, 0.05
 TABLE_TOLERANCE_MM = 1e-3
+MOST_MOTION_PX = 1.0  # of motion during exposure 1, above which it is worth a warning
 
 
 def check_lens(checked: CheckedRig) -> Iterator[Finding]:
@@ -144,6 +145,24 @@ def check_focus(checked: CheckedScene) -> Iterator[Finding]:
         if level == "warning":
             text += "; stop the aperture down, or change focus_distance_mm. Fits take all that is seen to be in focus"
         yield checked.of_posture(sample, level, "focus", text, largest_px=largest, out_of_focus_share=share)
+
+
+def check_motion(checked: CheckedScene) -> Iterator[Finding]:
+    """How far the part moves in the image while the camera exposes."""
+    motion = checked.scene.motion
+    if motion is None:
+        return
+    for sample in checked.samples:
+        path = motion_blur(checked.scene, sample.posture, sample.surface.points)
+        if not len(path):
+            continue
+        least, largest = float(path.min()), float(path.max())
+        text = f"the part moves {least:.3g} to {largest:.3g} px in the {1e3 * motion.exposure_s:.4g} ms of exposure 1"
+        level: Level = "warning" if largest > MOST_MOTION_PX else "ok"
+        if level == "warning":
+            text += f"; {MOST_MOTION_PX:g} px takes exposure {MOST_MOTION_PX / largest:.2g}. Fits and plans take the "
+            text += "part to be at rest"
+        yield checked.of_posture(sample, level, "motion", text, least_px=least, largest_px=largest)
 
 
 def check_part_in_view(checked: CheckedScene) -> Iterator[Finding]:

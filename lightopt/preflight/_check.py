@@ -34,6 +34,7 @@ SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
     _part.check_brushing,
     _camera.check_depth,
     _camera.check_focus,
+    _camera.check_motion,
     _camera.check_part_in_view,
     _camera.check_pixels,
     _camera.check_below_table,

@@ -176,7 +176,7 @@ def check_regions(checked: CheckedScene) -> Iterator[Finding]:
 
 
 def check_brushing(checked: CheckedScene) -> Iterator[Finding]:
-    """How much of a brushed surface in view has no direction, since the brushing is along its normal."""
+    """How much of a brushed surface in view has no direction: brushing along its normal, or no place in the texture."""
     for number, own in enumerate(checked.scene.reflectances):
         if own.model.across_ratio == 1.0:
             continue
@@ -193,6 +193,8 @@ def check_brushing(checked: CheckedScene) -> Iterator[Finding]:
         text = f"the lobe is {own.model.across_ratio:.3g} times as wide across the brushing; it has a direction on "
         text += f"{percent(1.0 - share)} of this surface in view"
         if share > _WITHOUT_DIRECTION:
-            text += ", and is along the normal on the rest: directions are in the mesh file's coordinates"
+            by_texture = isinstance(checked.scene.mesh.brushing[number], geometry.TextureBrushing)
+            along = "it is along the normal: directions are in the mesh file's coordinates"
+            text += f"; on the rest {'the texture coordinates have none' if by_texture else along}"
         kind = "warning" if share > _WITHOUT_DIRECTION else "ok"
         yield Finding(kind, "brushing", text, checked.part.source.at(*keys, "brushing"), {"share": 1.0 - share})

@@ -9,6 +9,7 @@ from ._image_set import (
 )
 from ._images import (
     Geometry,
+    LightImage,
     PostureImages,
     cast_rays_at as cast_rays_at,
     rays_of_images,

@@ -7,8 +7,10 @@ into single pixels.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.kernels import kernel
@@ -76,8 +78,13 @@ def bounced_bands(
         at.ravel()[hits.ray] = np.arange(len(surface), dtype=np.int32)
         passed = lens_share(camera, columns[hits.ray % len(columns)], rows[hits.ray // len(columns)])
         pixels = []
+        mirrors = light.mirrors_housing(surface)
         for worked_out in (light.diffuse, light.specular):
-            values = _over_materials(surface, at, worked_out, threads)
+            apart = surface.material
+            if mirrors is not None and pixels:
+                # the edge of a housing in a mirror is as sharp as the border of a region
+                apart = mirrors if apart is None else 2 * apart.astype(np.int16) + mirrors
+            values = _over_regions(surface, at, apart, worked_out, threads)
             if landed and not pixels:
                 values += caustic_levels(landed, camera, surface, at, (columns[0], rows[0]), 1.0 / n)
             samples = np.zeros((len(values), *at.shape))
@@ -87,15 +94,19 @@ def bounced_bands(
         yield Band(first, end, left, *pixels)
 
 
-def _over_materials(
-    surface: SurfacePoints, at: Int32, worked_out: Callable[[SurfacePoints, int | None], Float64], threads: int | None
+def _over_regions(
+    surface: SurfacePoints,
+    at: Int32,
+    region: NDArray[Any] | None,
+    worked_out: Callable[[SurfacePoints, int | None], Float64],
+    threads: int | None,
 ) -> Float64:
     # levels of all points of a grid, shape (lights, k); nothing is interpolated across the border of a region
-    if surface.material is None or not len(surface):
+    if region is None or not len(surface):
         return _over_squares(surface, at, worked_out, threads)
     parts: list[tuple[Index, Float64]] = []
-    for number in np.unique(surface.material):
-        index = np.flatnonzero(surface.material == number)
+    for number in np.unique(region):
+        index = np.flatnonzero(region == number)
         own = np.full(len(surface) + 1, -1, np.int32)  # at −1: none
         own[index] = np.arange(len(index), dtype=np.int32)
         parts.append((index, _over_squares(surface.take(index), own[at], worked_out, threads)))

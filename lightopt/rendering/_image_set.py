@@ -1,8 +1,8 @@
 """From two YAML files to an image set on disk."""
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ from lightopt.core.run_context import RunContext, part_of
 from lightopt.core.threads import BackgroundTasks
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
-from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
+from lightopt.images import ImageEntry, ImageKey, ImageSetWriter, Manifest, SourceFile
 from lightopt.lights import PanelLight
 from lightopt.optics import expose, image_rng
 from lightopt.rendering._images import LightImage, PostureImages, cast_rays_at, rays_of_images, render_posture
@@ -45,7 +45,8 @@ class RenderOptions:
     lights: tuple[str, ...] | None = None  # names of the lights to render; all by default
     postures: tuple[Posture, ...] | None = None
     points: int | Literal["auto"] | None = None  # point lights per panel, instead of the rig's
-    exposures: tuple[float, ...] = (1.0,)  # exposures of the camera's PNGs; the linear images are at exposure 1
+    # exposures of the camera's PNGs; the linear images are at exposure 1, of a part that moves as in the longest one
+    exposures: tuple[float, ...] = (1.0,)
     noise: int | None = None  # seed of the sensor's noise in the PNGs; None for none
     layers: bool = False  # whether the EXRs get the diffuse and the specular component as channels of their own
     shadows: bool = True  # whether the part casts shadows on itself
@@ -140,24 +141,27 @@ def render_image_set(
     with BackgroundTasks() as packing, BackgroundTasks() as disk:
         if not writer.file_done():
             packing.add(writer.add_patches, table.arrays())
-        for number, posture in enumerate(scene.postures):
-            todo = [key for key in plan if key[1] == posture and not writer.done(*key)]
+        rounds = [(posture, exposure) for posture in scene.postures for exposure in _blurred_apart(scene, plan)]
+        for number, (posture, exposure) in enumerate(rounds):
+            todo = [key for key in plan if key[1] == posture and exposure in (None, key[2]) and not writer.done(*key)]
             if not todo and writer.geometry_done(posture):
                 continue
             stage = run.stage(f"rendering {posture.elevation_deg:g},{posture.rotation_deg:g}")
             assert caster is not None
+            names = {key[0] for key in todo}
             images = render_posture(
-                scene,
+                scene if exposure is None else replace(scene, lights=tuple(x for x in scene.lights if x.name in names)),
                 posture,
                 caster=caster,
                 patches=table.patches,
+                exposure=exposure,
                 threads=run.threads,
-                progress=part_of(stage, number / len(scene.postures), (number + 1) / len(scene.postures)),
+                progress=part_of(stage, number / len(rounds), (number + 1) / len(rounds)),
                 **_chosen(options, "shadows", "supersample", "layers"),
             )
             rays += images.rays
             packing.check()
-            if number + 1 == len(scene.postures):
+            if number + 1 == len(rounds):
                 # its hierarchy takes as much memory as writing does; freed where no Ctrl-C arrives, which would be lost
                 last, caster = [caster], None
                 disk.add(last.clear)
@@ -167,7 +171,7 @@ def render_image_set(
                     f"posture {posture}: {counted(images.back_faces, 'pixel')} on the back of a face, black; the mesh "
                     "is open or its winding is wrong there"
                 )
-            _write_posture(disk, writer, scene, images, options, rig)
+            _write_posture(disk, writer, scene, images, todo, [light.name for light in rig.lights], options.noise)
             if images.geometry.hit.size > WRITTEN_AT_ONCE:
                 disk.wait()
     return RenderedSet(
@@ -179,6 +183,12 @@ def render_image_set(
         replaced=writer.replaced,
         warnings=tuple(warnings),
     )
+
+
+def _blurred_apart(scene: Scene, plan: Sequence[ImageKey]) -> Sequence[float | None]:
+    # exposures that are rendered one by one, as those of a part that moves differ: the longest, which the linear image
+    # is of, before the others
+    return (None,) if scene.motion is None else sorted({key[2] for key in plan}, reverse=True)
 
 
 def _chosen(options: RenderOptions, *names: str) -> dict[str, Any]:
@@ -247,22 +257,21 @@ def _write_posture(
     writer: ImageSetWriter,
     scene: Scene,
     images: PostureImages,
-    options: RenderOptions,
-    rig: RigConfig,
+    todo: Sequence[ImageKey],
+    numbered: Sequence[str],
+    noise: int | None,
 ) -> None:
-    """Have written what the folder lacks of a posture: its geometry, and an image per light and exposure.
+    """Have written what the folder lacks of a posture: its geometry, and the images of `todo`.
 
-    rig: The order of its lights numbers their noise
+    numbered: Names of the rig's lights, whose order numbers their noise
+    noise: Seed
     """
-    posture = images.posture
-    if not writer.geometry_done(posture):
+    if not writer.geometry_done(images.posture):
         disk.add(_add_geometry, writer, images)
-    names = [light.name for light in rig.lights]
-    for light, image in zip(scene.lights, images.lights, strict=True):
-        for exposure in rig.exposures(light.name, options.exposures):
-            if not writer.done(light.name, posture, exposure):
-                seeds = None if options.noise is None else (options.noise, names.index(light.name))
-                disk.add(_add_image, writer, scene, images, light, image, exposure, seeds)
+    lights, levels = ({one.name: one for one in scene.lights}, {one.light: one for one in images.lights})
+    for name, _, exposure in todo:
+        seeds = None if noise is None else (noise, numbered.index(name))
+        disk.add(_add_image, writer, scene, images, lights[name], levels[name], exposure, seeds)
 
 
 def _add_geometry(writer: ImageSetWriter, images: PostureImages) -> None:

@@ -33,7 +33,8 @@ from lightopt.rendering._converged_panel import (
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._direct_view import direct_levels
 from lightopt.rendering._interreflection import PartLight
-from lightopt.rendering._lens_means import TYPICAL_VIEWS, lens_means
+from lightopt.rendering._lens_means import TYPICAL_VIEWS, Images, Sums, added, lens_means
+from lightopt.rendering._motion import exposure_instants
 from lightopt.rendering._penumbra_squares import SIDES
 from lightopt.rendering._surface import PointRows, SurfacePoints, trace_samples
 from lightopt.scene import Scene, lens_share, screen_window, through_lens, view_from_part
@@ -113,7 +114,8 @@ def cast_rays_at(scene: Scene, *, rays: float = math.inf) -> RayCaster:
 
 def rays_of_images(scene: Scene, *, supersample: int = 1) -> float:
     """About how many rays the images of all postures take, of a part that fills the view."""
-    if scene.camera.lens is not None or any(light.points == "auto" for light in scene.lights):
+    mean = scene.camera.lens is not None or scene.motion is not None
+    if mean or any(light.points == "auto" for light in scene.lights):
         return math.inf
     # blocker maps leave about as many shadow rays as there are camera rays
     return 2.0 * len(scene.postures) * scene.camera.width * scene.camera.height * supersample**2
@@ -130,8 +132,8 @@ def render(
 ) -> Iterator[PostureImages]:
     """Render all postures of a scene under all its lights, one posture after the other; its defects are shown.
 
-    A lens of finite aperture averages over its area and that of each pixel: then `supersample` only says from how many
-    rays at least, n².
+    A part that moves is blurred as during exposure 1. A lens of finite aperture averages over its area and that of each
+    pixel: then `supersample` only says from how many rays at least, n².
 
     scene: From :func:`lightopt.scene.build_scene`
     shadows: Whether the part casts shadows on itself
@@ -156,6 +158,7 @@ def render(
             supersample=supersample,
             layers=layers,
             patches=patches,
+            exposure=1.0,
             threads=threads,
         )
 
@@ -170,6 +173,7 @@ def render_posture(
     layers: bool = False,
     patches: Patches | None = None,
     averaged: Bool | None = None,
+    exposure: float | None = None,
     threads: int | None = None,
     progress: Share | None = None,
 ) -> PostureImages:
@@ -179,18 +183,14 @@ def render_posture(
 
     averaged: Pixels, shape (height, width), that get the mean over their area, to a small share of the camera's noise,
         from a ray at each centre and more rays only where levels are not smooth; with `supersample` 1
+    exposure: Of the images, whose levels are at exposure 1: a part that moves is blurred as during this exposure; None
+        for a part at rest
     """
     before = caster.rays_cast
-    if scene.camera.lens is None:
-        how: dict[str, Any] = {"supersample": supersample, "patches": patches, "averaged": averaged}
-        job = _PostureJob(scene, posture, caster, shadows=shadows, layers=layers, **how)
-        images = job.run(threads, progress)
-    else:
-        lens: dict[str, Any] = {"least": supersample**2, "threads": threads, "progress": progress}
-        images = _through_lens(scene, posture, caster, shadows=shadows, layers=layers, **lens)
-        # what its middle looks at
-        job = _PostureJob(replace(scene, lights=()), posture, caster, patches=patches)
-        job.run(threads)
+    how: dict[str, Any] = {"shadows": shadows, "supersample": supersample, "layers": layers, "averaged": averaged}
+    images, job = _render(
+        scene, posture, caster, patches=patches, exposure=exposure, threads=threads, progress=progress, **how
+    )
     assert job.geometry is not None
     return PostureImages(
         posture=posture,
@@ -202,12 +202,17 @@ def render_posture(
 
 
 def render_lights(
-    scene: Scene, posture: Posture, *, caster: RayCaster, averaged: Bool | None = None, threads: int | None = None
+    scene: Scene,
+    posture: Posture,
+    *,
+    caster: RayCaster,
+    averaged: Bool | None = None,
+    exposure: float | None = None,
+    threads: int | None = None,
 ) -> tuple[LightImage, ...]:
     """The images of :func:`render_posture` alone, without what each pixel looks at."""
-    if scene.camera.lens is not None:
-        return _through_lens(scene, posture, caster, threads=threads)
-    return _PostureJob(scene, posture, caster, averaged=averaged, geometry=False).run(threads)
+    how: dict[str, Any] = {"averaged": averaged, "geometry": False}
+    return _render(scene, posture, caster, exposure=exposure, threads=threads, **how)[0]
 
 
 def render_pixels(scene: Scene, posture: Posture, pixels: Index, *, caster: RayCaster) -> PixelLevels:
@@ -223,31 +228,54 @@ def render_pixels(scene: Scene, posture: Posture, pixels: Index, *, caster: RayC
     return PixelLevels(**{name: np.concatenate([getattr(one, name) for one in parts], axis=1) for name in names})
 
 
-def _through_lens(
+def _render(
     scene: Scene,
     posture: Posture,
     caster: RayCaster,
     *,
-    shadows: bool = True,
-    layers: bool = False,
-    least: int = 1,
+    exposure: float | None,
+    patches: Patches | None = None,
+    geometry: bool = True,
+    supersample: int = 1,
+    averaged: Bool | None = None,
     threads: int | None = None,
     progress: Share | None = None,
-) -> tuple[LightImage, ...]:
-    # `least`: number of views at least
-    names = ("level", "diffuse", "specular") if layers else ("level",)
-    counter = WorkCounter(TYPICAL_VIEWS, progress)
+    **how: Any,
+) -> tuple[tuple[LightImage, ...], _PostureJob]:
+    # images, and the job that knows what pixels look at through the middle of the lens in the middle of the exposure
+    lens, motion = scene.camera.lens, None if exposure is None else scene.motion
+    how |= {} if lens else {"supersample": supersample, "averaged": averaged}
+    if lens is None and motion is None:
+        job = _PostureJob(scene, posture, caster, patches=patches, geometry=geometry, **how)
+        return job.run(threads, progress), job
+    job = _PostureJob(replace(scene, lights=()), posture, caster, patches=patches)
+    if geometry or motion is not None:
+        job.run(threads)
+    instants, seconds = np.zeros(1), 0.0
+    if motion is not None and exposure is not None:
+        assert job.geometry is not None
+        points = (job.geometry.points[job.geometry.hit] - job.view.translation) @ job.view.rotation
+        instants, seconds = exposure_instants(scene, posture, points, exposure=exposure), exposure * motion.exposure_s
+    counter = WorkCounter(TYPICAL_VIEWS if lens else len(instants), progress)
 
-    def render_view(place: Float64, offset: Float64) -> list[dict[str, Float32]]:
-        seen = replace(scene, camera=through_lens(scene.camera, place))
-        job = _PostureJob(seen, posture, caster, shadows=shadows, layers=layers, geometry=False, offset=offset)
-        images = job.run(threads)
+    def render_at(after: float, seen: Scene = scene, offset: Float64 | None = None) -> Images:
+        images = _PostureJob(seen, posture, caster, geometry=False, seconds=after, offset=offset, **how).run(threads)
         counter.add(1)
         counter.report()
-        return [{name: getattr(image, name) for name in names} for image in images]
+        names = ("level", "diffuse", "specular", "inside")
+        return [{name: own for name in names if (own := getattr(image, name)) is not None} for image in images]
 
-    means = lens_means(render_view, scene, least=least)
-    return tuple(LightImage(light=light.name, **mean) for light, mean in zip(scene.lights, means, strict=True))
+    def render_view(place: Float64, offset: Float64, share: float) -> Images:
+        return render_at(share * seconds, replace(scene, camera=through_lens(scene.camera, place)), offset)
+
+    if lens is None:
+        sums: Sums = []
+        for after in instants.tolist():
+            sums = added(sums, render_at(after))
+        means = [{name: (total / len(instants)).astype(np.float32) for name, total in one.items()} for one in sums]
+    else:
+        means = lens_means(render_view, scene, least=max(supersample**2, len(instants)))
+    return tuple(LightImage(light=light.name, **mean) for light, mean in zip(scene.lights, means, strict=True)), job
 
 
 class _RaysInside(NamedTuple):
@@ -277,9 +305,10 @@ class _PostureJob:
         averaged: Bool | None = None,
         geometry: bool = True,
         offset: Float64 | None = None,  # of the samples from their pixels' centres, to the right and down [px]
+        seconds: float = 0.0,  # after the middle of the exposure, for a part that moves [s]
     ) -> None:
         self.scene, self.posture, self.caster = scene, posture, caster
-        self.view = view = view_from_part(scene, posture)
+        self.view = view = view_from_part(scene, posture, seconds=seconds)
         self.offset = np.zeros(2) if offset is None else offset
         self.shadow_caster = caster if shadows else None
         self.supersample, self.patches = supersample, patches
@@ -328,7 +357,7 @@ class _PostureJob:
             for image in self.images:
                 assert image.inside is not None
                 image.inside[:] -= image.level
-        if self.images and (self.scene.bounces or self.scene.environment):
+        if self.images and (self.scene.bounces or self.scene.is_surrounded):
             self.add_bounces(threads)
         for number, level in direct_levels(view, self.scene.mesh, caster, threads=threads):
             self.images[number].level[:] += level
@@ -479,7 +508,8 @@ class _PostureJob:
 
     def add_bounces(self, threads: int) -> None:
         """Add the light that reaches the camera from the part, or its surroundings, by way of the part."""
-        light = PartLight.of_scene(self.scene, self.view.lights, self.caster, shadows=self.shadow_caster is not None)
+        around: dict[str, Any] = {"housings": self.view.housings, "shadows": self.shadow_caster is not None}
+        light = PartLight.of_scene(self.scene, self.view.lights, self.caster, **around)
 
         def trace(columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
             hits, surface = self._trace(columns, rows)

@@ -5,9 +5,9 @@ images are, seen from where the rays begin. The numbers of rays double until the
 
     I(v) = 1/(π·W) ∫ (R_d N·l + R_s / cosθ_o · exp(−δ²/(2σ²))) · I₂(l) dω
 
-I₂ is the level that the other surface shows in direction −l, or the surroundings' level, and W the white level
-(:mod:`lightopt.optics._albedo`). Directions are those of cells of a unit square, which are divided where levels differ.
-Nothing is random: the same scene gives the same bytes.
+I₂ is the level that the other surface shows in direction −l, or that of a light's housing or the surroundings. W is the
+white level (:mod:`lightopt.optics._albedo`). Directions are those of cells of a unit square, which are divided where
+levels differ. Nothing is random: the same scene gives the same bytes.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from functools import cached_property
 
 import numpy as np
 
-from lightopt.core.arrays import Float64, Index
+from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
-from lightopt.core.vectors import Vector, dot, minus, plus, scaled, vector_at
+from lightopt.core.vectors import Vector, dot, length, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster, resolve_hits
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import (
@@ -42,7 +42,7 @@ from lightopt.optics import (
 )
 from lightopt.rendering._converged_panel import ConvergedPanel, converged_panel, isolated_levels
 from lightopt.rendering._surface import PointRows, SurfacePoints, surface_at
-from lightopt.scene import Scene
+from lightopt.scene import Housings, Scene
 
 # cells of the unit square of (u, turn), from which directions are made, with a first ray through the middle of each
 LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (6, 8), (2, 4)
@@ -61,6 +61,7 @@ _SCATTER = 1e3  # by which places are multiplied for starts of the sequence [1/m
 # directions of rays from some of the points, shape (rays, 3), and weights, 0 where nothing is gathered
 _Rays = Callable[[PointRows, Index, Float64, Float64], tuple[Float64, Float64]]
 _Levels = Callable[[SurfacePoints], Float64]
+_Places = tuple[Index, Float64, Float64, Float64]  # of rays: point, u, turn, and angle to the rays beside it [rad]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -71,28 +72,56 @@ class PartLight:
     caster: RayCaster
     blocker: RayCaster | None  # for shadows; None for none
     lights: Sequence[PanelLight | ConvergedPanel]  # part frame, from :meth:`of_scene`
+    housings: Housings | None = None  # part frame
 
     @classmethod
     def of_scene(
-        cls, scene: Scene, lights: Sequence[PanelLight], caster: RayCaster, *, shadows: bool = True
+        cls,
+        scene: Scene,
+        lights: Sequence[PanelLight],
+        caster: RayCaster,
+        *,
+        housings: Housings | None = None,
+        shadows: bool = True,
     ) -> PartLight:
         """That of a scene's part.
 
         lights: Part frame; panels get places that the lobe cannot tell apart or, where these are too many, are whole
+        housings: Part frame
         """
         mirrored = [_mirrored_light(light, scene.sharpest.sigma, caster) for light in lights]
-        return cls(scene=scene, caster=caster, blocker=caster if shadows else None, lights=mirrored)
+        blocker = caster if shadows else None
+        return cls(scene=scene, caster=caster, blocker=blocker, lights=mirrored, housings=housings)
 
     @cached_property
     def white(self) -> float:
         """White level of the part [grey level]."""
         return white_level(self.scene.reflectances[0])
 
-    @property
-    def surroundings(self) -> Float64:
-        """Level of the surroundings under each light, shape (lights,)."""
+    @cached_property
+    def weights(self) -> Float64:
+        """Of each light, to which its surroundings' level is proportional, shape (lights,)."""
         lights = (one.light if isinstance(one, ConvergedPanel) else one for one in self.lights)
-        return np.array([self.scene.environment * light.total_weight for light in lights])
+        return np.array([light.total_weight for light in lights])
+
+    def surroundings(self, origins: Float64, directions: Float64, width: Float64) -> Float64:
+        """Levels that rays meet which go by the part, under a light of weight 1, shape (k,).
+
+        width: Angle between each ray and those beside it, over which edges of housings are spread [rad], shape (k,)
+        """
+        around, own = self.scene.environment, self.housings
+        if own is None:
+            return np.full(len(origins), around)
+        return around + (own.level - around) * _share_on_rectangles(own.rectangles, origins, directions, width)
+
+    def mirrors_housing(self, surface: SurfacePoints) -> Bool | None:
+        """Whether points would mirror a housing to their views, shape (k,); None without housings."""
+        if self.housings is None:
+            return None
+        cosines = np.einsum("ij,ij->i", surface.normals, surface.views)[:, None]
+        mirrored = 2.0 * cosines * surface.normals - surface.views
+        sharp = np.zeros(len(surface))
+        return _share_on_rectangles(self.housings.rectangles, surface.points, mirrored, sharp) > 0.5
 
     def diffuse(self, surface: SurfacePoints, threads: int | None = None) -> Float64:
         """What diffuse reflection adds to the levels of points, about its error, and glints, shape (3, lights, k).
@@ -127,26 +156,29 @@ class PartLight:
         step, area = max(1, _RAYS_AT_ONCE // (cells[0] * cells[1])), 1.0 / (cells[0] * cells[1])
         if not by_lobe and self.scene.bounces > 1:
             # light of the surroundings is no glint, however bright these are
-            most = MOST_OF_A_RAY + 2.0 * factor * area * float(self.surroundings.max(initial=0.0))
+            around = max(self.scene.environment, 0.0 if self.housings is None else self.housings.level)
+            most = MOST_OF_A_RAY + 2.0 * factor * area * around * float(self.weights.max(initial=0.0))
         # what the lobe throws on diffuse surface are caustics
         shown = self.scene.reflectances
         if not by_lobe:
             shown = tuple(replace(one, R_s=0.0, sigma=1e-3, model=SpecularModel()) for one in shown)
-        # half vectors turn by half of what directions do between rays
-        of_lobe = 16.0 * math.pi * (SPREAD * own.sigma) ** 2
-        angle = 0.5 * math.sqrt(area * (of_lobe if by_lobe else 2.0 * math.pi))
+        angle = _turn_between_rays(own, cells, by_lobe=by_lobe)
 
         def chunk(start: int) -> Float64:
             some = surface.take(slice(start, start + step))
             point, u, turn = _cells(len(some), cells)
-            values, near = factor * self._seen(some, rays, point, u, turn, lambda met: self._hints(met, shown, angle))
+            wide = np.full(len(point), 2.0 * angle)
+            values, near = factor * self._seen(
+                some, rays, (point, u, turn, wide), lambda met: self._hints(met, shown, angle)
+            )
             limit = CHANGE + RELATIVE_CHANGE * area * _sums(point, values, len(some))
             spread = np.maximum(_differences(values.reshape(-1, len(some), *cells)).reshape(values.shape), near)
             off = area * np.max(spread / limit[:, point], axis=0)
             sides = np.clip(np.ceil(off ** (2.0 / 3.0)), np.where(off > LEAST_SHARE, 2, 1), MOST_SIDES).astype(np.intp)
             cell, u, turn = _divided(some.points, point, u, turn, sides, cells)
+            places = point[cell], u, turn, 2.0 * angle / sides[cell]
             (values,) = factor * self._seen(
-                some, rays, point[cell], u, turn, lambda met: self._levels(met, self.scene.bounces, shown)
+                some, rays, places, lambda met: self._levels(met, self.scene.bounces, shown)
             )
             number = sides[cell] ** 2
             added = area * values / number
@@ -167,18 +199,17 @@ class PartLight:
         chunks = in_threads(chunk, range(0, len(surface), step), threads)
         return np.concatenate([np.zeros((3, len(self.lights), 0)), *chunks], axis=2)
 
-    def _seen(
-        self, surface: SurfacePoints, rays: _Rays, point: Index, u: Float64, turn: Float64, levels: _Levels
-    ) -> Float64:
+    def _seen(self, surface: SurfacePoints, rays: _Rays, places: _Places, levels: _Levels) -> Float64:
         # weight times the levels that a ray from each of the points meets, shape (arrays of levels, lights, rays)
-        ends = [slice(start, start + _RAYS_AT_ONCE) for start in range(0, max(1, len(point)), _RAYS_AT_ONCE)]
-        parts = [self._seen_at_once(surface, rays, point[own], u[own], turn[own], levels) for own in ends]
+        count = max(1, len(places[0]))
+        ends = [slice(start, start + _RAYS_AT_ONCE) for start in range(0, count, _RAYS_AT_ONCE)]
+        point, u, turn, width = places
+        parts = [self._seen_at_once(surface, rays, (point[own], u[own], turn[own], width[own]), levels) for own in ends]
         return np.concatenate(parts, axis=2)
 
-    def _seen_at_once(
-        self, surface: SurfacePoints, rays: _Rays, point: Index, u: Float64, turn: Float64, levels: _Levels
-    ) -> Float64:
+    def _seen_at_once(self, surface: SurfacePoints, rays: _Rays, places: _Places, levels: _Levels) -> Float64:
         end_if_stopped()
+        point, u, turn, width = places
         directions, weights = rays(surface.rows, point, u, turn)
         own = np.flatnonzero(weights > 0.0)
         origins, ways = surface.points[point[own]], directions[own]
@@ -188,7 +219,7 @@ class PartLight:
         other = surface_at(hits, self.scene.mesh, hits.points - directions[met], outside=surface.outside)
         found = levels(other)
         seen = np.zeros((*found.shape[:2], len(point)))
-        seen[0][:, own] = self.surroundings[:, None]
+        seen[0][:, own] = self.weights[:, None] * self.surroundings(origins, ways, width[own])
         seen[..., met] = found
         return seen * weights
 
@@ -210,18 +241,25 @@ class PartLight:
         if not bounces:
             return np.zeros((1, len(self.lights), len(surface)))
         levels = isolated_levels(surface, self.lights, shown, self.blocker, penumbrae=False)[None]
-        if surface.front.any() and (bounces > 1 or self.scene.environment):
+        if surface.front.any() and (bounces > 1 or self.scene.is_surrounded):
             seen_from_front = np.flatnonzero(surface.front)
             for index, some, own in surface.take(seen_from_front).by_material(self.scene.reflectances):
                 nodes = _cells(len(some), NESTED_CELLS)
                 for by_lobe in (False, True):
                     factor, rays = self._ways(own, by_lobe=by_lobe)
+                    width = np.full(len(nodes[0]), 2.0 * _turn_between_rays(own, NESTED_CELLS, by_lobe=by_lobe))
                     seen = self._seen(
-                        some, rays, *nodes, lambda met: self._levels(met, bounces - 1, self.scene.reflectances)
+                        some, rays, (*nodes, width), lambda met: self._levels(met, bounces - 1, self.scene.reflectances)
                     )
                     mean = seen.reshape(len(self.lights), len(some), -1).mean(axis=2)
                     levels[0][:, seen_from_front[index]] += factor * mean
         return levels
+
+
+def _turn_between_rays(own: Reflectance, cells: tuple[int, int], *, by_lobe: bool) -> float:
+    # of half vectors, which turn by half of what directions do [rad]
+    whole = 16.0 * math.pi * (SPREAD * own.sigma) ** 2 if by_lobe else 2.0 * math.pi
+    return 0.5 * math.sqrt(1.0 / (cells[0] * cells[1]) * whole)
 
 
 def _mirrored_light(light: PanelLight, sigma: float, caster: RayCaster) -> PanelLight | ConvergedPanel:
@@ -234,6 +272,27 @@ def _mirrored_light(light: PanelLight, sigma: float, caster: RayCaster) -> Panel
     whole = replace(light, points="auto", normalisation="mean", gain=light.total_weight)
     cells = k if k <= MOST_POINTS else 0
     return replace(converged_panel(whole, centre=caster.centre, radius=caster.radius), cells=cells)
+
+
+@kernel
+def _share_on_rectangles(rectangles: Float64, origins: Float64, directions: Float64, width: Float64) -> Float64:
+    # how much of each ray, which is as wide as an angle [rad], meets rectangles, as those of housings
+    share = np.zeros(len(origins))
+    for i in range(len(origins)):
+        origin, way = vector_at(origins, i), vector_at(directions, i)
+        for rectangle in rectangles:
+            towards, normal = minus(vector_at(rectangle, 0), origin), vector_at(rectangle, 1)
+            facing, height = dot(way, normal), dot(towards, normal)
+            if facing * height > 0.0:
+                reach, met = height / facing, 1.0
+                place = minus(scaled(way, reach), towards)
+                for axis in range(2, 4):
+                    side = vector_at(rectangle, axis)
+                    at, half = dot(place, side), 0.5 * max(1e-9, width[i] * reach * length(way) * length(side))
+                    met *= max(0.0, min(1.0, at + half) - max(-1.0, at - half)) / (2.0 * half)
+                share[i] += met
+        share[i] = min(1.0, share[i])
+    return share
 
 
 @kernel

@@ -22,26 +22,36 @@ FIRST_VIEWS, TYPICAL_VIEWS, MOST_VIEWS = 4, 16, 256
 MOST_CHANGED = 0.005
 
 Images = list[dict[str, Float32]]  # the image of each light: its level and, with layers, its components [grey level]
+Sums = list[dict[str, Float64]]  # of such images
+
+_GOLDEN = 0.6180339887498949  # multiples of it, modulo 1, are well spread, however many they are
 
 
-def lens_means(render_view: Callable[[Float64, Float64], Images], scene: Scene, *, least: int = 1) -> Images:
+def added(sums: Sums, images: Images) -> Sums:
+    """Sums with images added to them; an empty list becomes the sums of these alone."""
+    sums = sums or [{name: np.zeros(level.shape) for name, level in one.items()} for one in images]
+    for total, one in zip(sums, images, strict=True):
+        for name, level in one.items():
+            total[name] += level
+    return sums
+
+
+def lens_means(render_view: Callable[[Float64, Float64, float], Images], scene: Scene, *, least: int = 1) -> Images:
     """Mean over views through well-spread places of the lens, each with rays at another place of the pixels.
 
-    render_view: Of a place in the unit disc of the lens and of an offset from the pixels' centres [px], shapes (2,)
+    render_view: Of a place in the unit disc of the lens and of an offset from the pixels' centres [px], shapes (2,),
+        at an instant, in exposure times after the exposure's middle
     scene: With the camera and the sensor
     least: Number of views at least
     """
     places, offsets = pupil_points(MOST_VIEWS)
-    sums: list[dict[str, Float64]] = []
+    sums: Sums = []
     count, changed = 0, 1.0
     while count < MOST_VIEWS and (count < least or changed > MOST_CHANGED):
         before = [one["level"] / count for one in sums]
         for number in range(count, max(2 * count, FIRST_VIEWS)):
-            images = render_view(places[number], offsets[number])
-            sums = sums or [{name: np.zeros(level.shape) for name, level in one.items()} for one in images]
-            for total, one in zip(sums, images, strict=True):
-                for name, level in one.items():
-                    total[name] += level
+            instant = (0.5 + number * _GOLDEN) % 1.0 - 0.5
+            sums = added(sums, render_view(places[number], offsets[number], instant))
         count = max(2 * count, FIRST_VIEWS)
         if before:
             shares = [_changed(old, one["level"] / count, scene) for old, one in zip(before, sums, strict=True)]

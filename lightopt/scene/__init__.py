@@ -38,5 +38,16 @@ from ._defects import angle_outside_range, build_catalogue, defect_facts, place_
 from ._image_area import area_in_view, lights_meet, obstructions
 from ._lights import display_picture
 from ._point_spacing import coarse_points, coarse_warnings, like_panels, point_spacing, points_advice
-from ._scene import PartView, Placement, Scene, move_part, scene_of_region, view_from_part, with_reflectances
+from ._scene import (
+    Housings,
+    Motion,
+    PartView,
+    Placement,
+    Scene,
+    motion_blur,
+    move_part,
+    scene_of_region,
+    view_from_part,
+    with_reflectances,
+)
 from ._stage import VIRTUAL_DEG_PER_S, Stage, pace_text, travel_order, travel_s

@@ -17,12 +17,13 @@ from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
 from lightopt.optics import DiffuseForm, Reflectance, Sensor, SpecularModel, least_white_level, white_level
 from lightopt.scene import _camera as cameras
+from lightopt.scene._brushing import brushings, faces_without_direction, with_brushing
 from lightopt.scene._defects import outside_stage_range, place_defects
 from lightopt.scene._image_area import obstructions
-from lightopt.scene._lights import build_lights
+from lightopt.scene._lights import build_housings, build_lights
 from lightopt.scene._reflectance_table import table_lobes
 from lightopt.scene._regions import mesh_of_regions
-from lightopt.scene._scene import PartRegion, Placement, Scene, view_from_part
+from lightopt.scene._scene import Motion, PartRegion, Placement, Scene, view_from_part
 from lightopt.scene._stage import Stage
 
 CHORD_TOLERANCE_MM = 0.01
@@ -63,7 +64,9 @@ def build_scene(
     # lights that are off stand there, too
     camera = replace(camera, obstructions=obstructions(camera, build_lights(rig) if lights else placed))
     mesh, placement, warnings = _mesh(part, cameras.pixel_footprint(camera, rig.camera.distance_mm))
-    reflectance, regions = _reflectances(part, seen=bounces > 0 or rig.environment.level > 0.0)
+    housings = build_housings(rig)
+    surrounded = rig.environment.level > 0.0 or (housings is not None and housings.level > 0.0)
+    reflectance, regions = _reflectances(part, seen=bounces > 0 or surrounded)
     scene = Scene(
         camera=camera,
         lights=placed,
@@ -77,6 +80,8 @@ def build_scene(
         freedoms=6 if part.placement.registration == "full" else 3,
         bounces=bounces,
         environment=rig.environment.level,
+        housings=housings,
+        motion=_motion(rig),
     )
     warnings += _check_view(scene, rig, part)
     waviness = None
@@ -137,18 +142,6 @@ def _reflectance(part: PartConfig, own: ReflectanceConfig, *keys: str | int, see
         where = part.source.at("reflectance", "white_level")
         raise InputError(f"{where}: expected at least {least:.4g}, found {white:g}: {why}")
     return reflectance
-
-
-def _brushing(own: ReflectanceConfig) -> geometry.Brushing | None:
-    # in the mesh file's coordinates
-    given = own.brushing
-    if given is None:
-        return None
-    if given.direction is not None:
-        return geometry.StraightBrushing(np.array(given.direction))
-    if given.around_axis is not None:
-        return geometry.RoundBrushing(np.array(given.around_axis.point_mm), np.array(given.around_axis.direction))
-    return geometry.CurvedBrushing(np.array(given.along_curve_mm))
 
 
 def build_camera(rig: RigConfig) -> cameras.PinholeCamera:
@@ -218,6 +211,14 @@ def build_stage(rig: RigConfig) -> Stage:
     )
 
 
+def _motion(rig: RigConfig) -> Motion | None:
+    own, exposure_us = rig.stage.motion, rig.camera.exposure_us
+    if own is None or exposure_us is None or not any((*own.velocity_mm_per_s, own.rotation_deg_per_s)):
+        return None
+    velocity = np.array(own.velocity_mm_per_s, np.float64)
+    return Motion(velocity=velocity, turn_deg_per_s=own.rotation_deg_per_s, exposure_s=1e-6 * exposure_us)
+
+
 def build_sensor(camera: CameraConfig) -> Sensor:
     own = camera.sensor
     noise, electrons = own.read_noise_levels, own.electrons_per_level
@@ -264,12 +265,11 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[geometry.TriangleMesh, Pl
         chord_tolerance_mm=tolerance,
         angular_tolerance=min(MOST_ANGULAR_TOLERANCE, angular_tolerance),
         max_triangles=m.max_triangles,
-        pieces=bool(part.regions),
+        pieces=bool(part.regions) or any(own and own.along_texture for _, own in brushings(part)),
     )
+    loaded = with_brushing(loaded, part)
     mesh = mesh_of_regions(loaded, part) if part.regions else loaded.mesh
-    own = (part.reflectance, *(region.reflectance for region in part.regions))
-    if any(one.brushing for one in own):
-        mesh = replace(mesh, brushing=tuple(map(_brushing, own)))
+    warnings = loaded.warnings + faces_without_direction(mesh, part)
     rx, ry, rz = (math.radians(angle) for angle in part.placement.rotate_deg)
     rotation = rotation_z(rz) @ rotation_y(ry) @ rotation_x(rx)
     turned = geometry.transformed(mesh, rotation, np.zeros(3))
@@ -281,7 +281,7 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[geometry.TriangleMesh, Pl
         shift = -0.5 * (low + high)
     shift = shift + np.array(part.placement.translate_mm, dtype=np.float64)
     placed = geometry.transformed(turned, np.eye(3), shift)
-    return placed, Placement(rotation=rotation, translation=shift), loaded.warnings
+    return placed, Placement(rotation=rotation, translation=shift), warnings
 
 
 def chord_tolerance(part: PartConfig, footprint: float) -> float:

@@ -10,11 +10,12 @@ from typing import Any, Literal
 import numpy as np
 
 from lightopt import lights
-from lightopt.config import LightConfig, RigConfig, points_problem, standing_at
+from lightopt.config import HOUSED, LightConfig, RigConfig, points_problem, standing_at
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, refuse
 from lightopt.core.transforms import rotation_from_vector
 from lightopt.images import read_png
+from lightopt.scene._scene import Housings
 
 # elements of whole lights: each is seen or hidden as its middle is, so that they decide how finely shadows are known
 AROUND, UP_DOME, ACROSS, ALONG = 24, 4, 8, 6
@@ -33,6 +34,19 @@ def build_lights(
     refuse(f'no light "{name}" {there}' for name in names or () if name not in known)
     chosen = [light for light in rig.lights if names is None or light.name in names]
     return tuple(_light(rig, one, points) for one in chosen)
+
+
+def build_housings(rig: RigConfig) -> Housings | None:
+    """The housings of the rig's lights, world frame; None where they are as bright as the surroundings."""
+    own = rig.environment.housings
+    if own is None or own.level == rig.environment.level:
+        return None
+    housed = [_light(rig, one, None) for one in rig.channels if one.channel == 0 and one.kind in HOUSED]
+    rows: list[list[Float64]] = []
+    for light in housed:
+        across, along = (0.5 * side + own.margin_mm for side in light.size)
+        rows.append([light.centre, light.outward, light.across / across, light.along / along])
+    return Housings(level=own.level, rectangles=np.array(rows))
 
 
 def _light(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | None) -> lights.PanelLight:

@@ -1,8 +1,11 @@
 """The scene, and camera and lights as the part sees them in a posture."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +15,7 @@ from lightopt.defects import PlacedDefect, Waviness
 from lightopt.geometry import TriangleMesh, transformed
 from lightopt.lights import PanelLight
 from lightopt.optics import Reflectance, Sensor
-from lightopt.scene._camera import PinholeCamera
+from lightopt.scene._camera import PinholeCamera, project
 from lightopt.scene._stage import Stage
 
 
@@ -38,6 +41,31 @@ class PartRegion:
     reflectance: Reflectance
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Housings:
+    """Rectangles with the lights in their middle, which the part mirrors in place of the surroundings."""
+
+    level: float  # under a light of gain 1 [grey level]
+    # of each its middle [mm], its unit normal, and the directions of its sides over half their lengths [1/mm],
+    # shape (h, 4, 3)
+    rectangles: Float64
+
+    def moved(self, rotation: Float64, translation: Float64) -> Housings:
+        """The housings after x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
+        rectangles = self.rectangles @ rotation.T
+        rectangles[:, 0] += translation
+        return replace(self, rectangles=rectangles)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Motion:
+    """How the part moves while the camera exposes; in the middle of an exposure it is in its posture."""
+
+    velocity: Float64  # world frame [mm/s], shape (3,)
+    turn_deg_per_s: float  # of the rotary axis [°/s]
+    exposure_s: float  # exposure time of exposure 1 [s]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scene:
     """A part on its stage, the lights around it, the camera above it."""
@@ -61,6 +89,8 @@ class Scene:
     freedoms: int = 3  # degrees of freedom of the part on its stage: 3 on the plate, 6 with height and tilt
     bounces: int = 0  # how often light goes from the part to the part in images
     environment: float = 0.0  # level of what surrounds the rig under a light of gain 1 [grey level]
+    housings: Housings | None = None  # of the lights, world frame; None for none that differ from the surroundings
+    motion: Motion | None = None  # of the part during an exposure; None for a part at rest
 
     @property
     def reflectances(self) -> tuple[Reflectance, ...]:
@@ -78,6 +108,11 @@ class Scene:
     def sharpest(self) -> Reflectance:
         """The reflectance with the narrowest specular lobe."""
         return min(self.shown, key=lambda one: one.sigma if one.R_s > 0.0 else math.inf)
+
+    @property
+    def is_surrounded(self) -> bool:
+        """Whether light comes from what surrounds the part."""
+        return self.environment > 0.0 or (self.housings is not None and self.housings.level > 0.0)
 
     @property
     def pivot(self) -> Float64:
@@ -134,19 +169,55 @@ class PartView:
     # part frame: the world frame at posture (0, 0)
     camera: PinholeCamera
     lights: tuple[PanelLight, ...]
+    housings: Housings | None = None
     # part frame to world frame: x_world = rotation·x_part + translation; shapes (3, 3) and (3,) [mm]
     rotation: Float64
     translation: Float64
 
+    def seen_from(self, rotation: Float64, translation: Float64) -> PartView:
+        """The view after camera and lights have moved, x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
+        return replace(self, **_moved(self, rotation, translation))
 
-def view_from_part(scene: Scene, posture: Posture) -> PartView:
-    """The scene's camera and lights in the part's own frame at a posture: the stage's motion, inverted."""
-    rotation, translation = scene.stage.transform(posture)
+    def of_scene(self, scene: Scene) -> Scene:
+        """The scene with camera and lights where this view has them."""
+        return replace(scene, **_moved(self, self.rotation, self.translation))
+
+
+def _moved(own: Scene | PartView, rotation: Float64, translation: Float64) -> dict[str, Any]:
+    # what does not move with the part
+    return {
+        "camera": own.camera.moved(rotation, translation),
+        "lights": tuple(light.moved(rotation, translation) for light in own.lights),
+        "housings": None if own.housings is None else own.housings.moved(rotation, translation),
+    }
+
+
+def view_from_part(scene: Scene, posture: Posture, *, seconds: float = 0.0) -> PartView:
+    """The scene's camera and lights in the part's own frame at a posture: the stage's motion, inverted.
+
+    seconds: After the middle of an exposure, for a part that moves [s]
+    """
+    motion = scene.motion
+    if motion is None or seconds == 0.0:
+        rotation, translation = scene.stage.transform(posture)
+    else:
+        turned = replace(posture, rotation_deg=posture.rotation_deg + motion.turn_deg_per_s * seconds)
+        rotation, translation = scene.stage.transform(turned)
+        translation = translation + motion.velocity * seconds
     back = rotation.T
-    back_translation = -back @ translation
-    return PartView(
-        camera=scene.camera.moved(back, back_translation),
-        lights=tuple(light.moved(back, back_translation) for light in scene.lights),
-        rotation=rotation,
-        translation=translation,
-    )
+    return PartView(**_moved(scene, back, -back @ translation), rotation=rotation, translation=translation)
+
+
+_SHORT = 1e-3  # share of the exposure time in which a path is straight
+
+
+def motion_blur(scene: Scene, posture: Posture, points: Float64) -> Float64:
+    """How far points of the part move in the image during exposure 1 [px], shape (k,).
+
+    points: Part frame [mm], shape (k, 3)
+    """
+    if scene.motion is None:
+        return np.zeros(len(points))
+    ends = [0.5 * side * _SHORT * scene.motion.exposure_s for side in (-1.0, 1.0)]
+    before, after = (project(view_from_part(scene, posture, seconds=end).camera, points)[:2] for end in ends)
+    return np.hypot(*np.subtract(after, before)) / _SHORT

@@ -35,7 +35,7 @@ def test_the_time_that_a_frame_may_take_is_kept(tmp_path: Path, monkeypatch: pyt
     with start_bench(rig, wiring_of(rig), part=load_part(part_file)) as bench:
         camera = VirtualCamera(bench)
         camera.set_exposure(2e6)
-        bench.prepare()
+        bench.prepare(10_000.0)
         with pytest.raises(HardwareError, match=r"did not answer the request frame within 0\.3 s"):
             camera.grab(timeout_s=0.3)
         with pytest.raises(HardwareError, match="cannot take the request"):  # the frame that comes late is nobody's

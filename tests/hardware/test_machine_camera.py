@@ -319,7 +319,7 @@ def test_an_exposure_in_units_that_nobody_knows_is_not_reported(sdk) -> None:
 
 def test_a_frame_is_requested_once_there_can_be_one() -> None:
     sdk = Sdk()
-    camera = MachineCamera("aravis", sdk, SETTINGS, wait_ready=lambda: sdk.log.append("ready"))
+    camera = MachineCamera("aravis", sdk, SETTINGS, wait_ready=lambda _: sdk.log.append("ready"))
     sdk.log.clear()
     camera.grab(timeout_s=1)
     assert sdk.log == ["ready", "start", "TriggerSoftware"]

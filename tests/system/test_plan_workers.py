@@ -6,6 +6,7 @@ again, what it was sent is sent again, and the result is the same byte for byte.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -61,6 +62,23 @@ def test_killed_workers_lose_nothing(two, reference, tmp_path_factory):
         assert plan(two, "killed", workers, kill_some(cluster, 2, seed=1)) == reference
     finally:
         cluster.close()
+
+
+def process_of(_item: int) -> int:
+    time.sleep(0.05)
+    return os.getpid()
+
+
+@pytest.mark.slow
+def test_a_posture_returns_to_the_process_that_has_its_images():
+    passes: list[dict[int, int]] = [{}, {}, {}]
+    with other_processes(Workers(number=2), RunContext()) as run:
+        assert run.pool is not None
+        for one in passes:
+            run.pool.spread(process_of, range(12), one.__setitem__, report=None)
+    assert len(set(passes[0].values())) == 2
+    for one in passes[1:]:
+        assert sum(one[item] == passes[0][item] for item in range(12)) >= 10  # an idle one may take the last
 
 
 @pytest.mark.slow

@@ -494,7 +494,11 @@ def test_missing_keys_are_described(folder: Path) -> None:
         ),
         (
             "sigma_rad: 0.05, sigma_across_rad: 0.2, brushing: {}",
-            ['missing key "direction", "around_axis" or "along_curve_mm": expected one of them'],
+            ['missing key "direction", "around_axis", "along_curve_mm" or "along_texture": expected one of them'],
+        ),
+        (
+            "sigma_rad: 0.05, sigma_across_rad: 0.2, brushing: {along_texture: w}",
+            ["brushing.along_texture: expected", "u"],
         ),
         (
             "sigma_rad: 0.05, sigma_across_rad: 0.2, brushing: {along_curve_mm: [[0, 0, 0]]}",

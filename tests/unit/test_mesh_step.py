@@ -99,6 +99,29 @@ REPRESENTATION_RELATIONSHIP_WITH_TRANSFORMATION(#{n + 8})SHAPE_REPRESENTATION_RE
     return ball(radius=2.0, centre=(1.0, 0.0, 0.0), more=more)
 
 
+def with_bodies(*bodies: tuple[str, float, float]) -> str:
+    """The ball without a name, and in the same product others of a name, an X and a radius [mm]."""
+    text, items = ball(radius=3.0), "#20"
+    for n, (name, x, radius) in enumerate(bodies, start=3):
+        items += f",#{n}20"
+        text = text.replace(
+            "ENDSEC;\nEND-ISO",
+            f"""#{n}20=MANIFOLD_SOLID_BREP('{name}',#{n}21);
+#{n}21=CLOSED_SHELL('',(#{n}22));
+#{n}22=ADVANCED_FACE('',(#{n}23),#{n}26,.T.);
+#{n}23=FACE_BOUND('',#{n}24,.T.);
+#{n}24=VERTEX_LOOP('',#{n}25);
+#{n}25=VERTEX_POINT('',#{n}28);
+#{n}26=SPHERICAL_SURFACE('',#{n}27,{radius});
+#{n}27=AXIS2_PLACEMENT_3D('',#{n}37,#13,#14);
+#{n}37=CARTESIAN_POINT('',({x},2.,3.));
+#{n}28=CARTESIAN_POINT('',({x},2.,{3.0 - radius}));
+ENDSEC;
+END-ISO""",
+        )
+    return text.replace("(#11,#20),#29", f"(#11,{items}),#29")
+
+
 def load(tmp_path: Path, text: str, name: str = "part.step", **changes) -> LoadedMesh:
     path = tmp_path / name
     path.write_text(text)
@@ -253,3 +276,48 @@ def test_worker_reports_a_file_that_the_kernel_refuses(tmp_path):
     done = subprocess.run([*command, "0.1", "0.5", "0", "0", str(4 * 10**9)], capture_output=True, check=False)
     assert done.returncode == _step_worker.EXIT_READ
     assert not (tmp_path / "o.glb").exists()
+
+
+def bodies_of(loaded: LoadedMesh) -> dict[str, tuple[int, int]]:
+    """Least and greatest X of the triangles of each name but the product's [mm], rounded."""
+    assert loaded.piece is not None
+    x = loaded.mesh.vertices[loaded.mesh.faces][:, :, 0]
+    found: dict[str, tuple[int, int]] = {}
+    for number, piece in enumerate(loaded.pieces):
+        own = x[loaded.piece == number]
+        found |= {name: (round(own.min()), round(own.max())) for name in piece.names if name not in ("ball", "pair")}
+    return found
+
+
+def test_bodies_of_a_product_have_their_names(tmp_path):
+    """Also where two bodies touch, and as other letters than ASCII are written."""
+    text = with_bodies(
+        ("lid", 20.0, 2.0), ("it''s", 24.0, 2.0), ("D\\X2\\00FC\\X0\\se \\X\\E9", 40.0, 5.0), ("", 60.0, 1.0)
+    )
+    loaded = load(tmp_path, text, pieces=True)
+    assert bodies_of(loaded) == {"lid": (18, 22), "it's": (22, 26), "Düse é": (35, 45)}
+    assert not [one for one in loaded.warnings if "bodies" in one]
+    assert [piece.names for piece in loaded.pieces][::4] == [("ball",), ("ball",)]
+    assert load(tmp_path, text.replace("'lid'", "'ball'"), pieces=True).pieces[1].names == ("ball",)
+
+
+def test_bodies_in_an_assembly_are_found_in_each_place(tmp_path):
+    loaded = load(tmp_path, two_balls().replace("BREP('',#21)", "BREP('core',#21)"), pieces=True)
+    assert [piece.names for piece in loaded.pieces] == [("110", "ball", "core"), ("120", "ball", "core")]
+
+
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        # another place of a vertex, and two bodies in one place
+        with_bodies(("lid", 20.0, 2.0)).replace(
+            "328=CARTESIAN_POINT('',(20.0,2.,1.0))", "328=CARTESIAN_POINT('',(20.,2.,1.1))"
+        ),
+        with_bodies(("lid", 20.0, 2.0), ("cap", 20.0, 2.0)),
+    ],
+)
+def test_names_of_bodies_are_not_guessed(tmp_path, spoilt):
+    loaded = load(tmp_path, spoilt, pieces=True)
+    assert bodies_of(loaded) == {}
+    (warning,) = [one for one in loaded.warnings if "bodies" in one]
+    assert "ball: its named bodies do not match the faces that the CAD kernel finds" in warning

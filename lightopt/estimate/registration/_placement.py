@@ -248,8 +248,7 @@ def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> Part
     # x_placed = R·x + t, inverted
     back = placement.rotation.T
     shift = -back @ placement.shift(scene.pivot)
-    lights = tuple(light.moved(back, shift) for light in view.lights)
-    return replace(view, camera=view.camera.moved(back, shift), lights=lights)
+    return view.seen_from(back, shift)
 
 
 def _layers(

@@ -187,8 +187,7 @@ class Parameters:
         # the part moved at posture (0, 0), x' = R·x + t, inverted
         back = rotation_from_vector(self.values(theta, "part_turn")).T
         shift = self.middle - back @ (self.middle + self.values(theta, "part_shift"))
-        lights = tuple(light.moved(back, shift) for light in view.lights)
-        return replace(view, camera=view.camera.moved(back, shift), lights=lights)
+        return view.seen_from(back, shift)
 
 
 def moved_camera(camera: PinholeCamera, shift: Float64, turn: Float64) -> PinholeCamera:
@@ -349,13 +348,8 @@ class Work:
     def _render(self, theta: Float64, posture: Posture, threads: int) -> CoarsePrediction:
         scene = self.coarse
         view = self.parameters.view(scene, posture, theta)
-        world = replace(
-            self.parameters.reflecting(scene, theta),
-            camera=view.camera.moved(view.rotation, view.translation),
-            lights=tuple(light.moved(view.rotation, view.translation) for light in view.lights),
-            defects=(),
-            waviness=None,
-        )
+        own = replace(self.parameters.reflecting(scene, theta), defects=(), waviness=None)
+        world = view.of_scene(own)
         images = render_posture(world, posture, caster=self.caster, threads=threads)
         masks = mask_pixels(world, posture, self.caster, threads=threads)
         hit = images.geometry.hit

@@ -71,12 +71,7 @@ def shifted_scene(scene: Scene, placement: Placement, posture: Posture, offset: 
     middle = np.array([placement.x, placement.y, 0.0])
     x, y, _ = middle - rotation_z(turn) @ middle
     offset_place = Placement(x=float(x + offset[0]), y=float(y + offset[1]), turn=turn)
-    view = view_of_placed(scene, posture, offset_place)
-    return replace(
-        scene,
-        camera=view.camera.moved(view.rotation, view.translation),
-        lights=tuple(light.moved(view.rotation, view.translation) for light in view.lights),
-    )
+    return view_of_placed(scene, posture, offset_place).of_scene(scene)
 
 
 def placement_derivatives(

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float32, Float64, Index
+from lightopt.core.arrays import Bool, Float32, Float64, Index, UInt8
 from lightopt.core.errors import InputError, counted
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
@@ -42,6 +42,8 @@ CENTRES = 0.2
 # That is the case where the sum of squared differences between centres and means, in units of noise, is less than this.
 # Levels further off than a centre is by so many standard deviations are those of a defect.
 NO_EDGES, WITHIN = 10.0, 4.0
+
+_Blur = tuple[str, float]  # a light, and for a part that moves the exposure that blurs it; else 0
 
 # noise of this variance [sensor level²] before rounding makes the mean of rounded levels the light's, to 0.002
 EVEN_VARIANCE = 0.3
@@ -121,30 +123,35 @@ def posture_view(
             f"are saturated in each of {counted(len(observations), 'image')}; capture them with a "
             "shorter exposure or less light"
         )
-    means = {image.light: image.level for image in prediction.images.lights}
-    inside = {image.light: image.inside for image in prediction.images.lights if image.inside is not None}
+    moves = bool(prediction.blurred)
+    images = {_blur(o, moves): prediction.image(o.light, o.exposure) for o in observations}
+    means = {key: image.level for key, image in images.items()}
+    inside = {key: image.inside for key, image in images.items() if image.inside is not None}
     waviness, correlated = prediction.waviness, 1.0
     spreads = None
     if waviness is not None:
         correlated = waviness.waviness.correlated_pixels(waviness.footprint, SCALES_PX)
         spreads = [np.float32(math.sqrt(correlated)) * waviness.spread[o.light] for o in observations]
-    lights = tuple(name for name in means if any(o.light == name for o in observations))
+    lights = tuple(
+        image.light for image in prediction.images.lights if any(o.light == image.light for o in observations)
+    )
     shape = len(lights), *clean.shape
     arrays: dict[str, Any] = {
         name: np.empty(shape, np.bool_ if name == "saturated" else np.float32) for name in _ARRAYS
     }
     wavy = None if waviness is None else np.empty(shape, np.float32)
+    # of a part that moves, which of its light's exposures each pixel is from
+    number_of = np.zeros(shape if moves else (len(lights), 0, 0), np.uint8)
 
-    def merge_images(images: Mapping[str, Float32]) -> Photometry:
-        photometry = fit_photometry(
-            observations, [images[o.light] for o in observations], clean, scene, spreads=spreads, threads=threads
-        )
+    def merge_images(levels: Mapping[_Blur, Float32]) -> Photometry:
+        predicted = [levels[_blur(o, moves)] for o in observations]
+        photometry = fit_photometry(observations, predicted, clean, scene, spreads=spreads, threads=threads)
 
         def merge(number: int, rows: slice) -> None:
             light = lights[number]
             own = {name: array[number, rows] for name, array in arrays.items()}
-            own["predicted"][:] = images[light][rows]
-            _merge_exposures(scene, [o for o in observations if o.light == light], photometry, rows, own)
+            some = [o for o in observations if o.light == light]
+            _merge_exposures(scene, some, levels, photometry, rows, own, number_of[number, rows])
             if waviness is not None and wavy is not None:
                 spread = waviness.spread[light][rows]
                 _add_waviness(own["predicted"], spread, own["limit"], correlated, own["deviation"], wavy[number, rows])
@@ -152,15 +159,22 @@ def posture_view(
         in_image_blocks(merge, len(lights), len(clean), threads)
         return photometry
 
+    def merged(levels: Mapping[_Blur, Float32], number: int) -> Float32:
+        # of the exposures that pixels are from
+        own = [levels[key] for key in _longest_first(means, lights[number])]
+        return np.choose(number_of[number], own) if moves else own[0]
+
     photometry = merge_images(means)
-    if inside and (share := _share_of_centres(arrays, [inside[light] for light in lights], clean)) > CENTRES:
-        photometry = merge_images({light: means[light] + share * inside[light] for light in lights})
-        for i, light in enumerate(lights):
-            # the edge of a shadow is on either side of a centre, however little the part is off
-            arrays["slack"][i] += share * np.abs(inside[light])
-    for i, light in enumerate(lights):
-        if light in inside:
-            ends = (np.minimum(level, arrays["limit"][i]) for level in (means[light], means[light] + inside[light]))
+    if inside:
+        differing = [merged(inside, i) for i in range(len(lights))]
+        if (share := _share_of_centres(arrays, differing, clean)) > CENTRES:
+            photometry = merge_images({key: means[key] + share * inside[key] for key in means})
+            for i in range(len(lights)):
+                # the edge of a shadow is on either side of a centre, however little the part is off
+                arrays["slack"][i] += share * np.abs(merged(inside, i))
+        for i in range(len(lights)):
+            mean = merged(means, i)
+            ends = (np.minimum(level, arrays["limit"][i]) for level in (mean, mean + merged(inside, i)))
             arrays["deviation"][i] = np.hypot(arrays["deviation"][i], SAMPLING * np.subtract(*ends))
     posture = observations[0].posture
     if exact:
@@ -171,15 +185,30 @@ def posture_view(
     )
 
 
+def _blur(observation: Observation, moves: bool) -> _Blur:
+    return observation.light, observation.exposure if moves else 0.0
+
+
+def _longest_first(images: Mapping[_Blur, Float32], light: str) -> list[_Blur]:
+    return sorted((key for key in images if key[0] == light), key=lambda key: -key[1])
+
+
 def _merge_exposures(
-    scene: Scene, observations: Sequence[Observation], photometry: Photometry, rows: slice, own: dict[str, Any]
+    scene: Scene,
+    observations: Sequence[Observation],
+    levels: Mapping[_Blur, Float32],
+    photometry: Photometry,
+    rows: slice,
+    own: dict[str, Any],
+    number_of: UInt8,
 ) -> None:
-    # write some rows of what PostureView has of a light, shape (h, W), but for `predicted`, which is given: of each
-    # pixel the longest exposure that is not saturated
+    # write some rows of what PostureView has of a light, shape (h, W): of each pixel the longest exposure that is not
+    # saturated, and its number in `number_of` unless that is empty
     sensor = scene.sensor
     exposures = sorted(observations, key=lambda o: -o.exposure)
     gain = photometry.gains[exposures[0].light]
-    open_ = np.ones(own["predicted"].shape, np.bool_)
+    keys = _longest_first(levels, exposures[0].light)
+    open_ = np.ones(own["level"].shape, np.bool_)
     for number, o in enumerate(exposures):
         scale = gain * o.exposure * sensor.max_level / scene.reflectance.full_scale
         still = sensor.noise_variance(0.0, frames=o.frames)
@@ -188,9 +217,11 @@ def _merge_exposures(
         black = sensor.black_level + photometry.dark, photometry.dark, sensor.saturated_from - sensor.black_level
         pattern = sensor.prnu**2
         variance = still, sensor.noise_variance(1.0, frames=o.frames) - still - pattern, pattern
-        result = own["level"], own["deviation"], own["slack"], own["limit"], own["saturated"]
-        last = number + 1 == len(exposures)
-        _merge_exposure(image, own["predicted"], open_, last, scale, black, variance, result)
+        result = own["level"], own["deviation"], own["slack"], own["limit"], own["saturated"], own["predicted"]
+        last, key = number + 1 == len(exposures), _blur(o, number_of.size > 0)
+        _merge_exposure(
+            image, levels[key][rows], open_, last, scale, black, variance, result, number_of, keys.index(key)
+        )
 
 
 @kernel
@@ -202,11 +233,13 @@ def _merge_exposure(
     scale: float,
     black: tuple[float, float, float],
     noise: tuple[float, float, float],
-    result: tuple[Float32, Float32, Float32, Float32, Bool],
+    result: tuple[Float32, Float32, Float32, Float32, Bool, Float32],
+    number_of: UInt8,
+    number: int,
 ) -> None:
     # one exposure, of the pixels that no longer one could measure: where it is not saturated, or is the last
     (levels, full, subtracted), (zero, dark, saturation), (still, shot, pattern) = image, black, noise
-    level, deviation, slack, limit, saturated = result
+    level, deviation, slack, limit, saturated, shown = result
     height, width = levels.shape
     for y in range(height):
         for x in range(width):
@@ -217,6 +250,9 @@ def _merge_exposure(
             if not last and (full[y, x] or signal >= top):
                 continue
             open_[y, x] = False
+            shown[y, x] = predicted[y, x]
+            if number_of.size:
+                number_of[y, x] = number
             level[y, x] = (levels[y, x] - zero) / scale
             variance = still + (shot + pattern * signal) * signal
             deviation[y, x] = math.sqrt(variance) / scale

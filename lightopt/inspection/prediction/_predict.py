@@ -1,8 +1,8 @@
 """The good part as predicted for a posture: its images, the evaluable pixels, its surface patches; other references."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -76,6 +76,13 @@ class Prediction:
     grazing: Bool
     area: Float32  # of the surface that each pixel sees [mm²], shape (H, W); 0 off the part
     waviness: WavyLevels | None = None  # of good parts; None for smooth ones
+    # of a part that moves the images of each exposure, from the longest on; `images` are those of each light's longest
+    blurred: Mapping[float, rendering.PostureImages] = field(default_factory=dict[float, rendering.PostureImages])
+
+    def image(self, light: str, exposure: float) -> rendering.LightImage:
+        """The image of a light as an exposure shows it."""
+        images = self.blurred.get(exposure, self.images)
+        return next(one for one in images.lights if one.light == light)
 
 
 def predict(
@@ -84,11 +91,13 @@ def predict(
     caster: RayCaster,
     *,
     lights: Sequence[str],
+    exposures: Mapping[str, Sequence[float]] | None = None,
     edges: bool = False,
     threads: int | None = None,
 ) -> Prediction:
     """Render the good part in a posture of a scene with the part at its registered placement.
 
+    exposures: Of the images of each light, by whose times a part that moves is blurred; None for a part at rest.
     edges: Whether pixels that cannot be judged are means over their area, too.
     """
     chosen = tuple(light for light in scene.lights if light.name in lights)
@@ -97,9 +106,19 @@ def predict(
     lit = replace(with_reflectances(scene, traced), lights=chosen)
     masks = rendering.mask_pixels(scene, posture, caster, threads=threads)
     averaged = np.ones_like(masks.clean) if edges else masks.clean
-    images = rendering.render_posture(lit, posture, caster=caster, layers=True, averaged=averaged, threads=threads)
+    how: dict[str, Any] = {"caster": caster, "layers": True, "averaged": averaged, "threads": threads}
+    blurred: dict[float, rendering.PostureImages] = {}
+    if exposures is not None and scene.motion is not None:
+        for exposure in sorted({one for own in exposures.values() for one in own}, reverse=True):
+            own = replace(lit, lights=tuple(light for light in chosen if exposure in exposures[light.name]))
+            blurred[exposure] = rendering.render_posture(own, posture, exposure=exposure, **how)
+        longest = {image.light: image for images in reversed(blurred.values()) for image in images.lights}
+        images = replace(next(iter(blurred.values())), lights=tuple(longest[light.name] for light in chosen))
+    else:
+        images = rendering.render_posture(lit, posture, **how)
     return Prediction(
         images=images,
+        blurred=blurred,
         clean=masks.clean & images.geometry.hit,
         grazing=masks.grazing,
         area=masks.area,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from lightopt.config import RigConfig
 from lightopt.core.arrays import Float64
@@ -58,7 +59,7 @@ class PredictionCache:
         As it is if nothing was calibrated, and if other light than that of the lights themselves reaches the part,
         which the fit does not know.
         """
-        if rig.calibration is None or scene.bounces or scene.environment:
+        if rig.calibration is None or scene.bounces or scene.is_surrounded:
             return scene
         if self.adjustment is None:
             self.adjustment = adjust_rig(rig, scene, observations, register=register, run=run)
@@ -82,12 +83,16 @@ class PredictionCache:
         return scene, placement
 
     def prediction(
-        self, scene: Scene, posture: Posture, lights: Sequence[str], *, threads: int | None = None
+        self, scene: Scene, posture: Posture, exposures: Mapping[str, Sequence[float]], *, threads: int | None = None
     ) -> Prediction:
-        """The prediction of a posture under some lights, for a scene from :meth:`use_placement`."""
-        key = posture, tuple(lights)
-        if key not in self.rendered:
-            self.rendered[key] = predict(scene, posture, self._caster(scene), lights=lights, threads=threads)
+        """The prediction of a posture under some lights, for a scene from :meth:`use_placement`.
+
+        exposures: Of the images of each light, in the scene's order
+        """
+        key = posture, tuple(exposures)
+        if key not in self.rendered or scene.motion is not None:
+            how: dict[str, Any] = {"lights": key[1], "exposures": exposures, "threads": threads}
+            self.rendered[key] = predict(scene, posture, self._caster(scene), **how)
         return self.rendered[key]
 
     def shifted_prediction(
@@ -108,7 +113,7 @@ class PredictionCache:
 
         nominal: the part where its file has it, with the postures and lights of the set.
         """
-        if self.placement is None or self.scene is None or self.misfit is None:
+        if self.placement is None or self.scene is None or self.misfit is None or nominal.motion is not None:
             return None
         if self.registration is not None and self.registration.outline:
             # the levels inside the outline, which the offset is fitted to, do not say where the part is

@@ -72,7 +72,8 @@ def register_set(
                 report(number / len(scene.postures))
             mine = [o for o in observations if o.posture == posture]
             lights = observed_lights(scene, mine)
-            prediction = cache.prediction(scene, posture, lights, threads=threads)
+            exposures = {name: [o.exposure for o in mine if o.light == name] for name in lights}
+            prediction = cache.prediction(scene, posture, exposures, threads=threads)
             if offset is not None:
                 prediction = cache.shifted_prediction(scene, posture, lights, offset, threads=threads)
             where = str(image_set.folder)

@@ -112,7 +112,7 @@ class VirtualCamera:
     def grab(self, *, timeout_s: float) -> Frame:
         """Take a frame; rendering is waited for first, as long as the bench answers: that is not the camera's time."""
         try:
-            self._bench.prepare()
+            self._bench.prepare(self._exposure_us)
             head, data = self._bench.request("frame", timeout_s=timeout_s, exposure_us=self._exposure_us)
         except ValueError as error:
             raise HardwareError(f"virtual camera: {error}") from error

@@ -91,7 +91,8 @@ class MachineCamera:
         settings: CameraSettings,
         *,
         on_event: Callable[[Event], None] | None = None,
-        wait_ready: Callable[[], object] | None = None,  # returns when a frame can be taken
+        # returns when a frame of an exposure time [µs] can be taken
+        wait_ready: Callable[[float], object] | None = None,
     ) -> None:
         self.events: list[Event] = []
         self.resolution_px = settings.resolution_px
@@ -136,7 +137,7 @@ class MachineCamera:
         exposure time: fewer attempts where there is no time for as many exposures.
         """
         if self._wait_ready is not None:
-            self._wait_ready()
+            self._wait_ready(self._exposure.held_us)
         end = time.monotonic() + timeout_s
         fit = int(timeout_s / max(1e-6, self._exposure.held_us / 1e6))
         each_s = timeout_s / min(max(1, fit), ATTEMPTS)  # an attempt without time for its exposure is none

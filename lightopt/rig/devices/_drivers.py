@@ -58,7 +58,8 @@ def open_camera(
     settings: CameraSettings,
     *,
     on_event: Callable[[Event], None] | None = None,  # called with irregularities, as they happen
-    wait_ready: Callable[[], object] | None = None,  # called before each frame; returns when one can be requested
+    # called before each frame with its exposure time [µs]; returns when it can be requested
+    wait_ready: Callable[[float], object] | None = None,
 ) -> MachineCamera:
     """Open a camera and set it up; no frame is taken. InputError where that cannot be, HardwareError: no answer."""
     return MachineCamera(driver, CAMERA_DRIVERS[driver](settings), settings, on_event=on_event, wait_ready=wait_ready)

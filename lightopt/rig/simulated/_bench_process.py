@@ -152,10 +152,10 @@ class BenchProcess:
             raise ValueError(answer["error"])
         return answer, data
 
-    def prepare(self) -> None:
+    def prepare(self, exposure_us: float) -> None:
         """Wait until the camera's view is rendered, however long that takes; meanwhile the bench has to answer."""
         try:
-            while not self.request("prepare", timeout_s=_ANSWER_S)[0]["ready"]:
+            while not self.request("prepare", timeout_s=_ANSWER_S, exposure_us=exposure_us)[0]["ready"]:
                 time.sleep(_LOOK_S)
         except ValueError as error:
             raise self._gone(f"cannot render what its camera sees ({error})") from None

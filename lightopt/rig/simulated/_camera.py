@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from lightopt.rig.simulated._optics import BenchOptics, Levels
 
 
-_View = tuple[Posture, tuple[int, ...]]  # where the part is, and the numbers of the pictures that screens show
+# where the part is, the numbers of the pictures that screens show, and the exposure, which blurs a part that moves
+_View = tuple[Posture, tuple[int, ...], float]
 
 
 class BenchCamera:
@@ -57,6 +58,8 @@ class BenchCamera:
                 if scene.waviness is not None:
                     # each part has a surface of its own
                     scene = replace(scene, waviness=replace(scene.waviness, seed=self._setup.truth.seed))
+                if scene.motion is not None:
+                    scene = replace(scene, motion=replace(scene.motion, exposure_s=1e-6 * self._setup.exposure_us))
                 self._optics = BenchOptics(scene, self._setup.truth, displays, folder=rig.parent)
             return self._optics
 
@@ -73,9 +76,11 @@ class BenchCamera:
         self._seen = self._state()
         return pixels
 
-    def _prepare(self, _: Mapping[str, Any]) -> Response:
+    def _prepare(self, request: Mapping[str, Any]) -> Response:
         """Whether the view is rendered, which is begun if not: a camera that is silent meanwhile counts as gone."""
-        view = self._posture(), tuple(picture.number for picture in self._devices.pictures().values())
+        moves = self._optics is not None and self._optics.scene.motion is not None
+        exposure = float(request["exposure_us"]) / self._setup.exposure_us if moves else 1.0
+        view = self._posture(), tuple(picture.number for picture in self._devices.pictures().values()), exposure
         if self._unprepared is not None:
             raise ValueError(self._unprepared)
         ready = self._prepared == view
@@ -88,7 +93,7 @@ class BenchCamera:
         try:
             optics = self._build()
             shares, posture = self._state()
-            optics.prepare(posture, shares)
+            optics.prepare(posture, shares, exposure=view[2])
             self._prepared = view
         except Exception as error:  # noqa: BLE001  (reported to the next request)
             self._unprepared = str(error) or type(error).__name__

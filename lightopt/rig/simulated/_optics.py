@@ -59,7 +59,10 @@ def _block_means(picture: Float64, shape: tuple[int, int]) -> Float64:
 
 
 class BenchOptics:
-    """Renders a part under given light levels: one cached linear layer per light and posture serves all exposures."""
+    """Renders a part under given light levels: one cached linear layer per light and posture serves all exposures.
+
+    Of a part that moves there is one per exposure.
+    """
 
     def __init__(
         self, scene: Scene, truth: BenchTruth, displays: Sequence[LightConfig] = (), *, folder: Path = Path()
@@ -70,7 +73,7 @@ class BenchOptics:
         self.scene = replace(moved, bounces=truth.bounces, sensor=sensor)
         self._truth = truth
         self._caster: RayCaster = cast_rays_at(self.scene)
-        self._layers: OrderedDict[tuple[Posture, str], Float32] = OrderedDict()
+        self._layers: OrderedDict[tuple[Posture, str, float | None], Float32] = OrderedDict()
         self._rendering = threading.Lock()
         self._taken: dict[bytes, int] = {}
         self._displays = {light.name: light for light in displays}
@@ -79,10 +82,10 @@ class BenchOptics:
         self._shown: dict[str, tuple[int, dict[str, float]]] = {}
         self._pictures: OrderedDict[str, PanelLight] = OrderedDict()
 
-    def prepare(self, posture: Posture, names: Collection[str] = ()) -> None:
+    def prepare(self, posture: Posture, names: Collection[str] = (), *, exposure: float = 1.0) -> None:
         """Render all lights at a posture, and what of the names is a picture, for frames to come."""
         for name in (self.scene.lights[0].name, *names):
-            self._layer(posture, name)
+            self._layer(posture, name, exposure)
 
     def shares(self, device: str, picture: SeenPicture, wires: Sequence[LightWire]) -> dict[str, float]:
         """What a picture on a screen lights: shares of its channels, or a name of its own, all for :meth:`frame`.
@@ -129,7 +132,7 @@ class BenchOptics:
         lit = {name: share for name, share in sorted(shares.items()) if share > 0.0}
         for name, share in lit.items():
             factor = self._truth.gains.get(name, 1.0)
-            level += np.float32(share * factor) * self._layer(posture, name)
+            level += np.float32(share * factor) * self._layer(posture, name, exposure)
         full_scale, rng = self.scene.reflectance.full_scale, self._noise(lit, posture, exposure)
         return expose(level, sensor=sensor, exposure=exposure * gain, full_scale=full_scale, rng=rng)
 
@@ -140,18 +143,21 @@ class BenchOptics:
         digest = hashlib.sha256(state + struct.pack("<qq", number, self._truth.seed)).digest()
         return np.random.default_rng(int.from_bytes(digest[:16], "little"))
 
-    def _layer(self, posture: Posture, light: str) -> Float32:
+    def _layer(self, posture: Posture, light: str, exposure: float) -> Float32:
+        blur = None if self.scene.motion is None else exposure
         with self._rendering:
-            if (posture, light) not in self._layers:
+            if (posture, light, blur) not in self._layers:
                 # all lights at once: the rays are cast once, and the others are wanted next
                 picture = self._pictures.get(light)
                 scene = self.scene if picture is None else replace(self.scene, lights=(picture,))
-                images = render_posture(scene, posture, caster=self._caster, supersample=self._truth.rays)
-                self._layers |= {(posture, image.light): image.level for image in images.lights}
-            layer = self._layers[posture, light]
+                images = render_posture(
+                    scene, posture, caster=self._caster, supersample=self._truth.rays, exposure=blur
+                )
+                self._layers |= {(posture, image.light, blur): image.level for image in images.lights}
+            layer = self._layers[posture, light, blur]
             for name in (light, *(one.name for one in self.scene.lights)):
-                if (posture, name) in self._layers:
-                    self._layers.move_to_end((posture, name))
+                if (posture, name, blur) in self._layers:
+                    self._layers.move_to_end((posture, name, blur))
             while len(self._layers) > len(self.scene.lights) and len(self._layers) * layer.nbytes > _CACHE_BYTES:
                 self._layers.popitem(last=False)
             return layer
