@@ -246,17 +246,11 @@ def _add_diffuse(
                 vectors[b, above, axis] += own[axis]
             if start < len(R_d):
                 # of a row's slice the compiler knows that no index counts from the end: it takes several at once
-                to, share, x, y, z = (
-                    sums[b, start:],
-                    R_d[start:],
-                    turned[0, start:],
-                    turned[1, start:],
-                    turned[2, start:],
-                )
+                to, share = sums[b, start:], R_d[start:]
+                x, y, z = turned[0, start:], turned[1, start:], turned[2, start:]
                 for t in range(len(to)):
-                    to[t] += (
-                        share[t] * weights[b, k] * max(0.0, arriving.x * x[t] + arriving.y * y[t] + arriving.z * z[t])
-                    )
+                    facing = arriving.x * x[t] + arriving.y * y[t] + arriving.z * z[t]
+                    to[t] += share[t] * weights[b, k] * max(0.0, facing)
 
 
 @kernel
@@ -307,7 +301,7 @@ def _variant_sums(
     terms, groups, count, most_nodes = len(pattern.terms), shares.shape[1], len(lean), MOST_SHARED**2
     reach = np.empty(count)
     for t in range(count):
-        reach[t] = math.sqrt(farthest_exponent(most[t], lobe_of_width(form, inverse[t])) / inverse[t])
+        reach[t] = math.sqrt(max(0.0, farthest_exponent(most[t], lobe_of_width(form, inverse[t]))) / inverse[t])
     away, first = _slopes(lean)
     farthest, linear, widest = away[-1], is_lambert(diffuse), reach.max()
     found, one, values = np.empty((terms, count)), np.empty(terms), np.empty(count)
@@ -374,7 +368,7 @@ def _whole_lobes(variants: VariantNumbers, radiance: float) -> Float64:
     if lobe.ggx:
         return np.ones(len(variants.inverse))
     widest = min(lobe.inverse, *lobe.inverses) / lobe.inverse * variants.inverse
-    return np.minimum(1.0, radiance * 4.0 * math.pi * math.sqrt(lobe.widening) / widest)
+    return np.clip(radiance * 4.0 * math.pi * math.sqrt(lobe.widening) / widest, 1e-30, 1.0)
 
 
 def surface_light_variants(
@@ -403,17 +397,17 @@ def surface_light_variants(
     most = variants.most + np.log(whole * (LEAST_LEVEL / NEGLIGIBLE_CHANGE))
     ordered = VariantNumbers(*(row[order] for row in (*rows, most)), variants.lobe, variants.diffuse)
 
-    def chunk(start: int) -> Float64:
+    levels = np.empty((len(lights), len(variants.lean), len(surface)))
+
+    def chunk(start: int) -> None:
         end_if_stopped()
         part = slice(start, start + step)
         some = surface.take(part)
         own = np.zeros((len(lights), len(variants.lean), len(some)))
         clear, _ = elements_seen(replace(some, normals=some.facets), elements, caster)
         _variant_sums(some.rows, references[part], elements, channels.pattern, group, clear, ordered, shares, own)
-        return own
+        levels[:, order, part] = own
 
     step = min(max(1, AT_ONCE // len(elements)), points_at_once(len(surface), threads))
-    found = in_threads(chunk, range(0, max(1, len(surface)), step), threads)
-    levels = np.empty((len(lights), len(variants.lean), len(surface)))
-    levels[:, order] = np.concatenate(found, axis=2)
+    in_threads(chunk, range(0, len(surface), step), threads)
     return levels
