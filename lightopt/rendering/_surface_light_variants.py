@@ -148,11 +148,10 @@ def _take_near(turned: Float64, reach: Float64, half: Vector, spread: float, fla
 @kernel
 def _lobe_of(own: Lobe, turned: Float64, near: Float64, j: int) -> Lobe:
     # of one of the variants
-    lobe = lobe_of_width(own, near[_INVERSE, j])
+    lobe: Lobe = lobe_of_width(own, near[_INVERSE, j])
     if lobe.widening == 1.0:
         return lobe
-    t = int(near[_NUMBER, j])
-    return Lobe(*lobe[:-1], Vector(turned[_ACROSS, t], turned[_ACROSS + 1, t], turned[_ACROSS + 2, t]))
+    return Lobe(*lobe[:-1], column_at(turned[_ACROSS:], int(near[_NUMBER, j])))
 
 
 @kernel
@@ -393,10 +392,9 @@ def surface_light_variants(
     # what is far below the noise does not count
     whole = _whole_lobes(variants, float(np.abs(shares).sum(axis=2).max()))
     order = np.argsort(-variants.lean[:, 0], kind="stable")
-    rows = (variants.lean, variants.R_d, variants.R_s, variants.inverse)
-    most = variants.most + np.log(whole * (LEAST_LEVEL / NEGLIGIBLE_CHANGE))
-    ordered = VariantNumbers(*(row[order] for row in (*rows, most)), variants.lobe, variants.diffuse)
-
+    variants = variants._replace(most=variants.most + np.log(whole * (LEAST_LEVEL / NEGLIGIBLE_CHANGE)))
+    rows = {name: getattr(variants, name)[order] for name in ("lean", "R_d", "R_s", "inverse", "most")}
+    ordered = variants._replace(**rows)
     levels = np.empty((len(lights), len(variants.lean), len(surface)))
 
     def chunk(start: int) -> None:
