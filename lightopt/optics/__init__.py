@@ -5,6 +5,7 @@ A model is a scalar function compiled as a kernel, called per surface point and 
 """
 
 from ._albedo import least_white_level, white_level
+from ._exponential import exponential
 from ._gaussian_sum import gaussian_sum
 from ._lens import airy_diameter, airy_kernel, circle_of_confusion, depth_of_field, pupil_points
 from ._reflection_model import (
@@ -20,6 +21,7 @@ from ._reflection_model import (
     SpecularModel,
     diffuse_term,
     farthest_exponent,
+    fresnel_factor,
     gaussian_lobe,
     is_lambert,
     lambert,
@@ -29,6 +31,8 @@ from ._reflection_model import (
     lobe_beside,
     lobe_of_width,
     narrow_gaussian,
+    rough_gaussian,
+    round_ggx,
     specular_divisor,
     specular_lobe,
     square_across,

@@ -24,7 +24,7 @@ from typing import Literal, NamedTuple
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, dot, minus, scaled
-from lightopt.optics._exponential import exponential
+from lightopt.optics._exponential import exponential, rough_exponential
 
 ModelName = Literal["torrance-sparrow", "ggx", "two-lobe", "measured"]
 
@@ -222,6 +222,14 @@ def narrow_gaussian(chord_squared: float, inverse_two_sigma_squared: float) -> f
 
 
 @kernel
+def rough_gaussian(chord_squared: float, inverse_two_sigma_squared: float) -> float:
+    """:func:`gaussian` without branches, to 1e-3 of its greatest value up to σ = 0.3, and to 1e-5 up to σ = 0.1."""
+    c = chord_squared
+    exponent = c * (1.0 + c * (1.0 / 12.0 + c * (1.0 / 90.0))) * inverse_two_sigma_squared
+    return rough_exponential(-min(exponent, 10.0 * MAX_LOBE_EXPONENT))
+
+
+@kernel
 def gaussian(chord_squared: float, inverse_two_sigma_squared: float) -> float:
     """Torrance and Sparrow's lobe, e^(−δ²/(2σ²)) (paper, equation 3).
 
@@ -334,8 +342,26 @@ def light_factor(n_dot_l: float, across_squared: float, half_size: float, lobe: 
         return 1.0
     factor = 2.0 * n_dot_l / _masked(n_dot_l, across_squared, lobe) if lobe.ggx else 1.0
     if lobe.n > 0.0:
-        factor *= conductor_reflectance(min(1.0, 0.5 * half_size), lobe.n, lobe.k) / lobe.normal_reflectance
+        factor *= fresnel_factor(half_size, lobe.n, lobe.k, lobe.normal_reflectance)
     return factor
+
+
+@kernel
+def fresnel_factor(half_size: float, n: float, k: float, normal_reflectance: float) -> float:
+    """Fresnel reflectance of a metal over that at normal incidence; half_size as :func:`light_factor` takes it."""
+    return conductor_reflectance(min(1.0, 0.5 * half_size), n, k) / normal_reflectance
+
+
+@kernel
+def round_ggx(chord_squared: float, n_dot_l: float, inverse: float) -> float:
+    """:func:`specular_lobe` times :func:`light_factor` of GGX that is alike all round, without Fresnel's factor.
+
+    It takes few numbers, so that the processor computes several at once.
+    """
+    alpha_squared = 2.0 / inverse
+    root = 1.0 + chord_squared * (1.0 - 0.25 * chord_squared) * (0.5 * inverse - 1.0)
+    masked = n_dot_l + math.sqrt(alpha_squared + (1.0 - alpha_squared) * n_dot_l * n_dot_l)
+    return 2.0 * n_dot_l / (masked * root * root)
 
 
 @kernel

@@ -453,13 +453,16 @@ def _lobe_above_horizon(
 
 
 @kernel
-def smooth_nodes(at: SurfacePoint, centre: Vector, reach: float, lobe: Lobe, error: float) -> int:
+def smooth_nodes(
+    at: SurfacePoint, centre: Vector, reach: float, lobe: Lobe, error: float, negligible: float = NEGLIGIBLE_EXPONENT
+) -> int:
     """Nodes a side that integrate a lobe where it is smooth all over a light; :data:`MAX_NODES` where it is not.
 
     Of several Gaussian lobes, the narrowest one that is not negligible counts; never the first.
 
     centre, reach: Of the light, and how far its points are from there at most [mm]
     error: Of tails, as a share of the light
+    negligible: Exponent from which a Gaussian lobe is
     """
     half, spread = half_vector_cone(at, centre, reach)
     off = minus(at.n, half)
@@ -472,10 +475,10 @@ def smooth_nodes(at: SurfacePoint, centre: Vector, reach: float, lobe: Lobe, err
         # singular where δ = ±iα
         return tail_nodes(away - spread, away + spread, math.sqrt(2.0 / lobe.inverse), error)
     nearest = max(0.0, away - spread)
-    if nearest * nearest * lobe.inverse <= NEGLIGIBLE_EXPONENT:
+    if nearest * nearest * lobe.inverse <= negligible:
         return MAX_NODES
     narrowest = 0
-    while narrowest < lobe.wider - 1 and nearest * nearest * lobe.inverses[narrowest] > NEGLIGIBLE_EXPONENT:
+    while narrowest < lobe.wider - 1 and nearest * nearest * lobe.inverses[narrowest] > negligible:
         narrowest += 1
     inverse = lobe.inverses[narrowest]
     return node_count(inverse, inverse * away, -min(spread, away), spread)
@@ -588,8 +591,11 @@ def least_in_box(near: Exponent, area: Rectangle) -> tuple[float, float]:
         return s, t
     gs, gt = gs - a * s - b * t, gt - b * s - c * t
     for _ in range(_BOX_STEPS):
+        before = s, t
         s = min(max(-(gs + b * t) / a, area.s0), area.s1)
         t = min(max(-(gt + b * s) / c, area.t0), area.t1)
+        if (s, t) == before:
+            break
     return s, t
 
 

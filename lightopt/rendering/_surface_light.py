@@ -38,12 +38,15 @@ from lightopt.optics import (
     Lobe,
     Reflectance,
     diffuse_term,
+    exponential,
     farthest_exponent,
+    fresnel_factor,
     gaussian_lobe,
     is_lambert,
     light_factor,
     lobe_at,
     narrow_gaussian,
+    round_ggx,
     specular_divisor,
     specular_lobe,
     square_across,
@@ -182,9 +185,11 @@ def _values_of_nodes(at: SurfacePoint, e: Element, at_s: Float64, at_t: Float64,
     # horizon. As in `whole_panel`, the processor works on several nodes at once
     p, n, v, _ = at
     count_s, count_t = len(at_s), len(at_t)
-    values, chord, across = np.empty((count_s, count_t)), np.empty(count_t), np.zeros(count_t)
-    cosine, sine = np.ones(count_t), np.zeros(count_t)
+    values, work = np.empty((count_s, count_t)), np.zeros((7, count_t))
+    chord, across, lit_across, n_dot_l, size = work[0], work[1], work[2], work[3], work[4]
+    cosine, sine = work[5], work[6]
     for j in range(count_t):
+        cosine[j] = 1.0
         if e.shape == SPHERE:
             cosine[j], sine[j] = math.cos(at_t[j]), math.sin(at_t[j])
     for i in range(count_s):
@@ -195,22 +200,27 @@ def _values_of_nodes(at: SurfacePoint, e: Element, at_s: Float64, at_t: Float64,
             towards = minus(q, p)
             distance = length(towards)
             half = plus(scaled(towards, 1.0 / distance), v)
-            size, height = length(half), dot(n, towards)
-            away = minus(n, scaled(half, 1.0 / size))
-            chord[j] = dot(away, away)
+            size[j], height = length(half), dot(n, towards)
+            away = minus(n, scaled(half, 1.0 / size[j]))
+            chord[j], n_dot_l[j] = dot(away, away), max(height, 0.0) / distance
             row[j] = element_weight(e, towards, along_s, along_t) if height > 0.0 else 0.0
-            if not lobe.plain:
+            if lobe.widening > 1.0:
                 across[j] = square_across(away, lobe)
-                lit_across = square_across(towards, lobe) / (distance * distance)
-                row[j] *= light_factor(max(height, 0.0) / distance, lit_across, size, lobe)
+                lit_across[j] = square_across(towards, lobe) / (distance * distance)
         widest = 0.0
         for j in range(count_t):
             widest = max(widest, chord[j])
         if widest < NARROW_CHORD_SQUARED and lobe.plain:
             for j in range(count_t):
                 row[j] *= narrow_gaussian(chord[j], lobe.inverse)
+        elif lobe.ggx and lobe.widening == 1.0:
+            for j in range(count_t):
+                row[j] *= round_ggx(chord[j], n_dot_l[j], lobe.inverse)
+            for j in range(count_t if lobe.n > 0.0 else 0):
+                row[j] *= fresnel_factor(size[j], lobe.n, lobe.k, lobe.normal_reflectance)
         else:
             for j in range(count_t):
+                row[j] *= light_factor(n_dot_l[j], lit_across[j], size[j], lobe)
                 row[j] *= specular_lobe(chord[j], across[j], lobe)
     return values
 
@@ -451,10 +461,11 @@ def _sinh_nodes(
     # places along a side and their weights
     u0, u1 = math.asinh((low - centre) / width), math.asinh((high - centre) / width)
     count = min(max(LEAST_TAIL_NODES, times * tail_nodes(u0, u1, singular, error)), MAX_NODES)
-    at, weights = np.empty(count), np.empty(count)
+    at, weights, half = np.empty(count), np.empty(count), 0.5 * width
     for i in range(count):
-        u = u0 + (u1 - u0) * NODES[count, i]
-        at[i], weights[i] = centre + width * math.sinh(u), WEIGHTS[count, i] * (u1 - u0) * width * math.cosh(u)
+        up = exponential(u0 + (u1 - u0) * NODES[count, i])
+        down = 1.0 / up
+        at[i], weights[i] = centre + half * (up - down), WEIGHTS[count, i] * (u1 - u0) * half * (up + down)
     return at, weights
 
 
@@ -606,7 +617,7 @@ def _add_elements(
     p, n, v = np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE))
     value, near = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE, np.bool_)
     limit, farthest, greatest = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE)
-    work = np.empty((10, _SIDE_BY_SIDE))
+    work = np.empty((14, _SIDE_BY_SIDE))
     for first in range(0, len(points), _SIDE_BY_SIDE):
         count = min(_SIDE_BY_SIDE, len(points) - first)
         for j in range(count):
@@ -646,7 +657,9 @@ def _add_elements(
                 many = nodes if striped else _nodes(e, pattern, MANY_NODES)
                 own_specular = specular[m, :, first:]
                 columns, rules = (p, n, v), (few, nodes, many)
-                _add_smooth(columns, frames[first:], near[:count], e, rules, lobe, greatest, work, own_specular)
+                _add_smooth(
+                    columns, frames[first:], near[:count], e, rules, lobe, (limit, greatest), work, own_specular
+                )
             for j in range(count):
                 if near[j]:
                     i = first + j
@@ -669,43 +682,90 @@ def _add_smooth(
     e: Element,
     rules: tuple[_Nodes, _Nodes, _Nodes],
     lobe: Lobe,
-    greatest: Float64,
+    limits: tuple[Float64, Float64],
     work: Float64,
     specular: Float64,
 ) -> None:
     # where the lobe is smooth all over an element, which is above the horizon: sets the light of these points from the
     # nodes of diffuse light, and they are no longer `near`. Where the element adds hardly anything, few nodes do
-    (p, n, v), (few, nodes, many) = columns, rules
-    rule, level = np.zeros(len(near), np.int64), np.empty(len(near))
+    (p, n, v), (few, nodes, many), (limit, greatest) = columns, rules, limits
+    rule = np.zeros(len(near), np.int64)
     striped = len(many[0]) == len(nodes[0])
     for j in range(len(near)):
         at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
+        if not near[j] or at.n_dot_v <= 0.0:
+            continue
         towards = minus(e.centre, at.p)
         half, spread = half_vector_cone(at, e.centre, e.reach)
         nearest = max(0.0, length(minus(at.n, half)) - spread) if spread < math.pi else 0.0
         angle = min(math.pi * e.reach**2 / dot(towards, towards), math.pi)
-        level[j] = greatest[j] * specular_lobe(nearest * nearest / lobe.widening, 0.0, lobe) * angle
-        rule[j] = FAINT_NODES if level[j] < FAINT_LEVEL else 0
-    for j in range(len(near)):
-        at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
-        if not near[j] or at.n_dot_v <= 0.0:
-            rule[j] = 0
-        elif rule[j] == 0:
-            if lobe.ggx and level[j] < FAINT_AT_HORIZON:
-                # masking lets its light end at the horizon, not break off
+        level = greatest[j] * specular_lobe(nearest * nearest / lobe.widening, 0.0, lobe) * angle
+        if level < FAINT_LEVEL:
+            rule[j] = FAINT_NODES
+        elif lobe.ggx and level < FAINT_AT_HORIZON:
+            # masking lets its light end at the horizon, not break off
+            rule[j] = DIFFUSE_NODES
+        elif dot(at.n, towards) >= e.reach:
+            error = min(ELEMENT_ERROR / level, 0.1)
+            wanted = smooth_nodes(at, e.centre, e.reach, lobe_at(lobe, frames, j), error, limit[j])
+            if wanted <= DIFFUSE_NODES + (not striped):
                 rule[j] = DIFFUSE_NODES
-            elif dot(at.n, minus(e.centre, at.p)) >= e.reach:
-                error = min(ELEMENT_ERROR / level[j], 0.1)
-                wanted = smooth_nodes(at, e.centre, e.reach, lobe_at(lobe, frames, j), error)
-                if wanted <= DIFFUSE_NODES + (not striped):
-                    rule[j] = DIFFUSE_NODES
-                elif wanted <= MANY_NODES + 1 and not striped:
-                    rule[j] = MANY_NODES
+            elif wanted <= MANY_NODES + 1 and not striped:
+                rule[j] = MANY_NODES
     _add_nodes(columns, frames, rule == FAINT_NODES, few, lobe, work, specular)
     _add_nodes(columns, frames, rule == DIFFUSE_NODES, nodes, lobe, work, specular)
     _add_nodes(columns, frames, rule == MANY_NODES, many, lobe, work, specular)
     for j in range(len(near)):
         near[j] &= rule[j] == 0
+
+
+@kernel
+def _column(rows: Float64, first: int, i: int) -> Vector:
+    return Vector(rows[first, i], rows[first + 1, i], rows[first + 2, i])
+
+
+@kernel
+def _light_of_node(at: SurfacePoint, q: Vector, shining: Vector, lobe: Lobe) -> float:
+    towards = minus(q, at.p)
+    r2 = dot(towards, towards)
+    r = math.sqrt(r2)
+    half = plus(scaled(towards, 1.0 / r), at.v)
+    size = math.sqrt(dot(half, half))
+    chord = minus(at.n, scaled(half, 1.0 / size))
+    height = dot(at.n, towards)
+    factor = light_factor(max(height, 0.0) / r, square_across(towards, lobe) / r2, size, lobe)
+    height_of_lobe = specular_lobe(dot(chord, chord), square_across(chord, lobe), lobe)
+    value = height_of_lobe * factor * max(0.0, -dot(shining, towards)) / (r2 * r)
+    return value if height > 0.0 else 0.0
+
+
+@kernel
+def _set_light_of_node(work: Float64, number: int, q: Vector, shining: Vector, lobe: Lobe) -> None:
+    # the same of points side by side, for lobes that are alike all round
+    for i in range(number):
+        towards, normal = minus(q, column_at(work, i)), _column(work, 3, i)
+        r2 = dot(towards, towards)
+        r = math.sqrt(r2)
+        half = plus(scaled(towards, 1.0 / r), _column(work, 6, i))
+        size = math.sqrt(dot(half, half))
+        chord = minus(normal, scaled(half, 1.0 / size))
+        work[9, i], work[10, i], work[11, i] = 0.0, dot(chord, chord), size
+        n_dot_l = max(0.0, dot(normal, towards)) / r
+        work[12, i] = n_dot_l
+        work[13, i] = max(0.0, -dot(shining, towards)) / (r2 * r) if n_dot_l > 0.0 else 0.0
+    if lobe.ggx:
+        for i in range(number):
+            work[9, i] = round_ggx(work[10, i], work[12, i], lobe.inverse)
+    for k in range(0 if lobe.ggx else lobe.wider + 1):
+        share = lobe.share if k == 0 else lobe.shares[k - 1]
+        inverse = lobe.inverse if k == 0 else lobe.inverses[k - 1]
+        # also beyond its range, where only wide lobes are not negligible: to 3e-4 at the horizon
+        for i in range(number):
+            work[9, i] += share * narrow_gaussian(work[10, i], inverse)
+    for i in range(number if lobe.n > 0.0 else 0):
+        work[9, i] *= fresnel_factor(work[11, i], lobe.n, lobe.k, lobe.normal_reflectance)
+    for i in range(number):
+        work[9, i] *= work[13, i]
 
 
 @kernel
@@ -731,25 +791,18 @@ def _add_nodes(
             number += 1
     for k in range(len(places) if number else 0):
         q, shining = vector_at(places, k), vector_at(light, k)
-        for i in range(number):
-            normal, view = column_at(work[3:6], i), column_at(work[6:9], i)
-            towards = minus(q, column_at(work[:3], i))
-            r2 = dot(towards, towards)
-            r = math.sqrt(r2)
-            half = plus(scaled(towards, 1.0 / r), view)
-            size = math.sqrt(dot(half, half))
-            chord = minus(normal, scaled(half, 1.0 / size))
-            height = dot(normal, towards)
-            turned = lobe_at(lobe, frames, index[i])
-            factor = light_factor(max(height, 0.0) / r, square_across(towards, turned) / r2, size, lobe)
-            height_of_lobe = specular_lobe(dot(chord, chord), square_across(chord, turned), lobe)
-            value = height_of_lobe * factor * max(0.0, -dot(shining, towards)) / (r2 * r)
-            work[9, i] = value if height > 0.0 else 0.0
+        if lobe.widening > 1.0:
+            for i in range(number):
+                turned = lobe_at(lobe, frames, index[i])
+                at = surface_point(column_at(work, i), _column(work, 3, i), _column(work, 6, i))
+                work[9, i] = _light_of_node(at, q, shining, turned)
+        else:
+            _set_light_of_node(work, number, q, shining, lobe)
         for b in range(len(weights)):
             for i in range(number):
                 specular[b, index[i]] += weights[b, k] * work[9, i]
     for i in range(number):
-        at = surface_point(column_at(work[:3], i), column_at(work[3:6], i), column_at(work[6:9], i))
+        at = surface_point(column_at(work, i), _column(work, 3, i), _column(work, 6, i))
         divisor = _divisor(at, lobe_at(lobe, frames, index[i]))
         for b in range(len(weights)):
             specular[b, index[i]] /= divisor

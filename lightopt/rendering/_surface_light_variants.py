@@ -13,11 +13,20 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
-from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled, vector_at
+from lightopt.core.vectors import Vector, column_at, cross, dot, length, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
-from lightopt.lights import Element, Pattern, SurfaceLight, element_at, element_place, element_weight
+from lightopt.lights import (
+    SPHERE,
+    Element,
+    Pattern,
+    SurfaceLight,
+    element_at,
+    element_place,
+    element_weight,
+    place_on_element,
+)
 from lightopt.optics import (
-    NARROW_CHORD_SQUARED,
+    DiffuseForm,
     Lobe,
     farthest_exponent,
     is_lambert,
@@ -25,7 +34,7 @@ from lightopt.optics import (
     lobe_at,
     lobe_beside,
     lobe_of_width,
-    narrow_gaussian,
+    rough_gaussian,
     specular_divisor,
     specular_lobe,
     square_across,
@@ -46,9 +55,12 @@ from lightopt.rendering._surface_light import (
     whole_element,
 )
 
-NEGLIGIBLE_CHANGE = 0.05  # what the lobe of an element adds at most where it is left out [grey level]
+NEGLIGIBLE_CHANGE = 0.05  # what all of a light adds at most where its lobes are left out [grey level]
 MOST_SHARED = 12  # nodes a side of an element that all variants share
 LEAST_SHARED = 3
+# rows of the variants of a point: normal, N·V, 1/(2σ²), number, what specular light is divided by, and the vector that
+# the lobe has across the brushing
+_N_DOT_V, _INVERSE, _NUMBER, _DIVISOR, _ACROSS, _ROWS = 3, 4, 5, 6, 7, 10
 
 
 @kernel
@@ -68,88 +80,205 @@ def _shared_counts(at: SurfacePoint, e: Element, lobe: Lobe) -> tuple[int, int]:
 
 @kernel
 def _set_shared_nodes(
-    at: SurfacePoint, e: Element, pattern: Pattern, counts: tuple[int, int], nodes: Float64, light: Float64
+    at: SurfacePoint,
+    e: Element,
+    pattern: Pattern,
+    counts: tuple[int, int],
+    nodes: Float64,
+    light: Float64,
+    work: Float64,
 ) -> None:
-    # half vector of each node and 2·H·V, shape (4, nodes), and its light for each term, shape (b, nodes)
-    du, dv = e.u1 - e.u0, e.v1 - e.v0
-    weights = np.empty(counts)
-    for i in range(counts[0]):
-        for j in range(counts[1]):
-            k = i * counts[1] + j
-            q, along_u, along_v = element_place(e, e.u0 + du * NODES[counts[0], i], e.v0 + dv * NODES[counts[1], j])
+    # half vector of each node and 2·H·V, shape (4, nodes), and its light for each term, shape (b, nodes); `work` is for
+    # its own use, shape (2, nodes)
+    du, dv, (count_u, count_v) = e.u1 - e.u0, e.v1 - e.v0, counts
+    for j in range(count_v):
+        v = e.v0 + dv * NODES[count_v, j]
+        work[0, j], work[1, j] = (math.cos(v), math.sin(v)) if e.shape == SPHERE else (1.0, 0.0)
+    for i in range(count_u):
+        u = e.u0 + du * NODES[count_u, i]
+        of_u = (math.cos(u), math.sin(u))
+        for j in range(count_v):
+            k, v = i * count_v + j, e.v0 + dv * NODES[count_v, j]
+            q, along_u, along_v = place_on_element(e, u, v, of_u, (work[0, j], work[1, j]))
             towards = minus(q, at.p)
-            half = plus(divided(towards, length(towards)), at.v)
-            half = divided(half, length(half))
+            half = plus(scaled(towards, 1.0 / length(towards)), at.v)
+            half = scaled(half, 1.0 / length(half))
             nodes[0, k], nodes[1, k], nodes[2, k] = half
             nodes[3, k] = 2.0 * dot(half, at.v)
-            light[:, k] = du * dv * element_weight(e, towards, along_u, along_v)
-    for b in range(len(pattern.terms)):
-        element_weights(e, pattern, b, weights)
-        light[b, : weights.size] *= weights.ravel()
+            value = du * dv * element_weight(e, towards, along_u, along_v)
+            for b in range(len(light)):
+                light[b, k] = value
+    weights = work[1, : count_u * count_v]
+    for b in range(len(light)):
+        element_weights(e, pattern, b, weights.reshape(count_u, count_v))
+        for k in range(len(weights)):
+            light[b, k] *= weights[k]
 
 
 @kernel
-def _specular_of_nodes(
-    at: SurfacePoint,
+def _set_variants(at: SurfacePoint, r: Vector, own: Lobe, lean: Float64, inverse: Float64, turned: Float64) -> None:
+    # of a point, by its reference direction r
+    a = cross(at.n, r)
+    for t in range(len(lean)):
+        n = leaning(lean, t, at.n, r, a)
+        lobe = lobe_beside(lobe_of_width(own, inverse[t]), n)
+        turned[0, t], turned[1, t], turned[2, t] = n
+        turned[_N_DOT_V, t], turned[_INVERSE, t], turned[_NUMBER, t] = dot(n, at.v), inverse[t], t
+        turned[_DIVISOR, t] = specular_divisor(turned[_N_DOT_V, t], square_across(at.v, lobe), lobe)
+        turned[_ACROSS, t], turned[_ACROSS + 1, t], turned[_ACROSS + 2, t] = lobe.across
+
+
+@kernel
+def _take_near(turned: Float64, reach: Float64, half: Vector, spread: float, flags: Bool, near: Float64) -> int:
+    # the variants whose lobes may reach an element, side by side; returns how many they are
+    for t in range(len(reach)):
+        away, most = minus(column_at(turned, t), half), reach[t] + spread
+        flags[t] = (turned[_N_DOT_V, t] > 0.0) & (dot(away, away) <= most * most)
+    number = 0
+    for t in range(len(reach)):
+        near[_NUMBER, number] = t
+        number += flags[t]
+    for j in range(number):
+        t = int(near[_NUMBER, j])
+        for row in range(_NUMBER):
+            near[row, j] = turned[row, t]
+    return number
+
+
+@kernel
+def _lobe_of(own: Lobe, turned: Float64, near: Float64, j: int) -> Lobe:
+    # of one of the variants
+    lobe: Lobe = lobe_of_width(own, near[_INVERSE, j])
+    if lobe.widening == 1.0:
+        return lobe
+    return Lobe(*lobe[:-1], column_at(turned[_ACROSS:], int(near[_NUMBER, j])))
+
+
+@kernel
+def _set_specular(
+    v: Vector,
     nodes: Float64,
     light: Float64,
-    count: int,
-    lobe: Lobe,
-    narrow: bool,
+    own: Lobe,
+    turned: Float64,
+    near: Float64,
+    counts: tuple[int, int],
     values: Float64,
     found: Float64,
 ) -> None:
-    # adds to `found`; `narrow`: whether all half vectors are so near; `values` is for its own use. The processor works
-    # on several nodes at once in loops without branches
-    _, n, v, n_dot_v = at
-    if narrow and lobe.plain:
-        for k in range(count):
-            x, y, z = n.x - nodes[0, k], n.y - nodes[1, k], n.z - nodes[2, k]
-            chord = x * x + y * y + z * z
-            # N·L = 2 (N·H)(H·V) − N·V, and N·H = 1 − chord²/2
-            lit = (1.0 - 0.5 * chord) * nodes[3, k] > n_dot_v
-            values[k] = narrow_gaussian(chord, lobe.inverse) if lit else 0.0
-    else:
-        for k in range(count):
-            x, y, z = n.x - nodes[0, k], n.y - nodes[1, k], n.z - nodes[2, k]
-            chord = x * x + y * y + z * z
-            n_dot_l = (1.0 - 0.5 * chord) * nodes[3, k] - n_dot_v
-            aside = square_across(Vector(x, y, z), lobe)
-            # L = 2 (H·V) H − V
-            half = scaled(Vector(nodes[0, k], nodes[1, k], nodes[2, k]), nodes[3, k])
-            factor = light_factor(n_dot_l, square_across(minus(half, v), lobe), nodes[3, k], lobe)
-            values[k] = specular_lobe(chord, aside, lobe) * factor if n_dot_l > 0.0 else 0.0
-    factor = 1.0 / specular_divisor(n_dot_v, square_across(v, lobe), lobe)
-    for b in range(len(light)):
-        total = 0.0
-        for k in range(count):
-            total += light[b, k] * values[k]
-        found[b] += factor * total
+    # light of each term on variants, shape (b, variants), by so many nodes on so many variants; `values` is for its own
+    # use. The processor works on several variants at once in loops without branches
+    count, number = counts
+    for b in range(len(found)):
+        for j in range(number):
+            found[b, j] = 0.0
+    for k in range(count):
+        half, twice = Vector(nodes[0, k], nodes[1, k], nodes[2, k]), nodes[3, k]
+        if own.plain:
+            _set_gaussian(half, twice, near, number, values)
+        else:
+            _set_lobe(v, half, twice, own, turned, near, number, values)
+        for b in range(len(found)):
+            for j in range(number):
+                found[b, j] += light[b, k] * values[j]
 
 
 @kernel
-def _set_vector_light(p: Vector, places: Float64, light: Float64, weights: Float64, whole: Float64) -> None:
-    # Σ light · cosα · L / r² for each term, shape (b, 3): times N the diffuse light of an element above the horizon
-    whole[:] = 0.0
+def _set_gaussian(half: Vector, twice: float, near: Float64, number: int, values: Float64) -> None:
+    # of variants by one half vector H and 2·H·V
+    for j in range(number):
+        away = minus(column_at(near, j), half)
+        chord = dot(away, away)
+        # N·L = 2 (N·H)(H·V) − N·V, and N·H = 1 − chord²/2
+        lit = (1.0 - 0.5 * chord) * twice > near[_N_DOT_V, j]
+        values[j] = rough_gaussian(chord, near[_INVERSE, j]) if lit else 0.0
+
+
+@kernel
+def _set_lobe(
+    v: Vector, half: Vector, twice: float, own: Lobe, turned: Float64, near: Float64, number: int, values: Float64
+) -> None:
+    towards = minus(scaled(half, twice), v)  # L = 2 (H·V) H − V
+    for j in range(number):
+        away, lobe = minus(column_at(near, j), half), _lobe_of(own, turned, near, j)
+        chord = dot(away, away)
+        n_dot_l = (1.0 - 0.5 * chord) * twice - near[_N_DOT_V, j]
+        factor = light_factor(max(n_dot_l, 0.0), square_across(towards, lobe), twice, lobe)
+        value = specular_lobe(chord, square_across(away, lobe), lobe) * factor
+        values[j] = value if n_dot_l > 0.0 else 0.0
+
+
+@kernel
+def _add_diffuse(
+    at: SurfacePoint,
+    nodes: tuple[Float64, Float64, Float64],
+    turned: Float64,
+    R_d: Float64,
+    steps: tuple[Float64, Index],
+    vectors: Float64,
+    sums: Float64,
+) -> None:
+    # Lambert's light of an element on variants, shape (b, t), which the steeper ones follow: it is linear in the normal
+    # as long as a node is above the horizon. steps: how far the normals of variants of a slope are from the point's,
+    # and the first variant of each. vectors: for each term the sum of what is linear for so many slopes and no more,
+    # shape (b, slopes + 1, 3)
+    (places, light, weights), (away, first) = nodes, steps
     for k in range(len(places)):
-        towards = minus(vector_at(places, k), p)
+        towards = minus(vector_at(places, k), at.p)
         r2 = dot(towards, towards)
-        value = max(0.0, -dot(vector_at(light, k), towards)) / (r2 * r2)
+        arriving = scaled(towards, max(0.0, -dot(vector_at(light, k), towards)) / (r2 * r2))
+        height, size = dot(at.n, arriving), length(arriving)
+        # slopes of which all variants have the node above the horizon, or all below
+        above = below = 0
+        if away[-1] * size <= height:
+            above = len(away)
+        elif height >= 0.0:
+            while above < len(away) and away[above] * size <= height:
+                above += 1
+        else:
+            while below < len(away) and away[below] * size <= -height:
+                below += 1
+        start = first[max(above, below)]
         for b in range(len(weights)):
-            whole[b, 0] += weights[b, k] * value * towards.x
-            whole[b, 1] += weights[b, k] * value * towards.y
-            whole[b, 2] += weights[b, k] * value * towards.z
+            own = scaled(arriving, weights[b, k])
+            for axis in range(3 if above > 0 else 0):
+                vectors[b, above, axis] += own[axis]
+            if start < len(R_d):
+                # of a row's slice the compiler knows that no index counts from the end: it takes several at once
+                to, share = sums[b, start:], R_d[start:]
+                x, y, z = turned[0, start:], turned[1, start:], turned[2, start:]
+                for t in range(len(to)):
+                    facing = arriving.x * x[t] + arriving.y * y[t] + arriving.z * z[t]
+                    to[t] += share[t] * weights[b, k] * max(0.0, facing)
 
 
 @kernel
-def _set_normals(n: Vector, r: Vector, lean: Float64, normals: Float64) -> float:
-    # normals of the variants; returns how far a normal is from n, at most
-    a, farthest = cross(n, r), 0.0
+def _add_other_diffuse(
+    at: SurfacePoint,
+    nodes: tuple[Float64, Float64, Float64],
+    turned: Float64,
+    R_d: Float64,
+    form: DiffuseForm,
+    found: Float64,
+    sums: Float64,
+) -> None:
+    # of another form; `found` is for its own use
+    for t in range(len(R_d)):
+        diffuse_of_element(surface_point(at.p, column_at(turned, t), at.v), form, nodes, found)
+        for b in range(len(found)):
+            sums[b, t] += R_d[t] * found[b]
+
+
+@kernel
+def _slopes(lean: Float64) -> tuple[Float64, Index]:
+    # how far the normals of the variants of each slope are from the point's, and the first variant of each, and the end
+    away, first, count = np.empty(len(lean)), np.empty(len(lean) + 1, np.intp), 0
     for t in range(len(lean)):
-        turned = leaning(lean, t, n, r, a)
-        normals[t, 0], normals[t, 1], normals[t, 2] = turned
-        farthest = max(farthest, length(minus(turned, n)))
-    return farthest
+        if t == 0 or lean[t, 0] != lean[t - 1, 0]:
+            away[count], first[count] = length(minus(vector_at(lean, t), Vector(1.0, 0.0, 0.0))), t
+            count += 1
+    first[count] = len(lean)
+    return away[:count], first[: count + 1]
 
 
 @kernel
@@ -165,84 +294,80 @@ def _variant_sums(
     levels: Float64,
 ) -> None:
     # levels of the variants of each point under each channel, shape (channels, t, k). The light of the elements of a
-    # group is summed, of which a channel has `shares`, shape (channels, groups, b)
+    # group is summed, of which a channel has `shares`, shape (channels, groups, b). Steeper variants follow
     lean, R_d, R_s, inverse, most, form, diffuse = variants
     points, frames, views, _, _ = rows
-    linear = is_lambert(diffuse)
-    sharpest, reach = inverse.max(), 0.0
-    ends = np.empty(len(inverse))
-    for t in range(len(inverse)):
-        ends[t] = farthest_exponent(most[t], lobe_of_width(form, inverse[t]))
-        reach = max(reach, math.sqrt(ends[t] / inverse[t]))
-    terms, groups, count = len(pattern.terms), shares.shape[1], len(lean)
-    found, whole = np.empty(terms), np.empty((terms, 3))
-    nodes, shared, values = np.empty((4, MOST_SHARED**2)), np.empty((terms, MOST_SHARED**2)), np.empty(MOST_SHARED**2)
-    towards, sums = np.empty((groups, terms, 3)), np.empty((groups, count, terms))
-    turned_normals = np.empty((count, 3))
+    terms, groups, count, most_nodes = len(pattern.terms), shares.shape[1], len(lean), MOST_SHARED**2
+    reach = np.empty(count)
+    for t in range(count):
+        reach[t] = math.sqrt(max(0.0, farthest_exponent(most[t], lobe_of_width(form, inverse[t]))) / inverse[t])
+    away, first = _slopes(lean)
+    farthest, linear, widest = away[-1], is_lambert(diffuse), reach.max()
+    found, one, values = np.empty((terms, count)), np.empty(terms), np.empty(count)
+    nodes, shared, work = np.empty((4, most_nodes)), np.empty((terms, most_nodes)), np.empty((2, most_nodes))
+    vectors, sums = np.empty((groups, terms, len(away) + 1, 3)), np.empty((groups, terms, count))
+    turned, near, flags = np.empty((_ROWS, count)), np.empty((_NUMBER + 1, count)), np.empty(count, np.bool_)
     places, light, weights = all_diffuse_nodes(elements, pattern)
     for i in range(len(points)):
         plain, own = point_at(points, frames, views, i), lobe_at(form, frames, i)
-        farthest = _set_normals(plain.n, vector_at(references, i), lean, turned_normals)
-        towards[:], sums[:] = 0.0, 0.0
+        _set_variants(plain, vector_at(references, i), own, lean, inverse, turned)
+        vectors[:], sums[:] = 0.0, 0.0
         for m in range(len(elements)):
             if not clear[m, i]:
                 continue
             e, g = element_at(elements, m), group[m]
             middle = minus(e.centre, plain.p)
-            height, turn = dot(plain.n, middle), farthest * length(middle)
-            if height + turn <= -e.reach:
+            if dot(plain.n, middle) + farthest * length(middle) <= -e.reach:
                 continue
-            above = linear and height - turn >= e.reach
             if linear:
-                _set_vector_light(plain.p, places[m], light[m], weights[m], whole)
-            if above:
-                # Lambert's light is linear in the normal
-                towards[g] += whole
+                diffuse_nodes = places[m], light[m], weights[m]
+                _add_diffuse(plain, diffuse_nodes, turned, R_d, (away, first), vectors[g], sums[g])
+            else:
+                _add_other_diffuse(plain, (places[m], light[m], weights[m]), turned, R_d, diffuse, one, sums[g])
             half, spread = half_vector_cone(plain, e.centre, e.reach)
-            far = spread < math.pi and length(minus(plain.n, half)) - spread - farthest > reach
-            if above and far:
+            if spread < math.pi and length(minus(plain.n, half)) - spread - farthest > widest:
                 continue
-            counts = 0, 0
-            for t in range(count):
-                at = surface_point(plain.p, vector_at(turned_normals, t), plain.v)
-                if not above:
-                    height = dot(at.n, middle)
-                    if height <= -e.reach:
-                        continue
-                    if linear and height >= e.reach:
-                        for b in range(terms):
-                            sums[g, t, b] += R_d[t] * dot(vector_at(whole, b), at.n)
-                    else:
-                        diffuse_of_element(at, diffuse, (places[m], light[m], weights[m]), found)
-                        for b in range(terms):
-                            sums[g, t, b] += R_d[t] * found[b]
-                if far or at.n_dot_v <= 0.0:
-                    continue
-                lobe = lobe_beside(lobe_of_width(own, inverse[t]), at.n)
-                away = length(minus(at.n, half))
-                nearest = max(0.0, away - spread)
-                if spread < math.pi and nearest * nearest * inverse[t] > ends[t]:
-                    continue
-                if counts[0] == 0:
-                    counts = _shared_counts(plain, e, lobe_of_width(own, sharpest))
-                    if max(counts) <= MOST_SHARED:
-                        _set_shared_nodes(plain, e, pattern, counts, nodes, shared)
-                found[:] = 0.0
-                if max(counts) <= MOST_SHARED:
-                    number = counts[0] * counts[1]
-                    narrow = (away + spread) ** 2 < NARROW_CHORD_SQUARED
-                    _specular_of_nodes(at, nodes, shared, number, lobe, narrow, values, found)
-                else:
-                    specular_of_element(at, e, whole_element(e), pattern, lobe, most[t], found)
+            number = _take_near(turned, reach, half, spread, flags, near)
+            if number == 0:
+                continue
+            sharpest = 0.0
+            for j in range(number):
+                sharpest = max(sharpest, near[_INVERSE, j])
+            counts = _shared_counts(plain, e, lobe_of_width(own, sharpest))
+            if max(counts) <= MOST_SHARED:
+                _set_shared_nodes(plain, e, pattern, counts, nodes, shared, work)
+                of_all = counts[0] * counts[1], number
+                _set_specular(plain.v, nodes, shared, own, turned, near, of_all, values, found)
+                for j in range(number):
+                    t = int(near[_NUMBER, j])
+                    for b in range(terms):
+                        sums[g, b, t] += R_s[t] / turned[_DIVISOR, t] * found[b, j]
+                continue
+            for j in range(number):
+                t, at = int(near[_NUMBER, j]), surface_point(plain.p, column_at(near, j), plain.v)
                 for b in range(terms):
-                    sums[g, t, b] += R_s[t] * found[b]
-        for t in range(count):
-            turned = vector_at(turned_normals, t)
-            for g in range(groups):
+                    one[b] = 0.0
+                specular_of_element(at, e, whole_element(e), pattern, _lobe_of(own, turned, near, j), most[t], one)
                 for b in range(terms):
-                    total = sums[g, t, b] + R_d[t] * dot(vector_at(towards[g], b), turned)
-                    for c in range(len(shares)):
-                        levels[c, t, i] += shares[c, g, b] * total
+                    sums[g, b, t] += R_s[t] * one[b]
+        for g in range(groups):
+            for b in range(terms):
+                total = Vector(0.0, 0.0, 0.0)
+                for s in range(len(away) - 1, -1, -1):
+                    total = plus(total, vector_at(vectors[g, b], s + 1))
+                    for t in range(first[s], first[s + 1]):
+                        level = sums[g, b, t] + R_d[t] * dot(total, column_at(turned, t))
+                        for c in range(len(shares)):
+                            levels[c, t, i] += shares[c, g, b] * level
+
+
+def _whole_lobes(variants: VariantNumbers, radiance: float) -> Float64:
+    # light of all of a lobe at most, per unit of R_s, with that radiance all round, or 1; shape (t,)
+    lobe = variants.lobe
+    if lobe.ggx:
+        return np.ones(len(variants.inverse))
+    widest = min(lobe.inverse, *lobe.inverses) / lobe.inverse * variants.inverse
+    return np.clip(radiance * 4.0 * math.pi * math.sqrt(lobe.widening) / widest, 1e-30, 1.0)
 
 
 def surface_light_variants(
@@ -265,17 +390,22 @@ def surface_light_variants(
     elements = channels.elements
     group, shares = channels.group, channels.group_shares
     # what is far below the noise does not count
-    variants = variants._replace(most=variants.most - math.log(NEGLIGIBLE_CHANGE / LEAST_LEVEL))
+    whole = _whole_lobes(variants, float(np.abs(shares).sum(axis=2).max()))
+    order = np.argsort(-variants.lean[:, 0], kind="stable")
+    variants = variants._replace(most=variants.most + np.log(whole * (LEAST_LEVEL / NEGLIGIBLE_CHANGE)))
+    rows = {name: getattr(variants, name)[order] for name in ("lean", "R_d", "R_s", "inverse", "most")}
+    ordered = variants._replace(**rows)
+    levels = np.empty((len(lights), len(variants.lean), len(surface)))
 
-    def chunk(start: int) -> Float64:
+    def chunk(start: int) -> None:
         end_if_stopped()
         part = slice(start, start + step)
         some = surface.take(part)
         own = np.zeros((len(lights), len(variants.lean), len(some)))
         clear, _ = elements_seen(replace(some, normals=some.facets), elements, caster)
-        _variant_sums(some.rows, references[part], elements, channels.pattern, group, clear, variants, shares, own)
-        return own
+        _variant_sums(some.rows, references[part], elements, channels.pattern, group, clear, ordered, shares, own)
+        levels[:, order, part] = own
 
     step = min(max(1, AT_ONCE // len(elements)), points_at_once(len(surface), threads))
-    found = in_threads(chunk, range(0, max(1, len(surface)), step), threads)
-    return np.concatenate(found, axis=2)
+    in_threads(chunk, range(0, len(surface), step), threads)
+    return levels

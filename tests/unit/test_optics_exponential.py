@@ -9,7 +9,7 @@ import pytest
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.optics._exponential import exponential
-from lightopt.optics._reflection_model import NARROW_CHORD_SQUARED, gaussian, narrow_gaussian
+from lightopt.optics._reflection_model import NARROW_CHORD_SQUARED, gaussian, narrow_gaussian, rough_gaussian
 
 
 @kernel
@@ -65,3 +65,10 @@ def test_the_lobe_without_branches_is_the_lobe(sigma: float) -> None:
     np.testing.assert_array_equal(wide, narrow)
     plain = np.exp(-((2.0 * np.arcsin(0.5 * np.sqrt(chord_squared))) ** 2) * inverse)
     np.testing.assert_allclose(narrow, plain, rtol=1e-9 / sigma**2 * 1e-2 + 1e-9, atol=1e-27)
+
+
+@pytest.mark.parametrize(("sigma", "most"), [(0.003, 3e-6), (0.0475, 3e-6), (0.1, 3e-6), (0.2, 1e-5), (0.3, 1e-4)])
+def test_the_rough_lobe_is_near_the_lobe_up_to_a_right_angle(sigma: float, most: float) -> None:
+    inverse = 0.5 / sigma**2
+    for chord_squared in np.linspace(0.0, 2.0, 2000).tolist():
+        assert abs(rough_gaussian(chord_squared, inverse) - gaussian(chord_squared, inverse)) <= most

@@ -12,8 +12,10 @@ from lightopt.lights import PanelLight
 from lightopt.optics import (
     Reflectance,
     SpecularModel,
+    fresnel_factor,
     light_factor,
     lobe_across,
+    round_ggx,
     specular_divisor,
     specular_lobe,
     square_across,
@@ -95,6 +97,10 @@ def test_lobe_is_the_published_formula(name: str, sigma: float) -> None:
         value = specular_lobe(float(chord @ chord), squares[0], lobe) * light_factor(
             float(n @ towards), squares[1], size, lobe
         )
+        if lobe.ggx and not brushed:
+            few = round_ggx(float(chord @ chord), float(n @ towards), lobe.inverse)
+            few *= fresnel_factor(size, lobe.n, lobe.k, lobe.normal_reflectance) if lobe.n > 0.0 else 1.0
+            assert few == pytest.approx(value, rel=1e-12)
         found[i] = value / specular_divisor(float(n @ v), squares[2], lobe)
     expected = specular(normal, view, light, r, across if brushed else None)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)

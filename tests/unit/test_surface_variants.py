@@ -170,3 +170,51 @@ def test_variants_of_whole_lights_are_the_light_on_other_surfaces(kind, model, s
         # a few points stand for a panel, and a few nodes for an element, to a few per cent of most lobes
         off = np.abs(found.varied[t] - expected) > 0.03 * expected + 0.02 * expected.max()
         assert off.mean() <= 0.02
+
+
+def quadrants():
+    camera = {"distance_mm": 500, "elevation_deg": 90, "resolution_px": [32, 24], "pixel_size_um": 220}
+    camera |= {"image_distance_mm": 50, "sensor": {"bit_depth": 8}}
+    dome = {"name": "dome", "kind": "dome", "distance_mm": 0, "radius_mm": 100, "camera_hole_mm": 30}
+    dome |= {"segments": 4, "leak": 0.2}
+    rig = {"format": "lightopt-rig/1", "name": "x", "camera": camera, "lights": [dome]}
+    return build_lights(RigConfig.model_validate(rig))
+
+
+def test_threads_do_not_matter():
+    """The same bytes, though each number of threads works on other points at once."""
+    surface, references = surface_of(np.random.default_rng(5))
+    factors = {"R_d_factor": R_D_FACTOR, "sigma_factor": SIGMA_FACTOR}
+    reflectance = Reflectance(R_d=45.0, R_s=4000.0, sigma=0.05)
+    variants = surface_variants(slope=SLOPES, direction=DIRECTIONS, **factors, reflectances=[reflectance])
+    first, *others = (
+        shade_variants(surface, references, quadrants(), variants, caster=None, threads=threads)
+        for threads in (1, 2, 3)
+    )
+    for other in others:
+        assert all(np.array_equal(a.varied, b.varied) for a, b in zip(first, other, strict=True))
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.0475, 0.15])
+@pytest.mark.parametrize("model", MODELS)
+def test_variants_under_the_quadrants_of_a_dome(model, sigma):
+    """Steep and gentle variants in any order, channels together: within about a percent of leaning surfaces."""
+    surface, references = surface_of(np.random.default_rng(5))
+    few = np.arange(0, POINTS, 10)
+    surface, references = surface.take(few), references[few]
+    lobe, form = MODELS[model]
+    reflectance = Reflectance(R_d=45.0, R_s=4000.0 * (0.05 / sigma) ** 2, sigma=sigma, model=lobe, diffuse=form)
+    lights = quadrants()
+    slope, direction = np.radians([12.0, 2.0, 20.0, 2.0, 0.0, 0.0]), np.radians([30.0, 210.0, 300.0, 10.0, 0.0, 0.0])
+    factors = {"R_d_factor": np.array([1.0, 1.0, 1.0, 1.0, 0.7, 1.0]), "sigma_factor": np.array([1.0] * 5 + [1.5])}
+    variants = surface_variants(slope=slope, direction=direction, **factors, reflectances=[reflectance])
+    found = shade_variants(surface, references, lights, variants, caster=None)
+    across = np.cross(surface.normals, references)
+    for t in range(len(slope)):
+        towards = math.cos(direction[t]) * references + math.sin(direction[t]) * across
+        leaning = replace(surface, normals=math.cos(slope[t]) * surface.normals + math.sin(slope[t]) * towards)
+        own = reflectance.changed(**{key: float(values[t]) for key, values in factors.items()})
+        diffuse_light, specular_light = shade_surface_lights(leaning, lights, reflectance=own, caster=None)
+        expected = own.R_d * diffuse_light + own.R_s * specular_light
+        for one, level in zip(found, expected, strict=True):
+            assert np.mean(np.abs(one.varied[t] - level) > 0.012 * level.max() + 0.1) <= 0.02

@@ -8,10 +8,10 @@ import numpy as np
 
 from lightopt import rendering
 from lightopt.core.arrays import Bool, Float32, Float64, Index
+from lightopt.core.threads import blocks
 from lightopt.core.transforms import Posture
 from lightopt.defects import Waviness, tangent_references
 from lightopt.geometry import RayCaster
-from lightopt.lights import PanelLight
 from lightopt.scene import Scene, lens_share, surface_footprint, with_reflectances
 
 ReferenceName = Literal["model", "good-parts", "self"]
@@ -143,19 +143,22 @@ def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int
     )
 
     share = lens_share(scene.camera, pixels.column + 0.5, pixels.row + 0.5)
-    passed = 1.0 if share is None else share
-
-    def spread(panel: PanelLight) -> Float32:
-        source = rendering.panel_to_shade(panel, caster)
-        (shaded,) = rendering.shade_variants(surface, references, [source], variants, caster=caster, dtype=np.float32)
-        image = np.zeros(pixels.shape, np.float32)
-        image[pixels.row, pixels.column] = np.hypot(*(one - shaded.good for one in shaded.varied)) * passed
-        return image
-
+    passed = np.ones(len(surface)) if share is None else share
+    sources = [rendering.panel_to_shade(panel, caster) for panel in pixels.view.lights]
+    names = [panel.name for panel in pixels.view.lights]
+    spread: dict[str, Float32] = {name: np.zeros(pixels.shape, np.float32) for name in names}
+    for group in rendering.channel_groups(sources):
+        own = [sources[i] for i in group]
+        # channels together in parts, so that they take no more memory than one alone
+        for start, end in blocks(len(surface), max(1, -(-len(surface) // len(own)))):
+            some, place = surface.take(slice(start, end)), (pixels.row[start:end], pixels.column[start:end])
+            how: dict[str, Any] = {"caster": caster, "dtype": np.float32}
+            found = rendering.shade_variants(some, references[start:end], own, variants, **how)
+            for i, shaded in zip(group, found, strict=True):
+                change = np.hypot(*(one - shaded.good for one in shaded.varied))
+                spread[names[i]][place] = change * passed[start:end]
     return WavyLevels(
-        spread={panel.name: spread(panel) for panel in pixels.view.lights},
-        waviness=scene.waviness,
-        footprint=surface_footprint(pixels.view.camera, surface.points),
+        spread=spread, waviness=scene.waviness, footprint=surface_footprint(pixels.view.camera, surface.points)
     )
 
 

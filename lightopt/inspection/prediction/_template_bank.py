@@ -251,12 +251,18 @@ def _set_changes(
 
 
 def _set_inverse(entry: EntryTemplates, threads: int | None) -> None:
-    pieces = entry.pieces.first, entry.pieces.pixel, entry.pieces.variant, entry.pieces.weight
-    grid = len(entry.hypotheses.shapes), entry.border, entry.step
+    (_, width, lights, variants), border, step = entry.change.shape, entry.border, entry.step
+    # where the piece's change lies from that of the middle where pixels of a row are side by side
+    down = (entry.pieces.pixel + border * (width + 1)) // width - border
+    offset = entry.pieces.pixel + (down * (lights * variants - 1) + entry.pieces.variant) * width
+    pieces = entry.pieces.first, entry.pieces.pixel, offset, entry.pieces.weight
+    grid = len(entry.hypotheses.shapes), border, step
 
     def invert(top: int) -> None:
         rows = top, min(top + _ROWS, entry.inverse.shape[1])
-        _invert(entry.change, entry.foreshortening, pieces, grid, rows, LEAST_EXPECTED / entry.unit, entry.inverse)
+        some = entry.change[rows[0] * step : (rows[1] - 1) * step + 2 * border + 1]
+        change = np.ascontiguousarray(some.transpose(0, 2, 3, 1))
+        _invert(change, entry.foreshortening, pieces, grid, rows, LEAST_EXPECTED / entry.unit, entry.inverse)
 
     in_threads(invert, range(0, entry.inverse.shape[1], _ROWS), threads)
 
@@ -316,34 +322,41 @@ def _invert(
     least: float,
     inverse: Float32,
 ) -> None:
-    # some rows of places: 1/√ΣE of the middle size in units of the stored changes
-    (first, pixel, variant, weight), (sizes, border, step) = pieces, grid
+    # some rows of places: 1/√ΣE of the middle size in units of the stored changes, which begin with the first row of
+    # pixels that they see, shape (rows, lights, variants, w)
+    (first, pixel, offset, weight), (sizes, border, step) = pieces, grid
     poses, _, columns = inverse.shape
-    _, width, lights, variants = change.shape
-    flat = change.reshape(-1)
-    own = np.zeros(lights, np.float32)
+    _, lights, variants, width = change.shape
+    flat, of_light = change.reshape(-1), variants * width
+    energy, own = np.empty(columns, np.float32), np.zeros((lights, columns), np.float32)
     for i in range(rows[0], rows[1]):
-        for k in range(columns):
-            y, x = border + i * step, border + k * step
-            if foreshortening[y, x] < 0:
-                continue
-            base = y * width + x
-            for p in range(poses):
-                group = (foreshortening[y, x] * sizes + 1) * poses + p
-                energy = np.float32(0.0)
-                last = -1
-                for n in range(first[group], first[group + 1]):
-                    at = base + pixel[n]
-                    if at != last:
-                        for light in range(lights):
-                            energy += own[light] * own[light]
-                            own[light] = np.float32(0.0)
-                        last = at
-                    start = at * lights * variants + variant[n]
+        y, left = border + i * step, 0
+        while left < columns:
+            # places of a row that share their pieces
+            view = foreshortening[y, border + left * step]
+            right = left + 1
+            while right < columns and foreshortening[y, border + right * step] == view:
+                right += 1
+            base = (y - rows[0] * step) * lights * of_light + border + left * step
+            count = right - left if view >= 0 else 0
+            for p in range(poses if count > 0 else 0):
+                group = (view * sizes + 1) * poses + p
+                start, end = first[group], first[group + 1]
+                energy[:count] = np.float32(0.0)
+                for n in range(start, end):
                     for light in range(lights):
-                        own[light] += weight[n] * np.float32(flat[start + light * variants])
-                for light in range(lights):
-                    energy += own[light] * own[light]
-                    own[light] = np.float32(0.0)
-                if energy >= least * least:
-                    inverse[p, i, k] = np.float32(1.0) / math.sqrt(energy)
+                        some = flat[base + offset[n] + light * of_light :]
+                        if step == 1:
+                            for k in range(count):
+                                own[light, k] += weight[n] * np.float32(some[k])
+                        else:
+                            for k in range(count):
+                                own[light, k] += weight[n] * np.float32(some[k * step])
+                        if n + 1 == end or pixel[n + 1] != pixel[n]:
+                            for k in range(count):
+                                energy[k] += own[light, k] * own[light, k]
+                                own[light, k] = np.float32(0.0)
+                for k in range(count):
+                    if energy[k] >= least * least:
+                        inverse[p, i, left + k] = np.float32(1.0) / math.sqrt(energy[k])
+            left = right
