@@ -21,7 +21,7 @@ from lightopt.dataset._folder import MANIFEST, DatasetFolder
 from lightopt.dataset._pose import PoseImages, PostureLimits, SampleImages, posture_limits, render_pose, sample_images
 from lightopt.images import write_bytes_atomic, write_exr, write_png
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
-from lightopt.scene import build_catalogue, defect_facts, frame_part
+from lightopt.scene import at_rest_warnings, build_catalogue, defect_facts, frame_part
 
 TAKEN = (FUSED, STACK, "poses", "stacks")  # names that no light may have
 
@@ -83,7 +83,7 @@ def make_dataset(
         return _result(folder, complete, resumed=int(complete["poses"]))
     scene = setup.scene
     refuse_unusable_scene(scene, rig, part, cast_rays_at(scene))
-    run.warn(*scene.warnings)
+    run.warn(*scene.warnings, *at_rest_warnings(scene, options.exposure))
     poses = _draws.draw_poses(setup)
     splits = Counter(pose.split for pose in poses)
     remedy = "more samples, or fewer samples per pose, help"

@@ -13,6 +13,7 @@ from lightopt.dataset._draws import SPLITS, STACK, Setup
 from lightopt.dataset._folder import INVISIBLE, DatasetFolder
 from lightopt.dataset._visibility import MIN_IMAGES
 from lightopt.images import csv_text
+from lightopt.scene import at_rest_warnings
 
 Record = Mapping[str, Any]
 
@@ -137,6 +138,7 @@ def datasheet(setup: Setup, samples: Sequence[Record], omitted: int) -> str:
         ("share of samples with defects", "sample", f"{ranges.defective:g}"),
         ("defects", "sample", f"{ranges.defects[0]} to {ranges.defects[1]}; place, direction, size and slope of each"),
         ("dust", "sample", f"{particles}, R_d {limits(dust.R_d)}"),
+        *(("motion of the part", "nothing", text) for text in at_rest_warnings(setup.scene, options.exposure)),
         ("noise", "image", f"read noise of {sensor.read_noise_levels:g} levels{electrons}"),
     ]
     by_split = Counter((one["split"], bool(one["defects"])) for one in samples)

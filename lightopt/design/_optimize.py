@@ -29,7 +29,7 @@ from lightopt.design.responses._pairs import planned_catalogue
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
-from lightopt.scene import build_catalogue, build_scene, coarse_warnings
+from lightopt.scene import at_rest_warnings, build_catalogue, build_scene, coarse_warnings
 
 JOINT_TOLERANCE_PATCHES = 2_000  # of all postures together, that represent the others
 
@@ -183,7 +183,8 @@ def _state_problem(
     candidates = all_candidates = _problem.candidates_in(scene, rig, options, options.places)
     if options.places is not None and any(map(can_move, rig.lights)):
         all_candidates = _problem.candidates_in(scene, rig, options)
-    run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.sharpest))
+    at_rest = at_rest_warnings(scene, max(plan.all_exposures))
+    run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.sharpest), *at_rest)
     found = scene, caster, thresholds, candidates, all_candidates
     return _problem.Problem(rig, part, options, objectives, *found, provenance)
 

@@ -9,7 +9,7 @@ import numpy as np
 from lightopt.optics import depth_of_field
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, Level, percent
 from lightopt.rendering import too_few_pixels
-from lightopt.scene import blur_diameter, build_sensor, motion_blur, pixel_footprint, view_size
+from lightopt.scene import MOST_MOTION_PX, blur_diameter, build_sensor, motion_blur, pixel_footprint, view_size
 
 # a black level or a saturation level that costs more than this share of the full scale is worth a warning
 LOST_RANGE = 0.25
@@ -18,7 +18,6 @@ MOST_MAGNIFICATION, LEAST_PIXEL_UM = 20.0, 0.3  # beyond these a length has prob
 # what is blurred over more than a pixel is out of focus; a larger share of the surface seen is worth a warning
 FOCUS_PX, MOST_OUT_OF_FOCUS = 1.0, 0.05
 TABLE_TOLERANCE_MM = 1e-3
-MOST_MOTION_PX = 1.0  # of motion during exposure 1, above which it is worth a warning
 
 
 def check_lens(checked: CheckedRig) -> Iterator[Finding]:
@@ -160,8 +159,10 @@ def check_motion(checked: CheckedScene) -> Iterator[Finding]:
         text = f"the part moves {least:.3g} to {largest:.3g} px in the {1e3 * motion.exposure_s:.4g} ms of exposure 1"
         level: Level = "warning" if largest > MOST_MOTION_PX else "ok"
         if level == "warning":
-            text += f"; {MOST_MOTION_PX:g} px takes exposure {MOST_MOTION_PX / largest:.2g}. Fits and plans take the "
-            text += "part to be at rest"
+            text += (
+                f"; {MOST_MOTION_PX:g} px takes exposure {MOST_MOTION_PX / largest:.2g}. Fits, plans, training sets "
+            )
+            text += "and verify take the part to be at rest"
         yield checked.of_posture(sample, level, "motion", text, least_px=least, largest_px=largest)
 
 

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from lightopt.config import RANGE_KEYS, RigConfig
+from lightopt.core.errors import counted
 from lightopt.lights import PanelLight, SurfaceLight, outlines, surface_mesh
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, percent
 from lightopt.rendering import hidden_by, panels_in_part
-from lightopt.scene import area_in_view, build_lights, lights_meet
+from lightopt.scene import area_in_view, build_lights, housing_corners, image_area, lights_meet
 
 _ROUNDING_MM = 1e-6
 STEP_DEG = 5.0  # a light's ranges are tried at least this finely where the camera's view is concerned
@@ -37,6 +38,27 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
             yield _at_range(checked, index, "light in view", moved, "comes into the camera's view")
     if clear:
         yield Finding("ok", "light in view", "no light stands in the camera's view, nor moves into it")
+
+
+def check_housings(checked: CheckedRig) -> Iterator[Finding]:
+    """Housings that hide the part from the camera, or that nothing shows."""
+    environment = checked.rig.environment
+    own, corners = environment.housings, housing_corners(checked.rig)
+    if own is None:
+        return
+    backlights = {light.name for light in checked.lights if _is_backlight(light)}
+    where, level = checked.rig.source.at("environment", "housings"), environment.level
+    for name, polygon in corners.items():
+        area = 0.0 if name in backlights else image_area(checked.camera, polygon)
+        if area > 0.0:
+            text = f"the housing of {name} stands in the camera's view and covers {area:,.0f} px of it, where the part "
+            text += "is black: make margin_mm smaller, or move the light"
+            yield Finding("warning", "housings", text, where, {"light": name, "pixels": area})
+    text = f"{counted(len(corners), 'housing')} of level {own.level:g}, in surroundings of level {level:g}"
+    if own.level == level:
+        yield Finding("warning", "housings", f"{text}: they are as bright, so that the part shows none", where)
+    else:
+        yield Finding("ok", "housings", text, where)
 
 
 def _lowest(light: PanelLight) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from lightopt import __version__
 from lightopt.config import MOST_BOUNCES, PartConfig, RigConfig, input_hashes, load_part, load_rig, points_problem
 from lightopt.core.arrays import Float32
-from lightopt.core.errors import counted, refuse
+from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext, part_of
 from lightopt.core.threads import BackgroundTasks
@@ -124,6 +124,8 @@ def render_image_set(
         for exposure in rig.exposures(light.name, options.exposures)
     ]
     writer = ImageSetWriter(folder, _header(rig, part, scene, options), force=force, plan=plan)
+    if scene.motion is not None:
+        _refuse_longer_exposures(writer, plan)
     warnings: dict[str, None] = {}
 
     def warn(*texts: str) -> None:
@@ -189,6 +191,19 @@ def _blurred_apart(scene: Scene, plan: Sequence[ImageKey]) -> Sequence[float | N
     # exposures that are rendered one by one, as those of a part that moves differ: the longest, which the linear image
     # is of, before the others
     return (None,) if scene.motion is None else sorted({key[2] for key in plan}, reverse=True)
+
+
+def _refuse_longer_exposures(writer: ImageSetWriter, plan: Sequence[ImageKey]) -> None:
+    # the linear image of a part that moves has the blur of its longest exposure, and is written once
+    done = [entry.key for entry in writer.manifest.images if writer.done(*entry.key)]
+    for light, posture, exposure in plan:
+        longest = max((key[2] for key in done if key[:2] == (light, posture)), default=exposure)
+        if exposure > longest:
+            raise InputError(
+                f"{writer.folder}: {light}, posture {posture}: the set has exposure {longest:g}, and its linear "
+                f"image would be blurred as by exposure {exposure:g}, as the part moves; use option 'force' to replace "
+                "the set, or choose another folder"
+            )
 
 
 def _chosen(options: RenderOptions, *names: str) -> dict[str, Any]:

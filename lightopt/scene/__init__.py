@@ -35,15 +35,17 @@ from ._camera import (
     typical_blur,
 )
 from ._defects import angle_outside_range, build_catalogue, defect_facts, place_defects
-from ._image_area import area_in_view, lights_meet, obstructions
-from ._lights import display_picture
+from ._image_area import area_in_view, image_area, lights_meet, obstructions
+from ._lights import display_picture, housing_corners
 from ._point_spacing import coarse_points, coarse_warnings, like_panels, point_spacing, points_advice
 from ._scene import (
+    MOST_MOTION_PX,
     Housings,
     Motion,
     PartView,
     Placement,
     Scene,
+    at_rest_warnings,
     motion_blur,
     move_part,
     scene_of_region,

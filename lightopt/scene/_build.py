@@ -20,7 +20,7 @@ from lightopt.scene import _camera as cameras
 from lightopt.scene._brushing import brushings, faces_without_direction, with_brushing
 from lightopt.scene._defects import outside_stage_range, place_defects
 from lightopt.scene._image_area import obstructions
-from lightopt.scene._lights import build_housings, build_lights
+from lightopt.scene._lights import build_housings, build_lights, housing_corners
 from lightopt.scene._reflectance_table import table_lobes
 from lightopt.scene._regions import mesh_of_regions
 from lightopt.scene._scene import Motion, PartRegion, Placement, Scene, view_from_part
@@ -62,7 +62,8 @@ def build_scene(
     chosen = _postures(rig, part, postures)
     placed = build_lights(rig, lights, points)
     # lights that are off stand there, too
-    camera = replace(camera, obstructions=obstructions(camera, build_lights(rig) if lights else placed))
+    standing = build_lights(rig) if lights else placed
+    camera = replace(camera, obstructions=obstructions(camera, standing, housing_corners(rig).values()))
     mesh, placement, warnings = _mesh(part, cameras.pixel_footprint(camera, rig.camera.distance_mm))
     housings = build_housings(rig)
     surrounded = rig.environment.level > 0.0 or (housings is not None and housings.level > 0.0)

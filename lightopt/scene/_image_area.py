@@ -41,10 +41,17 @@ def area_in_view(camera: PinholeCamera, light: PanelLight) -> float:
     return min(area, float(camera.width * camera.height))
 
 
-def obstructions(camera: PinholeCamera, lights: Iterable[PanelLight]) -> Float64 | None:
-    """Corners of the triangles of the lights in the camera's view [mm], shape (t, 3, 3); None where there are none."""
+def obstructions(
+    camera: PinholeCamera, lights: Iterable[PanelLight], housings: Iterable[Float64] = ()
+) -> Float64 | None:
+    """Corners of the triangles of the lights in the camera's view [mm], shape (t, 3, 3); None where there are none.
+
+    housings: Corners of each in order around it [mm], shape (4, 3)
+    """
     meshes = [surface_mesh(light) for light in lights if area_in_view(camera, light) > 0.0]
-    return np.concatenate([vertices[faces] for vertices, faces in meshes]) if meshes else None
+    triangles = [vertices[faces] for vertices, faces in meshes]
+    triangles += [corners[[[0, 1, 2], [0, 2, 3]]] for corners in housings if image_area(camera, corners) > 0.0]
+    return np.concatenate(triangles) if triangles else None
 
 
 def _view_at_depth_1(camera: PinholeCamera) -> tuple[float, float, float, float]:

@@ -41,12 +41,28 @@ def build_housings(rig: RigConfig) -> Housings | None:
     own = rig.environment.housings
     if own is None or own.level == rig.environment.level:
         return None
-    housed = [_light(rig, one, None) for one in rig.channels if one.channel == 0 and one.kind in HOUSED]
-    rows: list[list[Float64]] = []
-    for light in housed:
-        across, along = (0.5 * side + own.margin_mm for side in light.size)
-        rows.append([light.centre, light.outward, light.across / across, light.along / along])
+    rows = [
+        [light.centre, light.outward, light.across / across, light.along / along]
+        for light, (across, along) in _housed(rig)
+    ]
     return Housings(level=own.level, rectangles=np.array(rows))
+
+
+def housing_corners(rig: RigConfig) -> dict[str, Float64]:
+    """Corners of each light's housing in order around it [mm], shape (4, 3), world frame."""
+    around = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    return {
+        light.name: light.centre + around * half @ np.array([light.across, light.along]) for light, half in _housed(rig)
+    }
+
+
+def _housed(rig: RigConfig) -> list[tuple[lights.PanelLight, tuple[float, float]]]:
+    # the lights that have a housing, and half of the lengths of its sides [mm]
+    own = rig.environment.housings
+    if own is None:
+        return []
+    some = [_light(rig, one, None) for one in rig.channels if one.channel == 0 and one.kind in HOUSED]
+    return [(one, (0.5 * one.size[0] + own.margin_mm, 0.5 * one.size[1] + own.margin_mm)) for one in some]
 
 
 def _light(rig: RigConfig, light: LightConfig, points: int | Literal["auto"] | None) -> lights.PanelLight:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -209,6 +210,7 @@ def view_from_part(scene: Scene, posture: Posture, *, seconds: float = 0.0) -> P
 
 
 _SHORT = 1e-3  # share of the exposure time in which a path is straight
+MOST_MOTION_PX = 1.0  # in the image during an exposure, above which it is worth a warning
 
 
 def motion_blur(scene: Scene, posture: Posture, points: Float64) -> Float64:
@@ -221,3 +223,13 @@ def motion_blur(scene: Scene, posture: Posture, points: Float64) -> Float64:
     ends = [0.5 * side * _SHORT * scene.motion.exposure_s for side in (-1.0, 1.0)]
     before, after = (project(view_from_part(scene, posture, seconds=end).camera, points)[:2] for end in ends)
     return np.hypot(*np.subtract(after, before)) / _SHORT
+
+
+def at_rest_warnings(scene: Scene, exposure: float) -> tuple[str, ...]:
+    """That a part moves which a computation takes to be at rest; none where it moves little during this exposure."""
+    corners = np.array(list(itertools.product(*np.transpose(scene.mesh.bounds))))
+    paths = [float(motion_blur(scene, posture, corners).max()) for posture in scene.postures]
+    path = exposure * max(paths, default=0.0)
+    if path <= MOST_MOTION_PX:
+        return ()
+    return (f"the part moves by up to {path:.3g} px in the image during exposure {exposure:g}: here it is at rest",)

@@ -14,13 +14,14 @@ from scipy.special import ndtr
 from worlds import PARTS, levels, plane, scene_from_mesh, sphere
 
 from lightopt import build_scene
-from lightopt.config import load_rig
+from lightopt.config import load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration import Placement
 from lightopt.inspection.prediction._nearby_placement import shifted_scene
 from lightopt.optics import white_level
-from lightopt.rendering import SurfacePoints, cast_rays_at, render_lights
+from lightopt.preflight import check_scene
+from lightopt.rendering import SurfacePoints, cast_rays_at, render_lights, render_posture
 from lightopt.rendering._interreflection import PartLight
 from lightopt.rendering._surface import trace_samples
 from lightopt.scene import Housings, move_part
@@ -275,3 +276,28 @@ def test_a_rig_without_flat_lights_has_no_housings(rig_of):
     flat = RIG[RIG.index("  - {name: panel") : RIG.index("environment")]
     with pytest.raises(InputError, match=r"environment.housings: no light of the rig has a rectangle for its housing"):
         rig_of(flat, "  - {name: dome, kind: dome, radius_mm: 150}\n")
+
+
+@pytest.mark.parametrize(
+    ("housings", "level", "says"),
+    [
+        ("{margin_mm: 200, level: 0}", "warning", "the housing of light1 stands in the camera's view and covers "),
+        ("{margin_mm: 10, level: 5}", "warning", "they are as bright, so that the part shows none"),
+        ("{margin_mm: 10, level: 0}", "ok", "2 housings of level 0, in surroundings of level 5"),
+    ],
+)
+def test_check_says_what_housings_do(bench, housings, level, says):
+    """One that is in the view hides the part behind it, as the images show."""
+    bench.edit("rig.yaml", "\nstage:", f"\nenvironment: {{level: 5, housings: {housings}}}\nstage:")
+    found = check_scene(load_rig(bench.rig), load_part(bench.part)).findings
+    [first, *_] = [one for one in found if one.topic == "housings"]
+    assert (first.level, says in first.text) == (level, True)
+    assert "environment.housings" in first.where
+    scene = build_scene(bench.rig, bench.part)
+    assert (scene.camera.obstructions is not None) == ("stands in" in says)
+    if "stands in" in says:
+        free = replace(scene, camera=replace(scene.camera, obstructions=None))
+        hidden, seen = (render_posture(own, scene.postures[0], caster=cast_rays_at(own)) for own in (scene, free))
+        gone = seen.geometry.hit & ~hidden.geometry.hit
+        assert gone.mean() > 0.1 * seen.geometry.hit.mean()
+        assert hidden.lights[0].level[gone].max() == 0.0

@@ -78,6 +78,35 @@ def test_each_exposure_of_a_set_is_blurred_by_its_own_time(cli, moving, snapshot
     assert snapshot(moving.out) == before
 
 
+def test_a_set_of_a_part_that_moves_gets_no_longer_exposure_later(cli, moving):
+    """The linear images have the blur of the longest exposure, however the set was made."""
+    files = ("render", moving.rig, moving.part, "-o", moving.out, *FEW)
+    assert cli(*files, "--exposure", "1/2").status == 0
+    assert cli(*files, "--exposure", "1/4").status == 0
+    ran = cli(*files, "--exposure", "1,1/4")
+    assert ran.status == 2
+    assert "the set has exposure 0.5, and its linear image would be blurred as by exposure 1" in ran.err
+    assert cli(*files, "--exposure", "1,1/4", "--force").status == 0
+    assert len(read_image_set(moving.out).images) == 4
+
+
+def test_what_takes_the_part_to_be_at_rest_says_so(cli, moving):
+    assert cli("render", moving.rig, moving.part, "-o", moving.out, "--noise", "1", *FEW).status == 0
+    files = (moving.rig, moving.part)
+    said = "px in the image during exposure 1: here it is at rest"
+    ran = cli("verify", *files, moving.out, "-o", moving.folder / "verified")
+    assert (ran.status, said in ran.err) == (2, True)
+    assert "the blur would count as faults; take the set at rest" in ran.err
+    for command in (
+        ("fit-diffuse", *files, moving.out, "-o", moving.folder / "fit"),
+        ("dataset", *files, "--images", "1", "-o", moving.folder / "set"),
+        ("optimize", *files, "--step", "30", "--patches", "500", "--no-images", "-o", moving.folder / "best"),
+    ):
+        ran = cli(*command)
+        assert said in ran.out + ran.err, command[0]
+    assert said in (moving.folder / "set" / "datasheet.md").read_text(encoding="utf-8")
+
+
 def test_exposures_of_a_programme_are_blurred_by_their_own_time(cli, moving):
     moving.edit("rig.yaml", "\nstage:", "\nprogramme:\n  - {name: a, lights: {light1: 1}, exposures: [1/4]}\n"
                 "  - {name: b, lights: {light3: 1}}\nstage:")  # fmt: skip
@@ -148,9 +177,10 @@ def test_inspection_predicts_the_blur_of_each_exposure(cli, moving):
     rig, part = load_rig(moving.rig), load_part(moving.part)
     at_rest = rig.model_copy(update={"stage": rig.stage.model_copy(update={"motion": None})})
     at_rest._source = rig.source
-    options = InspectOptions(register=False, fusion=None, detector="residual", min_images=1)
+    options = InspectOptions(fusion=None, detector="residual", min_images=1)
     found, still = (inspect_set(one, part, read_image_set(moving.out), options=options) for one in (rig, at_rest))
     assert (len(found.defects), bool(still.defects)) == (0, True)
+    assert np.hypot(found.placement.x, found.placement.y) < 0.02  # of 0.44 mm that a pixel sees
     view = found.postures[0].view
     chosen = view.clean & ~view.saturated
     off = (np.abs(view.level - view.predicted) / np.hypot(view.deviation, view.slack))[chosen]

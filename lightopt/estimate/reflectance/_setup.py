@@ -19,7 +19,7 @@ from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet
 from lightopt.optics import LAMBERT, DiffuseForm, ModelName, Reflectance, SpecularModel
 from lightopt.rendering import cast_rays_at
-from lightopt.scene import Scene, build_scene
+from lightopt.scene import Scene, at_rest_warnings, build_scene
 
 Points = int | Literal["auto"]
 
@@ -66,7 +66,8 @@ class FitSetup:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return () if self.registration is None else self.registration.warnings
+        found = () if self.registration is None else self.registration.warnings
+        return (*at_rest_warnings(self.scene, max(o.exposure for o in self.observations)), *found)
 
     @property
     def held(self) -> Float64:

@@ -17,7 +17,7 @@ import numpy as np
 
 from lightopt.config import PartConfig, RigConfig, input_hashes
 from lightopt.core.arrays import Float32, Float64
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, refuse
 from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
@@ -29,7 +29,7 @@ from lightopt.estimate.verification._findings import Finding
 from lightopt.estimate.verification._fit import FitOptions, alternatives, fit_faults
 from lightopt.estimate.verification._parameters import Parameters, VerifyLimits, Work, calibrated_deviations
 from lightopt.images import ImageSet, ResultFolder, csv_text, make_folder, write_text_atomic
-from lightopt.scene import Scene, build_scene
+from lightopt.scene import Scene, at_rest_warnings, build_scene
 
 _MANY_SPOTS = (
     "the images differ from the prediction in more places than dust explains: check that the part file's mesh and "
@@ -97,6 +97,8 @@ def verify_set(
     names = tuple(light.name for light in rig.lights if light.name in used)
     observations = read_observations(image_set, rig, part, threads=run.threads)
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, defects=False)
+    moves = at_rest_warnings(scene, max(entry.exposure for entry in image_set.images))
+    refuse(f"{image_set.folder}: {text}, and the blur would count as faults; take the set at rest" for text in moves)
     good = None if baseline is None else read_observations(baseline, rig, part, threads=run.threads)
     limits = limits or VerifyLimits()
     deviations = calibrated_deviations(rig, scene, Parameters.of(scene, limits))

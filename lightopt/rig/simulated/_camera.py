@@ -78,11 +78,12 @@ class BenchCamera:
 
     def _prepare(self, request: Mapping[str, Any]) -> Response:
         """Whether the view is rendered, which is begun if not: a camera that is silent meanwhile counts as gone."""
-        moves = self._optics is not None and self._optics.scene.motion is not None
+        moves = self._optics is None or self._optics.scene.motion is not None
         exposure = float(request["exposure_us"]) / self._setup.exposure_us if moves else 1.0
         view = self._posture(), tuple(picture.number for picture in self._devices.pictures().values()), exposure
         if self._unprepared is not None:
-            raise ValueError(self._unprepared)
+            failed, self._unprepared = self._unprepared, None
+            raise ValueError(failed)
         ready = self._prepared == view
         if not ready and (self._renderer is None or not self._renderer.is_alive()):
             self._renderer = threading.Thread(target=self._render, args=(view,), name="render", daemon=True)
@@ -94,7 +95,7 @@ class BenchCamera:
             optics = self._build()
             shares, posture = self._state()
             optics.prepare(posture, shares, exposure=view[2])
-            self._prepared = view
+            self._prepared = view if optics.scene.motion is not None else (*view[:2], 1.0)
         except Exception as error:  # noqa: BLE001  (reported to the next request)
             self._unprepared = str(error) or type(error).__name__
 
