@@ -49,6 +49,7 @@ class RawMesh:
     pieces: tuple[MeshPiece, ...] = ()  # where they were asked for
     piece: Int32 | None = None  # index of the piece of each face, shape (m,)
     texture: Float64 | None = None  # u, v of the corners of each face, NaN where it has none, (m, 3, 2); with pieces
+    unnamed: tuple[str, ...] = ()  # why pieces have no names: some of the warnings
 
 
 def check_budget(name: str, triangles: int, max_triangles: int) -> None:
