@@ -45,6 +45,7 @@ class LoadedMesh:
     pieces: tuple[MeshPiece, ...] = ()  # of the file, where they were asked for and it has any
     piece: Int32 | None = None  # index of the piece of each face of the mesh, shape (m,)
     texture: Float64 | None = None  # u, v of the corners of each face, NaN where it has none, (m, 3, 2); with pieces
+    unnamed: tuple[str, ...] = ()  # why pieces have no names: some of the warnings
 
 
 def load_mesh(
@@ -136,7 +137,7 @@ def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None)
     if texture is not None:
         texture[turned] = texture[turned][:, (0, 2, 1)]
     piece = None if raw.piece is None else raw.piece[keep]
-    return LoadedMesh(mesh, tuple(warnings), raw.pieces, piece, texture)
+    return LoadedMesh(mesh, tuple(warnings), raw.pieces, piece, texture, raw.unnamed)
 
 
 def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:

@@ -49,6 +49,7 @@ class RawMesh:
     pieces: tuple[MeshPiece, ...] = ()  # where they were asked for
     piece: Int32 | None = None  # index of the piece of each face, shape (m,)
     texture: Float64 | None = None  # u, v of the corners of each face, NaN where it has none, (m, 3, 2); with pieces
+    unnamed: tuple[str, ...] = ()  # why pieces have no names: some of the warnings
 
 
 def check_budget(name: str, triangles: int, max_triangles: int) -> None:
@@ -236,17 +237,29 @@ def read_obj(name: str, data: bytes, max_triangles: int, *, pieces: bool = False
 
 
 def _numbered_groups(data: bytes) -> tuple[bytes, dict[str, MeshPiece]]:
-    # an OBJ file with a group of its own for each object, group and material in turn, and what the groups' names mean
+    # an OBJ file with a group of its own for each object, group and material in turn, and what the groups' names mean;
+    # faces without texture coordinates at a corner are other groups, as trimesh reads all of a group's or none
     current: dict[bytes, str] = {}
-    found: dict[MeshPiece, str] = {}
+    found: dict[tuple[MeshPiece, bool], str] = {}
+    piece, bare = MeshPiece(), False
 
     def number(line: re.Match[bytes]) -> bytes:
-        current[line[1]] = line[2].strip().decode("utf-8", "replace")
-        piece = MeshPiece(names=tuple(name for name in dict.fromkeys(current.values()) if name))
-        return f"g {found.setdefault(piece, f'piece-{len(found)}')}".encode()
+        nonlocal piece, bare
+        before, face = bare, b""
+        if line[1] == b"f":
+            bare = re.search(rb"\s-?\d+(?://|/?(?:\s|\Z))", line[2]) is not None
+            face = re.sub(rb"(\d)/-?\d*(/-?\d+)?", rb"\1/\2", line[0]) if bare else line[0]
+            if bare == before:
+                return face
+        else:
+            current[line[1]] = line[2].strip().decode("utf-8", "replace")
+            piece = MeshPiece(names=tuple(name for name in dict.fromkeys(current.values()) if name))
+        return f"g {found.setdefault((piece, bare), f'piece-{len(found)}')}\n".encode() + face
 
-    text = re.sub(rb"^(o|g|usemtl)\b([^\r\n]*)", number, data, flags=re.MULTILINE)
-    return text, {key: piece for piece, key in found.items()}
+    # looking at the first corners does not take long, at each face it does
+    mixed = all(re.search(rb"^f\s+-?\d+" + one, data, re.MULTILINE) for one in (rb"/-?\d", rb"(?://|/?\s)"))
+    text = re.sub(rb"^(o|g|usemtl%b)\b([^\r\n]*)" % (b"|f" if mixed else b""), number, data, flags=re.MULTILINE)
+    return text, {key: piece for (piece, _), key in found.items()}
 
 
 def read_glb(name: str, data: bytes, max_triangles: int, *, pieces: bool = False) -> RawMesh:

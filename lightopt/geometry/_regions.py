@@ -43,7 +43,8 @@ class NamedRegion:
         own = [self.name in piece.names for piece in loaded.pieces]
         if not any(own):
             names = sorted({name for piece in loaded.pieces for name in piece.names})
-            raise InputError(f'no group "{self.name}" in the mesh file; it has {_listed(names, "no named groups")}')
+            text = f'no group "{self.name}" in the mesh file; it has {_listed(names, "no named groups")}'
+            raise InputError("; ".join((text, *loaded.unnamed)))
         return np.array(own, np.bool_)[loaded.piece]
 
 

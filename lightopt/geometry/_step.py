@@ -17,7 +17,7 @@ from lightopt.core.units import step_units_mm, unit_name
 from lightopt.geometry import _step_worker
 from lightopt.geometry._glb import glb_triangle_count, parse_glb, split_glb
 from lightopt.geometry._mesh_formats import RawMesh, check_budget, joined
-from lightopt.geometry._step_bodies import name_bodies, step_bodies
+from lightopt.geometry._step_bodies import name_bodies
 
 _LARGEST_MM, _SMALLEST_MM = 1000.0, 0.1
 _FINEST_SHARE = 2e-6  # of the part's size: a finer tolerance takes millions of triangles, and hours
@@ -71,14 +71,12 @@ def read_step(
         fine, output = fine_one.result(deadline)
     check_budget(name, glb_triangle_count(name, split_glb(name, fine)[0]), max_triangles)
     parts = parse_glb(name, fine)
-    unit = declared_unit_mm(data)
-    bodies = step_bodies(data, unit) if pieces and unit is not None else []
-    warnings = name_bodies(parts, bodies, _MM_PER_GLB_UNIT)
+    unnamed = name_bodies(parts, data, _MM_PER_GLB_UNIT) if pieces else ()
     raw = joined(name, parts, "STEP", repeats_vertices=True)
-    warnings += (f"the CAD kernel reported while reading the STEP file: {output}",) if output else ()
+    warnings = unnamed + ((f"the CAD kernel reported while reading the STEP file: {output}",) if output else ())
     # the kernel numbers colours: its names of materials mean nothing
     own = tuple(replace(one, names=tuple(n for n in one.names if not _MATERIAL.fullmatch(n))) for one in raw.pieces)
-    return replace(raw, vertices=raw.vertices * _MM_PER_GLB_UNIT, warnings=warnings, pieces=own)
+    return replace(raw, vertices=raw.vertices * _MM_PER_GLB_UNIT, warnings=warnings, pieces=own, unnamed=unnamed)
 
 
 def declared_unit_mm(data: bytes) -> float | None:

@@ -6,14 +6,15 @@ a body's only if it has as many faces, and all of the body's vertices are among 
 
 import re
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import groupby, islice
 from typing import Any
 
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.core.units import step_units_mm
 
+_COMMENT = re.compile(rb"('[^']*')|/\*.*?\*/", re.DOTALL)  # or a string, which may have one in it
 _INSTANCE = re.compile(rb"#(\d+)\s*=\s*(\w+)\s*\(((?:'[^']*'|[^';])*)\)\s*;")
 _NAMED_BODY = re.compile(
     rb"(?:MANIFOLD_SOLID_BREP|BREP_WITH_VOIDS|FACETED_BREP|SHELL_BASED_SURFACE_MODEL)\s*\(\s*'[^']"
@@ -34,12 +35,19 @@ class StepBody:
     points: Float64  # its vertices, in the frame of its product [mm], shape (k, 3)
 
 
-def step_bodies(data: bytes, unit_mm: float) -> list[StepBody]:
-    """The bodies of a STEP file; none where none of them has a name."""
+def _bodies(data: bytes) -> list[StepBody] | str:
+    # or why their names are not read; none where none of them has a name
+    data = _COMMENT.sub(rb"\1", data) if b"/*" in data else data
     if _NAMED_BODY.search(data) is None:
         return []
+    units = step_units_mm(data)
+    if len(units) != 1:
+        return f"the file declares {'several units' if units else 'no known unit'} of length"
     instances = {int(one[1]): (one[2], one[3]) for one in _INSTANCE.finditer(data)}
-    return [_body(number, instances, unit_mm) for number, (kind, _) in instances.items() if kind in _BODIES]
+    own = [number for number, (kind, _) in instances.items() if kind in _BODIES]
+    if len(own) > _MOST_BODIES:
+        return f"the file has {len(own):,} bodies, names are read of at most {_MOST_BODIES}"
+    return [_body(number, instances, *units) for number in own]
 
 
 def _body(number: int, instances: dict[int, tuple[bytes, bytes]], unit_mm: float) -> StepBody:
@@ -68,11 +76,14 @@ def _decoded(text: str) -> str:
     return "" if text in ("NONE", "None") else text.replace("''", "'").strip()
 
 
-def name_bodies(parts: list[dict[str, Any]], bodies: list[StepBody], mm_per_unit: float) -> tuple[str, ...]:
-    """Add the bodies' names to the pieces of a product's faces; warnings about products that do not match them.
+def name_bodies(parts: list[dict[str, Any]], data: bytes, mm_per_unit: float) -> tuple[str, ...]:
+    """Add the names of a STEP file's bodies to the pieces of its faces; warnings that say why some have none.
 
     parts: As `parse_glb` returns them, a part for each face, lengths in units of `mm_per_unit` [mm]
     """
+    bodies = _bodies(data)
+    if isinstance(bodies, str):
+        return (f"names of bodies not read: {bodies}",)
     unmatched: list[str] = []
     for _, own in groupby(parts, key=lambda part: part["node"]) if bodies else ():
         faces = list(own)
@@ -91,23 +102,24 @@ def _names(faces: list[Float64], bodies: list[StepBody]) -> tuple[str, ...] | No
     # of each face, given its corners [mm]; None unless bodies make up all of the faces in one way
     low, high = np.array([one.min(axis=0) for one in faces]), np.array([one.max(axis=0) for one in faces])
     same = _SAME_MM + _SAME_SHARE * float((high.max(axis=0) - low.min(axis=0)).max())
-
-    @cache
-    def ways(begin: int) -> frozenset[tuple[str, ...]]:
-        # of the faces from one on; no more than two
-        found = set[tuple[str, ...]]() if begin < len(faces) else {()}
-        for body in bodies:
-            end = begin + body.faces
-            if not begin < end <= len(faces) or not len(body.points):
-                continue
-            least, most = low[begin:end].min(axis=0) - same, high[begin:end].max(axis=0) + same
-            if (body.points >= least).all() and (body.points <= most).all():
-                corners = KDTree(np.concatenate(faces[begin:end]))
-                if (corners.query(body.points)[0] <= same).all():
-                    found |= {(body.name,) * body.faces + more for more in ways(end)}
-        return frozenset(islice(found, 2))
-
     from scipy.spatial import KDTree  # takes long to load, and most commands do not need it
 
-    found = ways(0) if len(bodies) <= _MOST_BODIES else ()
+    bodies = [one for one in bodies if one.faces and len(one.points)]
+    counts = np.array([one.faces for one in bodies], np.intp)
+    boxes = np.array([(one.points.min(axis=0), one.points.max(axis=0)) for one in bodies]).reshape(-1, 2, 3)
+    # of the faces before one, no more than two ways
+    ways: dict[int, set[tuple[str, ...]]] = {0: {()}}
+    for begin in range(len(faces)):
+        if not (before := ways.pop(begin, ())):
+            continue
+        last = np.minimum(counts, len(faces) - begin) - 1
+        least = np.minimum.accumulate(low[begin:])[last] - same
+        most = np.maximum.accumulate(high[begin:])[last] + same
+        within = ((boxes[:, 0] >= least) & (boxes[:, 1] <= most)).all(axis=1) & (counts == last + 1)
+        for body in (bodies[i] for i in np.flatnonzero(within)):
+            end = begin + body.faces
+            if (KDTree(np.concatenate(faces[begin:end])).query(body.points)[0] <= same).all():
+                more = {names + (body.name,) * body.faces for names in before}
+                ways[end] = set(islice(ways.get(end, set()) | more, 2))
+    found = ways.get(len(faces), ())
     return next(iter(found)) if len(found) == 1 else None

@@ -1,6 +1,7 @@
 """Fields of directions in which a surface is brushed, and what scenes and files make of them."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from lightopt.geometry import (
     BoxRegion,
     CurvedBrushing,
     LoadedMesh,
+    NamedRegion,
     RoundBrushing,
     StraightBrushing,
     TriangleMesh,
@@ -323,6 +325,32 @@ def test_faces_without_direction_are_counted(bench):
     write_mesh(bench.folder / "part.obj", corners, 0.0 * texture)
     with pytest.raises(InputError, match=r"part.yaml:6: reflectance\.brushing: 24 of 24 triangles .* no surface has"):
         build_scene(bench.rig, bench.part)
+
+
+@pytest.mark.parametrize("bare", ["f {0} {1} {2}", "f {0}//1 {1}//1 {2}//1", "f {0} {1}/{1} {2}/{2}"])
+def test_faces_without_texture_coordinates_in_a_group_of_faces_that_have_them(bench, bare):
+    square = grid(4, 3)
+    brushed_bench(bench, flat(square), square, "{along_texture: u}")
+    path = bench.folder / "part.obj"
+    lines = path.read_text().splitlines()
+    lines[-24:] = ["vn 0 0 1", "g plate", *lines[-24:]]
+    for n in range(-24, 0, 3):
+        lines[n] = bare.format(*re.findall(r"(\d+)/", lines[n]))
+    path.write_text("\n".join(lines))
+    scene = build_scene(bench.rig, bench.part)
+    (warning,) = [one for one in scene.warnings if "texture" in one]
+    assert "part.yaml:6: reflectance.brushing: 8 of 24 triangles have no texture coordinates" in warning
+    across = scene.mesh.across_brushing(np.zeros((24, 3)), np.repeat(UP, 24, axis=0), np.arange(24))
+    assert across.any(axis=1).sum() == 16
+    loaded = load(path)
+    assert NamedRegion("plate").faces(loaded).all()
+    # each triangle is where it was, with its own texture
+    corners = loaded.mesh.vertices[loaded.mesh.faces]
+    assert np.unique(corners.mean(axis=1).round(6), axis=0) == pytest.approx(
+        np.unique(flat(square).mean(axis=1).round(6), axis=0)
+    )
+    textured = ~np.isnan(loaded.texture).any(axis=(1, 2))
+    assert corners[textured, :, :2] == pytest.approx(40.0 * loaded.texture[textured] - 20.0)
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".glb", ".ply"])

@@ -10,9 +10,11 @@ import pytest
 from mesh_surface import surface_of
 
 from lightopt.core.errors import InputError
-from lightopt.geometry import _step, _step_worker, load_mesh
+from lightopt.geometry import NamedRegion, _step, _step_worker, load_mesh
+from lightopt.geometry._glb import MeshPiece
 from lightopt.geometry._load_mesh import LoadedMesh
 from lightopt.geometry._step import declared_unit_mm
+from lightopt.geometry._step_bodies import name_bodies
 
 pytestmark = pytest.mark.usefixtures("real_step_files")
 
@@ -306,18 +308,55 @@ def test_bodies_in_an_assembly_are_found_in_each_place(tmp_path):
     assert [piece.names for piece in loaded.pieces] == [("110", "ball", "core"), ("120", "ball", "core")]
 
 
+def test_comments_are_no_part_of_bodies_and_quotes_no_comments(tmp_path):
+    text = with_bodies(("/* lid */", 20.0, 2.0), ("cap", 40.0, 2.0))
+    text = text.replace("(#322)", "(#322 /* first; of 'all' */)").replace("BREP('cap'", "BREP(/* it's */'cap'")
+    loaded = load(tmp_path, text, pieces=True)
+    assert bodies_of(loaded) == {"/* lid */": (18, 22), "cap": (38, 42)}
+    assert not [one for one in loaded.warnings if "bodies" in one]
+
+
+SECOND_UNIT = """#90=(GEOMETRIC_REPRESENTATION_CONTEXT(3)GLOBAL_UNIT_ASSIGNED_CONTEXT((#91))
+REPRESENTATION_CONTEXT('',''));
+#91=(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.CENTI.,.METRE.));
+ENDSEC;
+END-ISO"""
+
+
 @pytest.mark.parametrize(
-    "spoilt",
+    ("spoilt", "reason"),
     [
         # another place of a vertex, and two bodies in one place
-        with_bodies(("lid", 20.0, 2.0)).replace(
-            "328=CARTESIAN_POINT('',(20.0,2.,1.0))", "328=CARTESIAN_POINT('',(20.,2.,1.1))"
+        (
+            with_bodies(("lid", 20.0, 2.0)).replace(
+                "328=CARTESIAN_POINT('',(20.0,2.,1.0))", "328=CARTESIAN_POINT('',(20.,2.,1.1))"
+            ),
+            "ball: its named bodies do not match the faces that the CAD kernel finds",
         ),
-        with_bodies(("lid", 20.0, 2.0), ("cap", 20.0, 2.0)),
+        (with_bodies(("lid", 20.0, 2.0), ("cap", 20.0, 2.0)), "or not in one way only: names not read"),
+        (
+            with_bodies(("lid", 20.0, 2.0)).replace("ENDSEC;\nEND-ISO", SECOND_UNIT),
+            "names of bodies not read: the file declares several units of length",
+        ),
     ],
 )
-def test_names_of_bodies_are_not_guessed(tmp_path, spoilt):
+def test_names_of_bodies_are_not_guessed(tmp_path, spoilt, reason):
+    """The warning is also in the error of a region of such a name, which ends the command before warnings are shown."""
     loaded = load(tmp_path, spoilt, pieces=True)
     assert bodies_of(loaded) == {}
     (warning,) = [one for one in loaded.warnings if "bodies" in one]
-    assert "ball: its named bodies do not match the faces that the CAD kernel finds" in warning
+    assert reason in warning
+    with pytest.raises(InputError, match='no group "lid" in the mesh file; it has ball; ') as refused:
+        NamedRegion("lid").faces(loaded)
+    assert str(refused.value).endswith(warning)
+
+
+def test_names_of_as_many_bodies_as_are_read():
+    """Without the kernel: each face has one triangle, at the vertex of its ball."""
+    own = [(f"body {n}", float(n), 0.25) for n in range(1, 501)]
+    places = [(1.0, 2.0, 0.0), *((x, 2.0, 3.0 - radius) for _, x, radius in own)]
+    parts = [{"node": 0, "piece": MeshPiece(("ball",)), "local": 1e-3 * np.tile(at, (3, 1))} for at in places]
+    assert name_bodies(parts[:-1], with_bodies(*own[:-1]).encode(), 1000.0) == ()
+    assert [part["piece"].names[1:] for part in parts[:-1]] == [(), *((name,) for name, _, _ in own[:-1])]
+    (warning,) = name_bodies(parts, with_bodies(*own).encode(), 1000.0)
+    assert warning == "names of bodies not read: the file has 501 bodies, names are read of at most 500"
