@@ -66,6 +66,7 @@ def test_killed_workers_lose_nothing(two, reference, tmp_path_factory):
 
 def process_of(_item: int) -> int:
     time.sleep(0.05)
+    assert "MALLOC_TRIM_THRESHOLD_" not in os.environ  # with which each array's memory is got anew
     return os.getpid()
 
 
