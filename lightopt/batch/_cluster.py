@@ -108,8 +108,9 @@ def local_cluster(number: int) -> Generator["LocalCluster"]:
 
     start: Any = LocalCluster
     # Dask would have workers return freed memory at once, and get it again for each array: a fifth more time
-    environment = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
-    settings = {"distributed.worker.profile.enabled": False, "distributed.nanny.pre-spawn-environ": environment}
+    key = "distributed.nanny.pre-spawn-environ"
+    environment = {name: value for name, value in dask.config.get(key).items() if name != "MALLOC_TRIM_THRESHOLD_"}
+    settings = {"distributed.worker.profile.enabled": False, key: environment}
     # one thread each; the network sees neither the processes nor a dashboard
     with (
         tempfile.TemporaryDirectory(prefix="lightopt-", ignore_cleanup_errors=True) as folder,

@@ -22,9 +22,9 @@ def vector_at(rows: Float64, i: int) -> Vector:
 
 
 @kernel
-def column_at(rows: Float64, j: int) -> Vector:
-    """Column j of an array of shape (3, k)."""
-    return Vector(rows[0, j], rows[1, j], rows[2, j])
+def column_at(rows: Float64, j: int, first: int = 0) -> Vector:
+    """Column j of three rows of an array of shape (n, k), from the first on."""
+    return Vector(rows[first, j], rows[first + 1, j], rows[first + 2, j])
 
 
 @kernel

@@ -1,5 +1,6 @@
 """The triangle mesh that everything above casts rays at: places nearest to points, and how it is brushed."""
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Protocol
@@ -161,6 +162,11 @@ class TriangleMesh:
         if not len(self.vertices):
             raise InputError("mesh: no vertices, so no bounding box")
         return bounding_box(self.vertices)
+
+    @property
+    def box_corners(self) -> Float64:
+        """The corners of that box [mm], shape (8, 3)."""
+        return np.array(list(itertools.product(*self.bounds.T)))
 
 
 def bounding_box(vertices: Float64) -> Float64:

@@ -159,10 +159,8 @@ def check_motion(checked: CheckedScene) -> Iterator[Finding]:
         text = f"the part moves {least:.3g} to {largest:.3g} px in the {1e3 * motion.exposure_s:.4g} ms of exposure 1"
         level: Level = "warning" if largest > MOST_MOTION_PX else "ok"
         if level == "warning":
-            text += (
-                f"; {MOST_MOTION_PX:g} px takes exposure {MOST_MOTION_PX / largest:.2g}. Fits, plans, training sets "
-            )
-            text += "and verify take the part to be at rest"
+            text += f"; {MOST_MOTION_PX:g} px takes exposure {MOST_MOTION_PX / largest:.2g}. Fits, plans, training "
+            text += "sets and verify take the part to be at rest"
         yield checked.of_posture(sample, level, "motion", text, least_px=least, largest_px=largest)
 
 

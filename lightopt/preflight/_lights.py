@@ -42,12 +42,11 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
 
 def check_housings(checked: CheckedRig) -> Iterator[Finding]:
     """Housings that hide the part from the camera, or that nothing shows."""
-    environment = checked.rig.environment
-    own, corners = environment.housings, housing_corners(checked.rig)
+    own, level = checked.rig.environment.housings, checked.rig.environment.level
     if own is None:
         return
+    corners, where = housing_corners(checked.rig), checked.rig.source.at("environment", "housings")
     backlights = {light.name for light in checked.lights if _is_backlight(light)}
-    where, level = checked.rig.source.at("environment", "housings"), environment.level
     for name, polygon in corners.items():
         area = 0.0 if name in backlights else image_area(checked.camera, polygon)
         if area > 0.0:

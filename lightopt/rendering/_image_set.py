@@ -195,9 +195,9 @@ def _blurred_apart(scene: Scene, plan: Sequence[ImageKey]) -> Sequence[float | N
 
 def _refuse_longer_exposures(writer: ImageSetWriter, plan: Sequence[ImageKey]) -> None:
     # the linear image of a part that moves has the blur of its longest exposure, and is written once
-    done = [entry.key for entry in writer.manifest.images if writer.done(*entry.key)]
+    listed = [entry.key for entry in writer.manifest.images]
     for light, posture, exposure in plan:
-        longest = max((key[2] for key in done if key[:2] == (light, posture)), default=exposure)
+        longest = max((key[2] for key in listed if key[:2] == (light, posture)), default=exposure)
         if exposure > longest:
             raise InputError(
                 f"{writer.folder}: {light}, posture {posture}: the set has exposure {longest:g}, and its linear "

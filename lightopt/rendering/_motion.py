@@ -10,7 +10,7 @@ from lightopt.core.transforms import Posture
 from lightopt.scene import Scene, motion_blur
 
 # Between two instants the part moves by no more in the image [px], and turns by no more than σ of its sharpest lobe:
-# the sum of Gaussian lobes so far apart is flat to a millionth
+# the sum of Gaussian lobes so far apart is flat to 1e-8
 STEP_PX = 0.5
 MOST_INSTANTS = 256
 

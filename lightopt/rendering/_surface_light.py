@@ -720,11 +720,6 @@ def _add_smooth(
 
 
 @kernel
-def _column(rows: Float64, first: int, i: int) -> Vector:
-    return Vector(rows[first, i], rows[first + 1, i], rows[first + 2, i])
-
-
-@kernel
 def _light_of_node(at: SurfacePoint, q: Vector, shining: Vector, lobe: Lobe) -> float:
     towards = minus(q, at.p)
     r2 = dot(towards, towards)
@@ -743,10 +738,10 @@ def _light_of_node(at: SurfacePoint, q: Vector, shining: Vector, lobe: Lobe) -> 
 def _set_light_of_node(work: Float64, number: int, q: Vector, shining: Vector, lobe: Lobe) -> None:
     # the same of points side by side, for lobes that are alike all round
     for i in range(number):
-        towards, normal = minus(q, column_at(work, i)), _column(work, 3, i)
+        towards, normal = minus(q, column_at(work, i)), column_at(work, i, 3)
         r2 = dot(towards, towards)
         r = math.sqrt(r2)
-        half = plus(scaled(towards, 1.0 / r), _column(work, 6, i))
+        half = plus(scaled(towards, 1.0 / r), column_at(work, i, 6))
         size = math.sqrt(dot(half, half))
         chord = minus(normal, scaled(half, 1.0 / size))
         work[9, i], work[10, i], work[11, i] = 0.0, dot(chord, chord), size
@@ -794,7 +789,7 @@ def _add_nodes(
         if lobe.widening > 1.0:
             for i in range(number):
                 turned = lobe_at(lobe, frames, index[i])
-                at = surface_point(column_at(work, i), _column(work, 3, i), _column(work, 6, i))
+                at = surface_point(column_at(work, i), column_at(work, i, 3), column_at(work, i, 6))
                 work[9, i] = _light_of_node(at, q, shining, turned)
         else:
             _set_light_of_node(work, number, q, shining, lobe)
@@ -802,7 +797,7 @@ def _add_nodes(
             for i in range(number):
                 specular[b, index[i]] += weights[b, k] * work[9, i]
     for i in range(number):
-        at = surface_point(column_at(work, i), _column(work, 3, i), _column(work, 6, i))
+        at = surface_point(column_at(work, i), column_at(work, i, 3), column_at(work, i, 6))
         divisor = _divisor(at, lobe_at(lobe, frames, index[i]))
         for b in range(len(weights)):
             specular[b, index[i]] /= divisor

@@ -151,7 +151,7 @@ def _lobe_of(own: Lobe, turned: Float64, near: Float64, j: int) -> Lobe:
     lobe: Lobe = lobe_of_width(own, near[_INVERSE, j])
     if lobe.widening == 1.0:
         return lobe
-    return Lobe(*lobe[:-1], column_at(turned[_ACROSS:], int(near[_NUMBER, j])))
+    return Lobe(*lobe[:-1], column_at(turned, int(near[_NUMBER, j]), _ACROSS))
 
 
 @kernel

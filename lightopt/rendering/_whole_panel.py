@@ -117,8 +117,8 @@ def _add_smooth(
                 q = panel_point(panel, NODES[few, b] - 0.5, NODES[few, a] - 0.5)
                 weight = WEIGHTS[few, a] * WEIGHTS[few, b]
                 for k in range(number):
-                    normal, view = column_at(work[3:6], k), column_at(work[6:9], k)
-                    towards = minus(q, column_at(work[:3], k))
+                    normal, view = column_at(work, k, 3), column_at(work, k, 6)
+                    towards = minus(q, column_at(work, k))
                     r2 = dot(towards, towards)
                     towards = scaled(towards, 1.0 / math.sqrt(r2))
                     value = lobe_towards(normal, view, towards, lobe_at(lobe, frames, index[place[k]]))

@@ -5,7 +5,6 @@ What is parallel stays parallel, and lengths along a direction keep their ratio.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -110,7 +109,7 @@ def foot_direction(light: PanelLight) -> Float64:
 
 def part_box(scene: Scene, posture: Posture) -> Float64:
     """Corners of the part's own bounding box at a posture [mm], shape (8, 3)."""
-    corners = np.array(list(itertools.product(*scene.mesh.bounds.T)))
+    corners = scene.mesh.box_corners
     rotation, translation = scene.stage.transform(posture)
     return corners @ rotation.T + translation
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -214,12 +213,11 @@ MOST_MOTION_PX = 1.0  # in the image during an exposure, above which it is worth
 
 
 def motion_blur(scene: Scene, posture: Posture, points: Float64) -> Float64:
-    """How far points of the part move in the image during exposure 1 [px], shape (k,).
+    """How far points of a part that moves do so in the image during exposure 1 [px], shape (k,).
 
     points: Part frame [mm], shape (k, 3)
     """
-    if scene.motion is None:
-        return np.zeros(len(points))
+    assert scene.motion is not None
     ends = [0.5 * side * _SHORT * scene.motion.exposure_s for side in (-1.0, 1.0)]
     before, after = (project(view_from_part(scene, posture, seconds=end).camera, points)[:2] for end in ends)
     return np.hypot(*np.subtract(after, before)) / _SHORT
@@ -227,7 +225,9 @@ def motion_blur(scene: Scene, posture: Posture, points: Float64) -> Float64:
 
 def at_rest_warnings(scene: Scene, exposure: float) -> tuple[str, ...]:
     """That a part moves which a computation takes to be at rest; none where it moves little during this exposure."""
-    corners = np.array(list(itertools.product(*np.transpose(scene.mesh.bounds))))
+    if scene.motion is None:
+        return ()
+    corners = scene.mesh.box_corners
     paths = [float(motion_blur(scene, posture, corners).max()) for posture in scene.postures]
     path = exposure * max(paths, default=0.0)
     if path <= MOST_MOTION_PX:

@@ -88,6 +88,11 @@ def test_a_set_of_a_part_that_moves_gets_no_longer_exposure_later(cli, moving):
     assert "the set has exposure 0.5, and its linear image would be blurred as by exposure 1" in ran.err
     assert cli(*files, "--exposure", "1,1/4", "--force").status == 0
     assert len(read_image_set(moving.out).images) == 4
+    # what was lost of the longest one is written again
+    lost = moving.out / "posture_0_0" / "light1.png"
+    lost.unlink()
+    assert cli(*files, "--exposure", "1,1/4").status == 0
+    assert lost.exists()
 
 
 def test_what_takes_the_part_to_be_at_rest_says_so(cli, moving):
