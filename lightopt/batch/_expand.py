@@ -5,7 +5,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -62,7 +62,8 @@ def expand(path: Path, form_of: FormOf, out: Path, *, threads: int) -> tuple[Tas
     """The tasks of a batch file, each after those that it needs; results go to ``out/JOB/RIG/PART``.
 
     form_of: The form of a command; None where there is none for a rig and a part
-    Raises InputError: All that is wrong with the file, the files that it names and the options of its jobs
+    Raises InputError: All that is wrong with the file, the files that it names and the options of its jobs; if nothing
+        is but for values of options, :func:`check_option_values` has to be called for jobs that are run
     """
     named = dict[str, tuple[_Input, ...]]()
 
@@ -70,12 +71,18 @@ def expand(path: Path, form_of: FormOf, out: Path, *, threads: int) -> tuple[Tas
         for key, load in (("rigs", load_rig), ("parts", load_part)):
             named[key], problems = _named_inputs(raw.get(key), path.parent, load)
             yield from (((key, *keys), message) for keys, message in problems)
-        jobs = raw.get("jobs")
-        for index, job in enumerate(jobs if isinstance(jobs, list) else ()):
+        for index, job in _jobs_of(raw):
             problems = _job_misfits(job, form_of, path.parent, named["rigs"])
             yield from ((("jobs", index, *keys), message) for keys, message in problems)
 
-    batch = load_batch(path, misfits)
+    def all_misfits(raw: Mapping[str, Any]) -> Iterator[tuple[Keys, str]]:
+        yield from misfits(raw)
+        yield from _value_misfits(raw, form_of, path.parent)
+
+    try:
+        batch = load_batch(path, misfits)
+    except InputError:
+        batch = load_batch(path, all_misfits)  # which says all that is wrong at once
     rigs, parts = named["rigs"], named["parts"]
     made_by, tasks = computed_by(), dict[tuple[str, str, str], Task]()
     for job in batch.in_order:
@@ -114,9 +121,46 @@ def expand(path: Path, form_of: FormOf, out: Path, *, threads: int) -> tuple[Tas
     return tuple({task.place: task for task in tasks.values()}.values())
 
 
-def _job_misfits(job: object, form_of: FormOf, folder: Path, rigs: Sequence[_Input]) -> Iterator[tuple[Keys, str]]:
-    # what is wrong with command, images and options of a job as it was read, whose values may be anything
-    if not isinstance(job, Mapping) or not isinstance(command := job.get("command"), str):
+def check_option_values(path: Path, form_of: FormOf, jobs: Set[str]) -> None:
+    """Check what commands say of the values of the options of these jobs of a batch file.
+
+    Each command loads the package that it is of to do so, which takes longer than a batch that is done.
+
+    Raises InputError: With the lines of the file
+    """
+    if jobs:
+        load_batch(path, lambda raw: _value_misfits(raw, form_of, path.parent, jobs))
+
+
+def _jobs_of(raw: Mapping[str, Any]) -> Iterator[tuple[int, Mapping[str, Any]]]:
+    jobs = raw.get("jobs")
+    entries: list[Any] = jobs if isinstance(jobs, list) else []
+    yield from ((index, job) for index, job in enumerate(entries) if isinstance(job, Mapping))
+
+
+def _value_misfits(
+    raw: Mapping[str, Any], form_of: FormOf, folder: Path, jobs: Set[str] | None = None
+) -> Iterator[tuple[Keys, str]]:
+    # what is wrong with values of options, of jobs of some names or of all, as they were read
+    for index, job in _jobs_of(raw):
+        command, options = job.get("command"), job.get("options")
+        form = form_of(command) if isinstance(command, str) else None
+        if form is None or (jobs is not None and job.get("name") not in jobs):
+            continue
+        words = {
+            name: _option_words(form, name, value, folder)[0]
+            for name, value in (options.items() if isinstance(options, Mapping) else ())
+            if isinstance(value, _VALUES) and not any(_option_misfits(form, name, value, folder))
+        }
+        for name, message in form.problems(words):
+            yield ("jobs", index, *(() if name is None else ("options", name))), message
+
+
+def _job_misfits(
+    job: Mapping[str, Any], form_of: FormOf, folder: Path, rigs: Sequence[_Input]
+) -> Iterator[tuple[Keys, str]]:
+    # what is wrong with command, images and options of a job as it was read, but for the values of options
+    if not isinstance(command := job.get("command"), str):
         return
     form = form_of(command)
     if form is None:
@@ -130,14 +174,9 @@ def _job_misfits(job: object, form_of: FormOf, folder: Path, rigs: Sequence[_Inp
     if command == "capture":
         driven = [rig.name for rig in rigs if rig.drives_devices]
         yield from (((), f"capture would drive the devices of rig {rig}, and a batch drives none") for rig in driven)
-    options, words = job.get("options"), dict[str, Sequence[str]]()
+    options = job.get("options")
     for name, value in options.items() if isinstance(options, Mapping) else ():
-        messages = list(_option_misfits(form, name, value, folder))
-        yield from ((("options", name), message) for message in messages)
-        if not messages and isinstance(value, _VALUES):
-            words[name], _ = _option_words(form, name, value, folder)
-    for name, message in form.problems(words):
-        yield (() if name is None else ("options", name)), message
+        yield from ((("options", name), message) for message in _option_misfits(form, name, value, folder))
 
 
 def _named_inputs(

@@ -8,7 +8,7 @@ from pathlib import Path
 from time import perf_counter
 
 from lightopt.batch._cluster import Workers
-from lightopt.batch._expand import FormOf, expand
+from lightopt.batch._expand import FormOf, check_option_values, expand
 from lightopt.batch._schedule import outcomes_of
 from lightopt.batch._task import TERMINAL_NAME, Outcome, RunCommand, State, Task, published
 from lightopt.core.errors import counted
@@ -49,8 +49,9 @@ def run_batch(
     run, begun = run or RunContext(), perf_counter()
     tasks = expand(jobs, form_of, out, threads=threads)
     outcomes = {task.place: outcome for task in tasks if (outcome := published(task)) is not None}
-    make_folder(out)
     rest = [task for task in tasks if task.place not in outcomes]
+    check_option_values(jobs, form_of, {task.job for task in rest})
+    make_folder(out)
     interrupted = False
     if rest:
         known, share = dict(outcomes), run.stage(f"{len(rest)} of {len(tasks)} tasks")

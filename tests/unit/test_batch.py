@@ -18,7 +18,7 @@ from typing import ClassVar
 
 import pytest
 
-from lightopt.batch import Workers, _cluster, _schedule, _task, answer_text, jobs_table, run_batch
+from lightopt.batch import Workers, _cluster, _expand, _schedule, _task, answer_text, jobs_table, run_batch
 from lightopt.batch._expand import expand
 from lightopt.cli._batch import command_form
 from lightopt.cli._main import _COMMANDS
@@ -89,7 +89,8 @@ def tree(folder):
 
 def problems(files):
     with pytest.raises(InputError) as caught:
-        expand(files.folder / "jobs.yaml", command_form, files.out, threads=1)
+        run_batch(files.folder / "jobs.yaml", files.out, command_form, pytest.fail)
+    assert not files.out.exists()
     return caught.value.messages
 
 
@@ -120,9 +121,11 @@ def test_command_lines(files):
     assert {task.tail for task in tasks} == {("--threads=3",)}
 
 
-def test_a_second_run_does_nothing_and_a_change_repeats_what_depends_on_it(batch, files, commands):
+def test_a_second_run_does_nothing_and_a_change_repeats_what_depends_on_it(batch, files, commands, monkeypatch):
     batch()
+    monkeypatch.setattr(_expand, "_value_misfits", pytest.fail)  # which loads what computes, for seconds
     assert batch().count("kept") == 6
+    monkeypatch.undo()
     assert commands.ran == []
     files.edit("jobs.yaml", "step: 5", "step: 10")
     batch()
