@@ -2,7 +2,12 @@
 
 ``python scripts/finish_table.py``. Parameters of the green channel: J. Löw, J. Kronander, A. Ynnerman, J. Unger: BRDF
 models for accurate and efficient rendering of glossy surfaces, ACM Transactions on Graphics 31(1), 2012,
-doi:10.1145/2077341.2077350, whose microfacet model is f = k_D/π + F·G·S/(cosθ_i cosθ_o), S = A/(1 + B·(1 − cosδ))^C.
+doi:10.1145/2077341.2077350, whose microfacet model is f = k_D/π + F·G·S/(π·cosθ_i cosθ_o), S = A/(1 + B·(1 − cosδ))^C.
+The paper's equation 15 has no such π, its supplement's parameters include one: so the libraries BBM
+(bsdfbenchmark/bbm, lowmicrofacet.h) and dj_brdf (jdupuy/dj_brdf) evaluate them. Nickel reflects 0.19 of the light then;
+by other fits to the same measurement it is 0.20 (Ward's model: A. Ngan, F. Durand, W. Matusik: Experimental analysis of
+BRDF models, EGSR 2005) and 0.17 (GGX: L. De Oliveira and others: A hybrid neural-microfacet BRDF model for real-time
+rendering, Computer Graphics Forum 45(4), 2026, doi:10.1111/cgf.70540).
 Measured by W. Matusik, H. Pfister, M. Brand, L. McMillan: A data-driven reflectance model, SIGGRAPH 2003.
 
 Rolled and brushed metal: G. J. Ward: Measuring and modeling anisotropic reflection, SIGGRAPH 1992, table 1, whose model
@@ -111,7 +116,7 @@ def row(surface: Measured) -> tuple[str, str | None]:
     """A row of the table, and the line for a part file; None where no form describes the surface."""
     fresnel = ((surface.index - 1.0) / (surface.index + 1.0)) ** 2
     wanted = (1.0 + surface.b * (1.0 - np.cos(DELTA))) ** -surface.c
-    peak = math.pi * surface.a * fresnel * WHITE
+    peak = surface.a * fresnel * WHITE
     forms = {name: fitted(name, wanted) for name in ("torrance-sparrow", "ggx", "two-lobe")}
     R_d = surface.diffuse * WHITE
     chosen = "ggx" if forms["ggx"][3] <= 1.2 * forms["two-lobe"][3] else "two-lobe"
