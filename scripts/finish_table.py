@@ -12,6 +12,12 @@ Measured by W. Matusik, H. Pfister, M. Brand, L. McMillan: A data-driven reflect
 
 Rolled and brushed metal: G. J. Ward: Measuring and modeling anisotropic reflection, SIGGRAPH 1992, table 1, whose model
 along the normal is f = ρ_d/π + ρ_s/(4π·α_x·α_y)·exp(−tan²δ·(cos²φ/α_x² + sin²φ/α_y²)).
+
+Brushed steel: the GGX part, k_d/π + F·D·G/(4·cosθ_i cosθ_o) with F of a real index, that L. De Oliveira and others
+(above) fitted to "weta_brushed_steel_satin_pink" of J. Dupuy, W. Jakob: An adaptive parameterization for efficient
+material acquisition and rendering, SIGGRAPH Asia 2018. Its parameters are in the authors' file
+Ours_ld4_32x2_weta_brushed_steel_satin_pink_rgb.brdf (Ubisoft-LaForge/Ubisoft-LaForge.github.io). The share of light
+that the data reflect: scripts/python/amaze/res/rgl_materials.json of Timour/Amaze, green, mean at normal incidence.
 """
 
 from __future__ import annotations
@@ -29,6 +35,7 @@ from lightopt.optics import Reflectance, SpecularModel, least_white_level, specu
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "finishes.md"
 WHITE = 100.0
 MOST_MISFIT = 0.2  # of the nearest form; above it, the surface has a row and no line for part files
+MOST_WIDE = 0.5  # [rad], of a part file's wide lobe
 DELTA = np.radians(np.geomspace(0.1, 60.0, 400))
 
 
@@ -58,6 +65,7 @@ SURFACES = (
     Measured("pearl paint", 0.162150, 0.714731, 30.882542, 1.941556, 9.303603),
     Measured("black phenolic", 0.001674, 99.654602, 8696.112305, 1.524949, 1.839669),
     Measured("specular black phenolic", 0.001737, 2568.570068, 291094.21875, 1.252478, 1.415415),
+    Measured("black soft plastic", 0.000594, 0.442911, 124.908409, 0.618811, 1.902569),
     Measured("red plastic", 0.044432, 1.045352, 34.117554, 1.529797, 1.666450),
     Measured("grey plastic", 0.100258, 204.230804, 33710.691406, 1.023289, 1.400441),
     Measured("white acrylic", 0.300911, 1291.507080, 153332.265625, 1.153521, 1.291205),
@@ -67,19 +75,21 @@ SURFACES = (
 
 
 class Brushed(NamedTuple):
-    """A surface with a direction: ρ_d, ρ_s, α_x and α_y, the smaller one along the brushing."""
+    """A surface with a direction: ρ_d, ρ_s (of GGX that of F), α_x and α_y, the smaller one along the brushing."""
 
     finish: str
     diffuse: float
     specular: float
     along: float
     across: float
+    form: str = "gaussian"
 
 
 BRUSHED = (
     Brushed("rolled brass", 0.10, 0.33, 0.050, 0.16),
     Brushed("rolled aluminium", 0.10, 0.21, 0.040, 0.09),
     Brushed("lightly brushed aluminium", 0.15, 0.19, 0.088, 0.13),
+    Brushed("brushed steel", 0.070954, (4.608883 / 6.608883) ** 2, 0.019124, 0.387415, "ggx"),
 )
 
 
@@ -126,7 +136,8 @@ def row(surface: Measured) -> tuple[str, str | None]:
     peak = surface.a * fresnel * WHITE
     forms = {name: fitted(name, wanted) for name in ("torrance-sparrow", "ggx", "two-lobe")}
     R_d = surface.diffuse * WHITE
-    chosen = "ggx" if forms["ggx"][3] <= 1.2 * forms["two-lobe"][3] else "two-lobe"
+    two, wide = forms["two-lobe"], forms["two-lobe"][0].wide_ratio * forms["two-lobe"][1]
+    chosen = "ggx" if forms["ggx"][3] <= 1.2 * two[3] or wide > MOST_WIDE else "two-lobe"
     form, sigma, height, _ = forms[chosen]
     own = Reflectance(R_d=R_d, R_s=peak * height, sigma=sigma, model=form)
     albedo = least_white_level(own) / WHITE
@@ -147,12 +158,19 @@ def row(surface: Measured) -> tuple[str, str | None]:
 
 def brushed_row(surface: Brushed) -> tuple[str, str]:
     """A row of the table of brushed surfaces, and the line for a part file: one Gaussian lobe has σ = α/√2."""
-    sigma, across = surface.along / math.sqrt(2.0), surface.across / math.sqrt(2.0)
     R_d, R_s = surface.diffuse * WHITE, surface.specular * WHITE / (4.0 * surface.along * surface.across)
-    keys = f"R_d: {R_d:.3g}, R_s: {R_s:.4g}, sigma_rad: {sigma:.3g}, sigma_across_rad: {across:.3g}"
+    keys = f"R_d: {R_d:.3g}, R_s: {R_s:.4g}"
+    if surface.form == "ggx":
+        keys = f"model: ggx, {keys}, alpha: {surface.along:.3g}, alpha_across: {surface.across:.3g}"
+        form = SpecularModel(name="ggx", across_ratio=surface.across / surface.along)
+        share = least_white_level(Reflectance(R_d=R_d, R_s=R_s, sigma=0.5 * surface.along, model=form)) / WHITE
+    else:
+        sigma, across = surface.along / math.sqrt(2.0), surface.across / math.sqrt(2.0)
+        keys += f", sigma_rad: {sigma:.3g}, sigma_across_rad: {across:.3g}"
+        share = surface.diffuse + surface.specular
     brushing = "brushing: {direction: [1, 0, 0]}"
     return (
-        f"| {surface.finish} | {surface.along:g} / {surface.across:g} | {surface.diffuse + surface.specular:.2f} |",
+        f"| {surface.finish} | {surface.form} | {surface.along:.2g} / {surface.across:.2g} | {share:.2f} |",
         f"reflectance: {{{keys}, {brushing}, white_level: {WHITE:g}}}   # {surface.finish}",
     )
 
@@ -164,8 +182,8 @@ def main() -> None:
     lines = [block for block in blocks if block is not None]
     text = "\n".join([head, "|---|---|---|---|", *rows, "", "```yaml", *lines, "```"])
     rows, lines = zip(*map(brushed_row, BRUSHED), strict=True)
-    head = "| surface with a direction | α along / across | share of light reflected |"
-    text += "\n\n" + "\n".join([head, "|---|---|---|", *rows, "", "```yaml", *lines, "```"])
+    head = "| surface with a direction | form | α along / across | share of light reflected |"
+    text += "\n\n" + "\n".join([head, "|---|---|---|---|", *rows, "", "```yaml", *lines, "```"])
     page = PAGE.read_text(encoding="utf-8")
     begin, end = "<!-- begin finishes -->", "<!-- end finishes -->"
     pattern = re.compile(f"{re.escape(begin)}.*?{re.escape(end)}", re.DOTALL)
