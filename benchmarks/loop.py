@@ -1,7 +1,7 @@
 """Does the loop close: lights planned for defects, defects captured under them, and what ``inspect`` finds of them.
 
-``python -m benchmarks.loop [--finish polished] [--waviness 0.1] [--lobe 1.05] [--rays 3] [--seeds N]
-[--plot PNG]``. For each part
+``python -m benchmarks.loop [--finish polished] [--waviness 0.1] [--lobe 1.05] [--rays 3] [--bounces 1]
+[--seeds N] [--plot PNG]``. For each part
 the lights are placed once by ``optimize --objective detectability`` and once by ``--objective paper``. Random defects
 of the built-in catalogue are placed on the part, the same ones for both rigs, the simulated rig captures it 0.4 and 0.3
 mm off its place with noise of its own for each seed, and the inspection with the part's catalogue is held against the
@@ -9,7 +9,8 @@ defects that the part's file names.
 
 With ``--waviness`` the part's file has so much, and each captured part has a surface of its own. With ``--lobe`` the
 parts have a lobe so much wider than their file says, and the inspection is calibrated on good parts. With ``--rays``
-the simulated camera's pixels show the mean of so many rays along each side, as a real camera's do.
+the simulated camera's pixels show the mean of so many rays along each side, as a real camera's do. With ``--bounces``
+images have so many bounces of light from the part to the part, as plan and inspection know.
 
 Two shares are set beside what was found, kind by kind:
 
@@ -105,13 +106,17 @@ def run_command(*words: object) -> None:
         raise SystemExit(f"lightopt {words[0]} left with {status}")
 
 
-def files(folder: Path, name: str, *, width: int, finish: str = "as-filed", surface: str = "") -> tuple[Path, Path]:
+def files(
+    folder: Path, name: str, *, width: int, finish: str = "as-filed", surface: str = "", bounces: int = 0
+) -> tuple[Path, Path]:
     """The sample rig with a camera of a width, and the part in its first posture with a finish and a surface."""
     rig, part = one_posture_files(folder, name, width=width, pixel_um=f"{4.4 * 1600 / width:g}")
     for key, value in FINISHES[finish].items():
         part = re.sub(rf"( {key}:) [0-9.]+", rf"\1 {value:g}", part)
     if surface:
         part += f"\nsurface: {surface}\n"
+    if bounces:
+        part += f"\ninspection: {{bounces: {bounces}}}\n"
     path = folder / f"{Path(name).stem}.yaml"
     path.write_text(part, encoding="utf-8")
     return rig, path
@@ -135,7 +140,7 @@ class Prediction:
         options: argparse.Namespace,
         calibration: Calibration | None = None,
     ) -> None:
-        scene = build_scene(rig, part, defects=False)
+        scene = build_scene(rig, part, defects=False, bounces=part.inspection.bounces)
         caster = cast_rays_at(scene)
         posture = scene.postures[0]
         catalogue = planned_catalogue(build_catalogue(part))
@@ -184,7 +189,7 @@ class Prediction:
 
 def take(rig: RigConfig, part: PartConfig, folder: Path, seed: int, *, rays: int = 1) -> ImageSet:
     """Capture a part on the simulated rig, off its place and with noise of a seed; `rays` along a side of a pixel."""
-    truth = BenchTruth(seed=seed, part_offset_mm=OFF_MM, rays=rays)
+    truth = BenchTruth(seed=seed, part_offset_mm=OFF_MM, rays=rays, bounces=part.inspection.bounces)
     with start_bench(rig, wiring_of(rig), part=part, truth=truth) as bench:
 
         def connect(plan: CapturePlan) -> Devices:
@@ -199,7 +204,9 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
     surface = (
         f"{{waviness_deg: {options.waviness:g}, waviness_mm: {options.waviness_mm:g}}}" if options.waviness else ""
     )
-    rig_file, part_file = files(folder, name, width=options.width, finish=options.finish, surface=surface)
+    rig_file, part_file = files(
+        folder, name, width=options.width, finish=options.finish, surface=surface, bounces=options.bounces
+    )
     name = part_file.stem
     placed: list[Path] = []
     for seed in range(1, options.seeds + 1):
@@ -380,6 +387,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--waviness-mm", type=float, default=1.5, help="and its correlation length [mm]")
     parser.add_argument("--lobe", type=float, default=1.0, help="of the parts: its width, as a multiple of the file's")
     parser.add_argument("--rays", type=int, default=1, help="of the simulated camera, along a side of a pixel")
+    parser.add_argument(
+        "--bounces", type=int, default=0, help="of light from the part to the part, in images and plans"
+    )
     parser.add_argument("--false-alarms", type=float, default=DEFAULT_FALSE_ALARMS, help="per posture of a good part")
     parser.add_argument("--seeds", type=int, default=34, help="sets of defects per part")
     parser.add_argument("--count", type=int, default=42, help="defects per set")

@@ -169,7 +169,9 @@ def _state_problem(
         run.warn(f"{rig.source.at('lights')}: no light can be moved; give one or more {ranges}")
     check_editable(rig)
     objectives = _objectives(rig, part, options, run)
-    scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
+    scene = build_scene(
+        rig, part, postures=options.postures, points=options.points, defects=False, bounces=part.inspection.bounces
+    )
     scene = replace(scene, camera=replace(scene.camera, obstructions=None))  # no position in the view is a candidate
     thresholds = LevelThresholds.of_sensor(scene.sensor, shade_share=options.shade_below)
     postures, names = [posture.as_dict() for posture in scene.postures], [objective.name for objective in objectives]

@@ -86,7 +86,7 @@ def check_mirrored_part(checked: CheckedScene) -> Iterator[Finding]:
     text = f"{percent(share)} of the surface in view mirrors the part itself{others}"
     if share > NOTED_SHARE:
         text += ". Images without its light are too dark there: use render --bounces 1, virtual_bench.bounces and "
-        text += "inspection.bounces. Fits and plans leave this light out"
+        text += "inspection.bounces, which plans use too. Fits leave this light out"
     level = "warning" if share > WARNED_SHARE else "note" if share > NOTED_SHARE else "ok"
     of_postures = [
         {"posture": s.posture.as_dict(), "share": own} for s, own in zip(checked.samples, shares, strict=True)

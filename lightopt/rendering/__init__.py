@@ -1,5 +1,6 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
+from ._bounced_patches import BouncedPatches
 from ._converged_panel import channel_groups, highlight_level, panel_to_shade, shade_isolated, shadow_targets
 from ._image_set import (
     BACK_FACE_SHARE,

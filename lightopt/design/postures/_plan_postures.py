@@ -291,7 +291,7 @@ def plan_postures(
     rig: RigConfig, part: PartConfig, options: _problem.OptimizeOptions, plan: _problem.PlanOptions, run: RunContext
 ) -> ChosenPostures:
     candidates = _problem.candidates_of(rig, options)
-    scene = build_scene(rig, part, points=options.points, defects=False)
+    scene = build_scene(rig, part, points=options.points, defects=False, bounces=part.inspection.bounces)
     scene = replace(scene, camera=replace(scene.camera, obstructions=None))
     grid = _problem.posture_grid(rig, part, step_deg=plan.posture_step_deg)
     caster = cast_rays_at(scene)

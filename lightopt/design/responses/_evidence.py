@@ -297,11 +297,13 @@ class PatchEvidence:
         blocker: RayCaster | None,
         exposures: Sequence[float],
         *,
+        added: Sequence[Float64] | None = None,
         threads: int = 1,
     ) -> Iterator[tuple[Float32, list[Words]]]:
         """Levels of the patches, and the units of evidence of an image at each exposure, of each of some lights.
 
         panels: Part frame; channels of a light are worked out together
+        added: To the levels under each, whether there is a defect or not [grey level], shape (p,)
         Yields levels at exposure 1 [grey level], shape (p,), and per exposure flags of shape (units, p, words).
         """
         lights, surface = [rendering.panel_to_shade(panel, caster) for panel in panels], self._surface
@@ -318,10 +320,14 @@ class PatchEvidence:
             )
             for i, level in zip(exact, levels, strict=True):
                 plain_levels[i] = level
-        for plain, shaded in zip(plain_levels, found, strict=True):
+        for i, shaded in enumerate(found):
+            plain, good, varied = plain_levels[i], shaded.good, shaded.varied
+            if added is not None:
+                more = added[i][self._order]
+                plain, good, varied = plain + more, good + more, varied + more.astype(varied.dtype)
             levels = np.empty(len(plain), np.float32)
             levels[self._order] = plain.astype(np.float32) * np.float32(passed)
-            good, varied = shaded.good * passed, (shaded.varied * passed).astype(np.float32, copy=False)
+            good, varied = good * passed, (varied * passed).astype(np.float32, copy=False)
             yield levels, [self._units(good, varied, exposure) for exposure in exposures]
 
     def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:

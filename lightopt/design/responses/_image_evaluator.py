@@ -30,7 +30,7 @@ from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix,
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import expose
-from lightopt.rendering import PatchTable, SurfacePoints, shade_isolated, shadow_targets
+from lightopt.rendering import BouncedPatches, PatchTable, SurfacePoints, shade_isolated, shadow_targets
 from lightopt.scene import Scene, surface_share, view_from_part
 
 BLOCK_PATCHES = 1 << 12  # patches whose levels, under all hypotheses, are in the processor's caches together
@@ -245,37 +245,44 @@ class ImageEvaluator:
     ) -> None:
         """Levels and flags of the `missing` of some panels, written to their rows of `images`."""
         scene, caster, (levels, words) = self.scene, self.caster, images
-        camera, surface = view_from_part(scene, posture).camera, patch_points(scene, self.table, posture)[0]
-        surface = replace(surface, outside=caster.is_outside(camera.position))
-        evidence = None
+        view, (surface, seen) = view_from_part(scene, posture), patch_points(scene, self.table, posture)
+        surface = replace(surface, outside=caster.is_outside(view.camera.position))
+        bounced = evidence = None
+        if scene.bounces or scene.is_surrounded:
+            areas = self.table.patches.areas[seen]
+            bounced = BouncedPatches(scene, view, surface, areas, caster, shadows=self.shadows)
         if self.detection is not None:
             evidence = PatchEvidence(scene, self.table, surface, posture, self.detection)
         blocks: list[_Block] = []
         for start in range(0, len(surface), BLOCK_PATCHES):
             block = surface.take(slice(start, start + BLOCK_PATCHES))
-            share = surface_share(camera, block.points)
+            share = surface_share(view.camera, block.points)
             blocks.append((slice(start, start + len(block)), block, 1.0 if share is None else share))
         # the candidates as the part sees them
         moved = view_from_part(replace(scene, lights=tuple(panels)), posture).lights
 
-        # evidence at a patch depends on its neighbours, so that all patches are done together
+        # evidence at a patch depends on its neighbours, and light on what the part mirrors: all are done together
         groups = [blocks[first : first + BLOCKS_AT_ONCE] for first in range(0, len(blocks), BLOCKS_AT_ONCE)]
-        groups = groups if evidence is None else [blocks]
+        groups = groups if evidence is None and bounced is None else [blocks]
         work = WorkCounter(len(missing) * len(groups), progress)
 
         shade = partial(shade_isolated, reflectances=scene.reflectances, caster=caster, shadows=self.shadows)
 
         def evaluate(some: Sequence[int], own: Sequence[_Block]) -> None:
+            # of each light by itself, so that no result depends on the others
+            lights = [moved[at] for at in some]
+            added = None if bounced is None else [bounced.levels(light, threads_of_task) for light in lights]
             if evidence is not None:
                 blocker = caster if self.shadows else None
-                lights = [moved[at] for at in some]
-                found = evidence.evaluate(lights, caster, blocker, exposures, threads=threads_of_task)
+                found = evidence.evaluate(lights, caster, blocker, exposures, added=added, threads=threads_of_task)
                 for at, (level, units) in zip(some, found, strict=True):
                     store(at, slice(None), level)
                     words[:, at] = units
             else:
-                for at, (here, block, passed) in itertools.product(some, own):
+                for (i, at), (here, block, passed) in itertools.product(enumerate(some), own):
                     level = shade(block, (moved[at],))[0]
+                    if added is not None:
+                        level += added[i][here]
                     # images are stored as float32, and a level is rounded from what is stored
                     store(at, here, (passed * level).astype(np.float32))
             work.add(len(some))
