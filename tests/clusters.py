@@ -23,6 +23,7 @@ class Cluster:
             self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0")
         ]
         self.workers: list[subprocess.Popen[bytes]] = []
+        self.killed = 0
         for _ in range(2):
             self.add_worker()
         # the scheduler makes the file, and then writes it
@@ -43,6 +44,7 @@ class Cluster:
         worker = self.workers.pop(number)
         worker.kill()
         worker.wait()
+        self.killed += 1
         self.add_worker()
 
     def close(self) -> None:

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import logging
+import math
 import platform
 import signal
 import tempfile
@@ -10,6 +11,7 @@ import warnings
 from collections.abc import Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from distributed import Client, LocalCluster
 
 _ANSWER_S = 5.0  # how long a scheduler may take to answer
+_SHORT_S = 60.0  # a worker that leaves so soon after it came may lack what it needs
 _KILL_S = 0.5  # how long a worker of this machine may take to end before it is killed
 _MOST_CHARACTERS = 500  # of what a batch system says where it fails: some add the log of their scheduler
 # packages that start workers by a batch system: module, class with its arguments, and name of the package
@@ -77,10 +80,28 @@ def connected(workers: Workers, run: RunContext, *, most: int | None = None) -> 
             client = distributed.Client(address, timeout=_ANSWER_S, set_as_default=False)
         run.warn(*(" ".join(str(one.message).split()) for one in caught if issubclass(one.category, UserWarning)))
         stack.callback(client.close, timeout=_ANSWER_S)
+        if not workers.here:
+            client.subscribe_topic("all", partial(_note_short_lived, run, dict[str, float](), set[str]()))
         if not _check_workers(client) and workers.scheduler is not None:
             run.warn(f"no worker is connected to {workers.scheduler} yet; the work waits for one")
         # closed before all is done, what has not begun does not begin; what a worker elsewhere has begun, it completes
         yield client
+
+
+def _note_short_lived(
+    run: RunContext, came: dict[str, float], noted: set[str], event: tuple[float, Mapping[str, Any]]
+) -> None:
+    # of the scheduler's events: one that cannot load what it is given ends at once, and may come again for ever
+    seconds, what = event
+    worker = str(what.get("worker"))
+    if what.get("action") == "add-worker":
+        came[worker] = seconds
+        return
+    lived = seconds - came.get(worker, -math.inf)
+    if what.get("action") == "remove-worker" and lived < _SHORT_S and not noted:
+        noted.add(worker)
+        needs = "workers need the same Python, lightopt and packages as this machine"
+        run.warn(f"worker {worker} left {lived:.0f} s after it came; see what it printed: {needs}")
 
 
 def _require_scheduler(address: str) -> None:

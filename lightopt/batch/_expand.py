@@ -6,13 +6,13 @@ import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from lightopt.batch._task import FromTask, Task, content_sha256
-from lightopt.config import JobConfig, PartConfig, RigConfig, input_files, load_batch, load_part, load_rig
+from lightopt.config import JobConfig, PartConfig, RigConfig, input_files, load_batch, load_part, load_ranges, load_rig
 from lightopt.core.errors import InputError, did_you_mean
 from lightopt.core.provenance import computed_by
 from lightopt.images import MANIFEST_NAME, read_image_set
@@ -35,6 +35,7 @@ class CommandForm:
     options: Mapping[str, OptionForm]
     problems: Callable[[Mapping[str, Sequence[str]]], Iterator[tuple[str | None, str]]]
     """What is wrong with the values of options, whose words it is given by name: name of one option or None, message"""
+    defaults: Mapping[str, Any] = field(default_factory=dict[str, Any])  # of its options, as JSON has them
     writes_folder: bool = True  # takes -o DIR
     takes_threads: bool = True
 
@@ -101,7 +102,8 @@ def expand(path: Path, form_of: FormOf, out: Path, *, threads: int) -> tuple[Tas
                 images = batch.source.resolve(folder).absolute()
             inputs = [pair for one in (*own_rigs, part) for pair in one.hashes.items()]
             arguments, facts = _arguments(job, form, own_rigs, part, images, needs)
-            facts |= {"command": job.command, "options": job.options, "files": list(option_files.values())}
+            facts |= {"command": job.command, "options": job.options, "defaults": form.defaults}
+            facts["files"] = list(option_files.values())
             text = json.dumps({**facts, "computed_by": made_by}, sort_keys=True)
             task = Task(
                 job=job.name,
@@ -273,8 +275,17 @@ def _option_words(form: CommandForm, name: str, value: Any, folder: Path) -> tup
     if option.file:
         files = [(folder / text).absolute() for text in texts]
         texts = [str(file) for file in files]
+        files += [named for file in files for named in _named_by(file)]
     # --option=value: a value may begin with a dash
     return [f"--{name}={text}" for text in (texts if option.repeatable else [",".join(texts)])], files
+
+
+def _named_by(file: Path) -> list[Path]:
+    # files that a dataset's ranges name; other files of options name none
+    try:
+        return [path.absolute() for path in input_files(load_ranges(file)).values()] if file.suffix == ".yaml" else []
+    except InputError:
+        return []
 
 
 def _option_misfits(form: CommandForm, name: str, value: object, folder: Path) -> Iterator[str]:

@@ -3,9 +3,9 @@
 import csv
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter
+from time import monotonic, perf_counter, sleep
 
 from lightopt.batch._cluster import Workers
 from lightopt.batch._expand import FormOf, check_option_values, expand
@@ -14,6 +14,8 @@ from lightopt.batch._task import TERMINAL_NAME, Outcome, RunCommand, State, Task
 from lightopt.core.errors import counted
 from lightopt.core.run_context import RunContext
 from lightopt.images import csv_text, make_folder, write_text_atomic
+
+_SHARED_S = 60.0  # that a network's file system may take to show a file which another machine has written
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,9 +65,32 @@ def run_batch(
                     share(number / len(rest))
         except KeyboardInterrupt:
             interrupted = True
+        if workers is not None and not workers.here:
+            outcomes |= _unseen(rest, outcomes)
     seconds = perf_counter() - begun
     paths = write_summary(jobs.name, tasks, outcomes, out)
     return BatchResult(tasks=tasks, outcomes=outcomes, seconds=seconds, interrupted=interrupted, paths=paths)
+
+
+def _unseen(tasks: Sequence[Task], outcomes: Mapping[str, Outcome]) -> dict[str, Outcome]:
+    """Failures of tasks whose results workers elsewhere have put where this machine does not see them."""
+    begun, hidden = monotonic(), list(tasks)
+    while True:
+        hidden = [task for task in hidden if _succeeded(outcomes.get(task.place)) and published(task) is None]
+        if not hidden or monotonic() - begun > _SHARED_S:
+            break
+        sleep(0.5)
+    found = dict[str, Outcome]()
+    for task in hidden:
+        outcome = outcomes[task.place]
+        reason = f"{task.folder}: worker {outcome.worker} wrote results that this machine does not see"
+        messages = (f"{reason}; workers need the same output folder, on a shared file system",)
+        found[task.place] = replace(outcome, state="failed", messages=messages)
+    return found
+
+
+def _succeeded(outcome: Outcome | None) -> bool:
+    return outcome is not None and outcome.succeeded
 
 
 SUMMARY_NAME, PAGE_NAME = "summary.csv", "report.html"

@@ -110,6 +110,7 @@ def command_form(name: str) -> CommandForm | None:
         name=name,
         arguments=tuple(arguments),
         options=options,
+        defaults={one.name: str(one.default) for one in parameters if one.name not in _OF_THE_BATCH | _WRITTEN},
         problems=partial(_option_problems, [name, *arguments, *(["-o", "DIR"] if out is not None else [])]),
         writes_folder=out is not None,
         takes_threads=any(one.name == "threads" for one in parameters),

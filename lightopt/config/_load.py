@@ -66,8 +66,10 @@ def load_batch(path: Path | str, misfits: Misfits | None = None) -> BatchConfig:
     return load_file(Path(path), BatchConfig, "lightopt-batch/1", misfits)
 
 
-def input_files(config: RigConfig | PartConfig) -> dict[str, Path]:
-    """Files that a rig or part file names: data sheet, pictures, tables, mesh; a calibration's covariance if there."""
+def input_files(config: RigConfig | PartConfig | RangesConfig) -> dict[str, Path]:
+    """Files that a file names: data sheet, pictures, tables, mesh, fit; a calibration's covariance if there."""
+    if isinstance(config, RangesConfig):
+        return {} if config.fit is None else {"fit": config.source.resolve(config.fit)}
     files: dict[str, Path] = {}
     if isinstance(config, RigConfig) and config.camera.sensor.data_sheet is not None:
         files["data sheet"] = config.source.resolve(config.camera.sensor.data_sheet)

@@ -72,11 +72,12 @@ def factors_of(ranges: RangesConfig, rig: RigConfig, part: PartConfig) -> Factor
         ends: Any = found.get("interval_95") if isinstance(found, dict) else found
         if ends is None or value <= 0.0:
             return default
-        if not (isinstance(ends, list | tuple) and len(ends) == 2 and all(isinstance(one, _END) for one in ends)):
+        well_formed = isinstance(ends, list | tuple) and len(ends) == 2 and all(isinstance(one, _END) for one in ends)
+        low, high = ends if well_formed else (None, None)
+        if not well_formed or (low is not None and high is not None and not 0.0 <= high >= low):
             raise InputError(
                 f"{ranges.source.path}: {ranges.fit}: {name}: expected interval_95: [low, high], found {ends}"
             )
-        low, high = ends
         return default if low is None or high is None else (max(0.0, low / value), high / value)
 
     gains = {

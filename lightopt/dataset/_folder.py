@@ -11,8 +11,14 @@ from lightopt.images import make_folder, read_listing, remove_listed, write_text
 
 MANIFEST, FORMAT = "dataset.json", "lightopt-dataset/1"
 INVISIBLE = "invisible"  # folder of images whose defects none can find
+TRAIN_DEFECTS = "train_defects"  # folder of images with visible defects in the split train
 
-_OF_SAMPLES = ("images", "labels", INVISIBLE)  # folders of a view whose files begin with the number of a sample
+_OF_SAMPLES = (
+    "images",
+    "labels",
+    INVISIBLE,
+    TRAIN_DEFECTS,
+)  # folders of a view whose files begin with the number of a sample
 _NUMBER = "[0-9]" * 6
 
 

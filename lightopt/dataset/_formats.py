@@ -10,30 +10,37 @@ import numpy as np
 from lightopt.core.arrays import Bool, Index, UInt8
 from lightopt.core.errors import counted
 from lightopt.dataset._draws import SPLITS, STACK, Setup
-from lightopt.dataset._folder import INVISIBLE, DatasetFolder
+from lightopt.dataset._folder import INVISIBLE, TRAIN_DEFECTS, DatasetFolder
 from lightopt.dataset._visibility import MIN_IMAGES
 from lightopt.images import csv_text
 from lightopt.scene import at_rest_warnings
 
 Record = Mapping[str, Any]
+_MASKS = f"/{TRAIN_DEFECTS}/masks/"
 
 
 def image_name(view: str, number: int, defects: Sequence[Record], split: str) -> str:
-    """Name of an image: in a view's folders as MVTec AD has them, or apart where it shows no defect of those it has."""
+    """Name of an image: in a view's folders as MVTec AD has them, or apart.
+
+    Apart are images that show no defect of those they have, and defects of the split train: in a test, they would share
+    their poses with the good pieces that a detector has learnt from.
+    """
     if not defects:
         return f"{view}/images/{'train' if split == 'train' else 'test'}/good/{number:06}.png"
     kinds = sorted({one["kind"] for one in defects if is_visible(one, view)})
     if not kinds:
         return f"{view}/{INVISIBLE}/{number:06}.png"
-    return f"{view}/images/test/{kinds[0] if len(kinds) == 1 else 'combined'}/{number:06}.png"
+    folder = f"{TRAIN_DEFECTS}/images" if split == "train" else "images/test"
+    return f"{view}/{folder}/{kinds[0] if len(kinds) == 1 else 'combined'}/{number:06}.png"
 
 
 def mask_name(image: str) -> str | None:
     """Name of the mask of an image; None for an image without visible defects."""
     where, _, name = image.rpartition("/")
-    if "/test/" not in image or where.endswith("/good"):
+    if where.endswith(("/good", f"/{INVISIBLE}")):
         return None
-    return f"{where.replace('/images/test/', '/images/ground_truth/')}/{name.replace('.png', '_mask.png')}"
+    where = where.replace("/images/test/", "/images/ground_truth/").replace(f"/{TRAIN_DEFECTS}/images/", _MASKS)
+    return f"{where}/{name.replace('.png', '_mask.png')}"
 
 
 def yolo_name(image: str) -> str | None:
@@ -111,7 +118,8 @@ def _coco(setup: Setup, samples: Sequence[Record], view: str) -> dict[str, Any]:
                 }
             )
     categories = [{"id": i, "name": kind, "supercategory": "defect"} for i, kind in enumerate(kinds, 1)]
-    return {"images": images, "annotations": annotations, "categories": categories}
+    info = {"description": f"{setup.part.name} on {setup.rig.name}, {view}, seed {setup.options.seed}", "version": "1"}
+    return {"info": info, "images": images, "annotations": annotations, "categories": categories}
 
 
 def datasheet(setup: Setup, samples: Sequence[Record], omitted: int) -> str:
@@ -163,7 +171,8 @@ def datasheet(setup: Setup, samples: Sequence[Record], omitted: int) -> str:
         f"{options.false_alarms:g} false alarms per posture; in a stack, {MIN_IMAGES} images must show it where so "
         "many are lit. Invisible defects are marked: `iscrowd: 1` in COCO, no mask in ground_truth, no box for YOLO. "
         f"Images without a visible defect of those on the piece are in `{INVISIBLE}/`, which readers of MVTec AD and "
-        "YOLO do not see."
+        f"YOLO do not see; those with visible defects in the split train are in `{TRAIN_DEFECTS}/`, which readers of "
+        "MVTec AD do not see."
     )
     lines = [
         f"# Dataset of {part.name} on {rig.name}",

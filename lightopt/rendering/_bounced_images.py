@@ -5,6 +5,7 @@ corners beside them, the polynomial through the nodes serves for all of it; othe
 into single pixels.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +17,7 @@ from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import dot, length, minus, vector_at
 from lightopt.geometry import Hits
-from lightopt.rendering._caustics import blurred, caustic_levels, landed_light
+from lightopt.rendering._caustics import ENOUGH, blurred, caustic_levels, landed_light
 from lightopt.rendering._interreflection import PartLight
 from lightopt.rendering._penumbra_squares import quadratic_weights
 from lightopt.rendering._surface import SurfacePoints
@@ -30,6 +31,10 @@ MOST_TURN = 0.05  # angle between their normals [rad]
 # by how much nodes may differ from means of corners, of which the polynomial takes account, besides their errors [grey
 # level], share
 CHANGE, RELATIVE_CHANGE = 0.6, 0.05
+# errors of pixels near each other are alike, so that over the size of a defect they count for as much as those of
+# independent pixels that are so many times as large
+ALIKE = 6.0
+OF_DISAGREEMENT = 0.25  # share of it that is an error of interpolated levels
 SHARED = 65  # rows and columns around a sample that share glints, twice
 MOST_BEND = 0.1  # normals that differ by more from those interpolated between corners divide a square [rad]
 MOST_STEP = 0.1  # and points that are further from those interpolated, as a share of the square's diagonal
@@ -46,6 +51,7 @@ class Band:
     left: int
     diffuse: Float64
     specular: Float64
+    error: Float64  # standard error of their sum, of the mean of samples as of one
 
 
 def bounced_bands(
@@ -77,21 +83,29 @@ def bounced_bands(
         at = np.full((len(rows), len(columns)), -1, np.int32)
         at.ravel()[hits.ray] = np.arange(len(surface), dtype=np.int32)
         passed = lens_share(camera, columns[hits.ray % len(columns)], rows[hits.ray // len(columns)])
-        pixels = []
+        pixels, errors = list[Float64](), list[Float64]()
         mirrors = light.mirrors_housing(surface)
+
         for worked_out in (light.diffuse, light.specular):
             apart = surface.material
             if mirrors is not None and pixels:
                 # the edge of a housing in a mirror is as sharp as the border of a region
                 apart = mirrors if apart is None else 2 * apart.astype(np.int16) + mirrors
-            values = _over_regions(surface, at, apart, worked_out, threads)
+            values, error = _over_regions(surface, at, apart, worked_out, threads)
             if landed and not pixels:
-                values += caustic_levels(landed, camera, surface, at, (columns[0], rows[0]), 1.0 / n)
-            samples = np.zeros((len(values), *at.shape))
-            samples[:, at >= 0] = (values if passed is None else values * passed)[:, at[at >= 0]]
-            samples = samples[:, : (end - first) * n].reshape(len(values), end - first, n, right - left, n)
-            pixels.append(samples.mean(axis=(2, 4)))
-        yield Band(first, end, left, *pixels)
+                caustics = caustic_levels(landed, camera, surface, at, (columns[0], rows[0]), 1.0 / n)
+                values += caustics
+                error = np.hypot(error, caustics / math.sqrt(ENOUGH))
+            pixels.append(_means(values if passed is None else values * passed, at, end - first, n))
+            errors.append(_means(error if passed is None else error * passed, at, end - first, n))
+        yield Band(first, end, left, *pixels, error=np.hypot(*errors))
+
+
+def _means(values: Float64, at: Int32, rows: int, n: int) -> Float64:
+    # over the n² samples of each pixel of so many rows, shape (lights, rows, columns)
+    samples = np.zeros((len(values), *at.shape))
+    samples[:, at >= 0] = values[:, at[at >= 0]]
+    return samples[:, : rows * n].reshape(len(values), rows, n, -1, n).mean(axis=(2, 4))
 
 
 def _over_regions(
@@ -101,7 +115,8 @@ def _over_regions(
     worked_out: Callable[[SurfacePoints, int | None], Float64],
     threads: int | None,
 ) -> Float64:
-    # levels of all points of a grid, shape (lights, k); nothing is interpolated across the border of a region
+    # levels of all points of a grid and their errors, shape (2, lights, k); nothing is interpolated across the border
+    # of a region
     if region is None or not len(surface):
         return _over_squares(surface, at, worked_out, threads)
     parts: list[tuple[Index, Float64]] = []
@@ -110,22 +125,24 @@ def _over_regions(
         own = np.full(len(surface) + 1, -1, np.int32)  # at −1: none
         own[index] = np.arange(len(index), dtype=np.int32)
         parts.append((index, _over_squares(surface.take(index), own[at], worked_out, threads)))
-    values = np.zeros((len(parts[0][1]), len(surface)))
+    values = np.zeros((*parts[0][1].shape[:2], len(surface)))
     for index, found in parts:
-        values[:, index] = found
+        values[..., index] = found
     return values
 
 
 def _over_squares(
     surface: SurfacePoints, at: Int32, worked_out: Callable[[SurfacePoints, int | None], Float64], threads: int | None
 ) -> Float64:
-    # levels of all points of a grid, shape (lights, k)
+    # levels of all points of a grid and their errors, shape (2, lights, k)
     known, done = np.zeros(len(surface), np.bool_), ~surface.front
     values = np.zeros((*worked_out(surface.take(slice(0)), 1).shape[:2], len(surface)))
+    errors = np.zeros(values.shape[1:])  # those in `values` are of points that were worked out alone
 
     def work_out(chosen: Bool) -> None:
         index = np.flatnonzero(chosen & ~known)
         values[..., index] = worked_out(surface.take(index), threads)
+        errors[:, index] = values[1][:, index]
         known[index] = done[index] = True
 
     side = SIDES[0]
@@ -134,15 +151,15 @@ def _over_squares(
         smooth = _smooth_squares(corners, side, at, surface.points, surface.normals, surface.front)
         work_out(_nodes(corners[smooth], side, at, len(surface)))
         fitting = smooth.copy()
-        fitting[smooth] = _interpolated(corners[smooth], side, at, values, done)
+        fitting[smooth] = _interpolated(corners[smooth], side, at, values, errors, done)
         half = side // 2
         corners = np.concatenate([corners[~fitting] + [down, right] for down in (0, half) for right in (0, half)])
         corners = corners[np.all(corners < at.shape, axis=1)]
-    _from_neighbours(at, surface.points, surface.normals, surface.facets, values, done)
+    _from_neighbours(at, surface.points, surface.normals, surface.facets, values, errors, done)
     work_out(~done)
     if values[2].any():
         values[0] += _shared(values[2], surface.front, at)
-    return values[0]
+    return np.stack([values[0], errors])
 
 
 def _shared(glints: Float64, front: Bool, at: Int32) -> Float64:
@@ -205,10 +222,11 @@ def _nodes(corners: Int32, side: int, at: Int32, count: int) -> Bool:
 
 
 @kernel
-def _interpolated(corners: Int32, side: int, at: Int32, values: Float64, done: Bool) -> Bool:
+def _interpolated(corners: Int32, side: int, at: Int32, values: Float64, errors: Float64, done: Bool) -> Bool:
     # fills the squares whose other nodes agree with their corners under every light, and says which
     fitting = np.zeros(len(corners), np.bool_)
     half, nodes, along = side // 2, np.empty(9, np.int64), quadratic_weights(side)
+    own = np.empty(values.shape[1])
     for k in range(len(corners)):
         top, left = corners[k, 0], corners[k, 1]
         for down in range(3):
@@ -225,6 +243,7 @@ def _interpolated(corners: Int32, side: int, at: Int32, values: Float64, done: B
             off = max(off, max(abs(v[nodes[1]] - 0.5 * (a + b)), abs(v[nodes[7]] - 0.5 * (c + d))))
             off = max(off, max(abs(v[nodes[3]] - 0.5 * (a + c)), abs(v[nodes[5]] - 0.5 * (b + d))))
             agrees &= off <= CHANGE + RELATIVE_CHANGE * most + error
+            own[light] = max(error, OF_DISAGREEMENT * off)
         fitting[k] = agrees
         if not agrees:
             continue
@@ -234,6 +253,7 @@ def _interpolated(corners: Int32, side: int, at: Int32, values: Float64, done: B
                 if done[i]:
                     continue
                 done[i] = True
+                errors[:, i] = own
                 for layer in range(0, 3, 2):
                     for light in range(values.shape[1]):
                         v, value = values[layer, light], 0.0
@@ -246,7 +266,7 @@ def _interpolated(corners: Int32, side: int, at: Int32, values: Float64, done: B
 
 @kernel
 def _from_neighbours(
-    at: Int32, points: Float64, normals: Float64, facets: Float64, values: Float64, done: Bool
+    at: Int32, points: Float64, normals: Float64, facets: Float64, values: Float64, errors: Float64, done: Bool
 ) -> None:
     # fills samples beside edges from others on the same surface near them, where these agree
     rows, columns = at.shape
@@ -279,6 +299,7 @@ def _from_neighbours(
                     least, most = min(least, v[numbers[k]]), max(most, v[numbers[k]])
                     error = max(error, e[numbers[k]])
                 agrees &= most - least <= CHANGE + RELATIVE_CHANGE * most + error
+                errors[light, i] = max(error, OF_DISAGREEMENT * (most - least))
             if not agrees:
                 continue
             done[i] = True

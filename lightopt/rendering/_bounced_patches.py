@@ -6,6 +6,7 @@ know where the part's light saturates them and adds noise.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +16,8 @@ from scipy.spatial import KDTree
 from lightopt.core.arrays import Float64, Index
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
-from lightopt.rendering._caustics import landed_light
+from lightopt.rendering._bounced_images import ALIKE
+from lightopt.rendering._caustics import ENOUGH, landed_light
 from lightopt.rendering._interreflection import PartLight
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PartView, Scene
@@ -23,6 +25,7 @@ from lightopt.scene import PartView, Scene
 MOST = 4_000  # patches at which it is worked out
 SPACINGS_PER_RAD = 10.0  # a turn of the normal is as far as so many spacings of these
 LANDED_RAYS = 1 << 16  # of each light
+OF_NEAR = 2.0  # greatest error of the pixels around one, in its own: what an inspection takes
 REACH = 2.0  # sides of a patch, within which light that lands belongs to it
 
 
@@ -38,23 +41,28 @@ class BouncedPatches:
     shadows: bool = True
 
     def levels(self, light: PanelLight, threads: int | None = None) -> Float64:
-        """What light from the part, or its surroundings, adds under a light, shape (k,) [grey level].
+        """What light from the part, or its surroundings, adds under a light, and the error of that, shape (2, k).
+
+        In grey levels; the error is that of :class:`lightopt.rendering.LightImage`.
 
         light: Part frame
         """
         if not len(self.surface):
-            return np.zeros(0)
+            return np.zeros((2, 0))
         part = PartLight.of_scene(self.scene, (light,), self.caster, housings=self.view.housings, shadows=self.shadows)
-        some, added = self.surface.take(self._chosen), np.zeros(len(self._chosen))
-        for means, _, glints in (part.diffuse(some, threads)[:, 0], part.specular(some, threads)[:, 0]):
+        some = self.surface.take(self._chosen)
+        added, error = np.zeros((2, len(some)))
+        for means, own, glints in (part.diffuse(some, threads)[:, 0], part.specular(some, threads)[:, 0]):
             added += means + glints.mean()
+            error = np.hypot(error, OF_NEAR * own)
         for landed in landed_light(part, self.view.camera.position, LANDED_RAYS, threads):
             away, patch = _nearest_of(self._tree, landed.points)
             near = away <= REACH * np.sqrt(self.areas[patch])
             alike = np.einsum("ij,ij->i", landed.facets, self.surface.facets[patch]) > 0.0
             own = np.flatnonzero(near & alike)
-            added += np.bincount(self._nearest[patch[own]], landed.light[own], len(added)) / self._areas
-        return added[self._nearest]
+            caustics = np.bincount(self._nearest[patch[own]], landed.light[own], len(added)) / self._areas
+            added, error = added + caustics, np.hypot(error, caustics / math.sqrt(ENOUGH))
+        return np.stack([added, ALIKE * error])[:, self._nearest]
 
     @cached_property
     def _chosen(self) -> Index:

@@ -19,7 +19,7 @@ from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.core.vectors import dot, vector_at
 from lightopt.geometry import Hits, Patches, RayCaster
-from lightopt.rendering._bounced_images import bounced_bands
+from lightopt.rendering._bounced_images import ALIKE, bounced_bands
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
     PanelVisibility,
@@ -47,6 +47,7 @@ BLOCK_SAMPLES = 49_152
 
 # Means over pixels take so many rays a side, where second and fourth differences of neighbouring levels are above the
 # camera's noise. Elsewhere a twenty-fourth of the second differences is the mean's, to a few hundredths of the noise.
+ERROR_WINDOW = 5  # rows and columns of pixels, of whose errors each has the greatest
 RAYS_ACROSS = 3
 
 
@@ -66,6 +67,10 @@ class LightImage:
     # level of a pixel's centre minus the mean over the pixel, shape (height, width); None without `averaged`, and with
     # a lens of finite aperture, whose images are means over pixels
     inside: Float32 | None = None
+    # error of the light from the part and its surroundings, which is estimated from few rays: standard deviation of
+    # independent pixels that would be as large over the size of a defect [grey level], shape (height, width); None
+    # without such light, and without `layers`
+    error: Float32 | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,7 +267,7 @@ def _render(
         images = _PostureJob(seen, posture, caster, geometry=False, seconds=after, offset=offset, **how).run(threads)
         counter.add(1)
         counter.report()
-        names = ("level", "diffuse", "specular", "inside")
+        names = ("level", "diffuse", "specular", "inside", "error")
         return [{name: own for name in names if (own := getattr(image, name)) is not None} for image in images]
 
     def render_view(place: Float64, offset: Float64, share: float) -> Images:
@@ -321,6 +326,7 @@ class _PostureJob:
                 diffuse=np.zeros(shape, np.float32) if layers else None,
                 specular=np.zeros(shape, np.float32) if layers else None,
                 inside=None if averaged is None else np.zeros(shape, np.float32),
+                error=np.zeros(shape, np.float32) if layers and (scene.bounces or scene.is_surrounded) else None,
             )
             for light in scene.lights
         ]
@@ -526,11 +532,18 @@ class _PostureJob:
         )
         for band in bands:
             own = (slice(band.top, band.bottom), slice(band.left, band.left + band.diffuse.shape[2]))
-            for image, diffuse, specular in zip(self.images, band.diffuse, band.specular, strict=True):
+            bounced = band.diffuse, band.specular, band.error
+            for image, diffuse, specular, error in zip(self.images, *bounced, strict=True):
                 image.level[own] += diffuse + specular
+                if image.error is not None:
+                    image.error[own] = error
                 if image.diffuse is not None and image.specular is not None:
                     image.diffuse[own] += diffuse
                     image.specular[own] += specular
+        for image in self.images:
+            if image.error is not None:
+                # of few pixels, single ones have missed what others beside them met
+                image.error[:] = ALIKE * ndimage.maximum_filter(image.error, ERROR_WINDOW)
 
     def _trace(self, columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
         order, *at = _tiles(columns, rows)

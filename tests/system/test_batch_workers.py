@@ -220,12 +220,16 @@ def test_workers_that_kubernetes_starts(jobs, reference, kubernetes):
 
 @pytest.mark.nightly
 def test_workers_killed_twenty_times(jobs, reference, tmp_path_factory):
-    for seed in range(2):
-        own = Cluster(tmp_path_factory.mktemp("own"))
+    killed = seed = 0
+    while killed < 20:
+        own, seed = Cluster(tmp_path_factory.mktemp("own")), seed + 1
         try:
             name = f"killed{seed}"
-            result = run(jobs, name, workers=Workers(scheduler=own.address), run=kill_some(own, 10, seed=seed))
+            most = min(TASKS - 1, 20 - killed)  # one as each task is completed, but for the last
+            result = run(jobs, name, workers=Workers(scheduler=own.address), run=kill_some(own, most, seed=seed))
         finally:
             own.close()
+        assert own.killed == most
+        killed += own.killed
         assert result.count("done", "kept") == TASKS
         assert contents(jobs.parent / name) == reference

@@ -111,4 +111,5 @@ def test_workers_killed_ten_times(two, reference, tmp_path_factory):
             found = plan(two, f"killed{seed}", Workers(scheduler=cluster.address), kill_some(cluster, 10, seed=seed))
         finally:
             cluster.close()
+        assert cluster.killed == 10
         assert found == reference

@@ -12,14 +12,16 @@ import shutil
 import socket
 import sys
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import ClassVar
 
 import pytest
 
-from lightopt.batch import Workers, _cluster, _expand, _schedule, _task, answer_text, jobs_table, run_batch
+from lightopt.batch import Workers, _cluster, _expand, _run, _schedule, _task, answer_text, jobs_table, run_batch
 from lightopt.batch._expand import expand
+from lightopt.batch._task import Outcome
 from lightopt.cli._batch import command_form
 from lightopt.cli._main import _COMMANDS
 from lightopt.core.errors import InputError
@@ -140,6 +142,58 @@ def test_a_second_run_does_nothing_and_a_change_repeats_what_depends_on_it(batch
     with (files.folder / "parts" / "knob.stl").open("ab") as file:
         file.write(b"\0")
     assert batch().count("done") == 6, "the mesh"
+
+
+def test_a_file_that_the_ranges_of_a_dataset_name(batch, files, commands):
+    (files.folder / "fit.json").write_text('{"format": "lightopt-fit/1", "values": {}}', encoding="utf-8")
+    (files.folder / "r.yaml").write_text("format: lightopt-ranges/1\nfit: fit.json\n", encoding="utf-8")
+    text = (files.folder / "jobs.yaml").read_text(encoding="utf-8").partition("jobs:")[0]
+    job = "jobs:\n  - {name: set, command: dataset, options: {images: 2, ranges: r.yaml}}\n"
+    (files.folder / "jobs.yaml").write_text(text + job, encoding="utf-8")
+    assert batch().count("done") == 2
+    assert batch().count("kept") == 2
+    (files.folder / "fit.json").write_text('{"format": "lightopt-fit/1", "values": {"R_d": 1}}', encoding="utf-8")
+    assert batch().count("done") == 2
+
+
+def test_another_default_of_an_option_makes_its_tasks_anew(files):
+    def key_of(form):
+        tasks = expand(files.folder / "jobs.yaml", form, files.out, threads=1)
+        return {task.job: task.key for task in tasks}
+
+    def other(name):
+        form = command_form(name)
+        return replace(form, defaults={**form.defaults, "step": "7"}) if name == "optimize" else form
+
+    before, now = key_of(command_form), key_of(other)
+    assert [name for name in before if before[name] != now[name]] == ["best"]
+
+
+def test_results_that_this_machine_does_not_see(batch, files, monkeypatch):
+    """A worker elsewhere, which has the inputs and a folder of its own in the output's place."""
+
+    def elsewhere(tasks, _known, _workers, _run_command, _run):
+        for task in tasks:
+            yield Outcome(place=task.place, state="done", worker="far 1")
+
+    monkeypatch.setattr(_run, "outcomes_of", elsewhere)
+    monkeypatch.setattr(_run, "_SHARED_S", 0.0)
+    result = batch(workers=Workers(scheduler="tcp://far:8786"))
+    assert result.count("failed") == 6
+    assert "wrote results that this machine does not see" in next(iter(result.outcomes.values())).messages[0]
+    assert batch().count("done") == 6
+
+
+def test_a_worker_that_ends_as_soon_as_it_came_is_named_once():
+    run, came, noted = RunContext(), {}, set()
+    events = [(5.0, "remove-worker", "tcp://old"), (10.0, "add-worker", "tcp://a"), (900.0, "remove-worker", "tcp://a")]
+    events += [(t, action, "tcp://b") for t in (1000.0, 1010.0) for action in ("add-worker", "remove-worker")]
+    said = []
+    for seconds, action, worker in events:
+        _cluster._note_short_lived(run, came, noted, (seconds, {"action": action, "worker": worker}))
+        said.append(len(run.warnings))
+    assert said == [0, 0, 0, 0, 1, 1, 1]
+    assert "worker tcp://b left 0 s after it came; see what it printed" in run.warnings[0]
 
 
 def test_another_version_makes_everything_anew(batch, monkeypatch):

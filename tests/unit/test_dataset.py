@@ -117,6 +117,23 @@ def test_a_reader_of_mvtec_ad_finds_a_mask_for_each_bad_image(made, view):
 
 
 @pytest.mark.parametrize("view", VIEWS)
+def test_a_detector_of_mvtec_ad_is_tested_in_poses_that_it_has_not_learnt(made, view):
+    poses: dict[str, set[int]] = {"train": set(), "test": set()}
+    for one in samples_of(made.out):
+        parts = one["files"][view].split("/")
+        if parts[1] == "images":
+            poses[parts[2]].add(one["pose"])
+        mask = _formats.mask_name(one["files"][view])
+        assert mask is None or (made.out / mask).is_file()
+        shown = any(each["visibility"][view]["visible"] for each in one["defects"])
+        assert (mask is not None) == shown
+        assert (parts[1] == "train_defects") == (shown and one["split"] == "train")
+    assert poses["train"]
+    assert poses["test"]
+    assert not poses["train"] & poses["test"]
+
+
+@pytest.mark.parametrize("view", VIEWS)
 def test_coco_lists_images_masks_and_marks(made, view):
     samples, seen = {one["sample"]: one for one in samples_of(made.out)}, 0
     for split in ("train", "val", "test"):
@@ -141,6 +158,34 @@ def test_coco_lists_images_masks_and_marks(made, view):
             assert one["bbox"] == [column.min(), row.min(), np.ptp(column) + 1, np.ptp(row) + 1]
             seen += 1
     assert seen == sum(len(one["defects"]) for one in samples.values())
+
+
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # its own, of NumPy 2
+@pytest.mark.parametrize("view", VIEWS)
+def test_pycocotools_loads_and_evaluates_a_dataset(made, view, capsys):
+    coco = pytest.importorskip("pycocotools.coco")
+    evaluation = pytest.importorskip("pycocotools.cocoeval")
+    samples = {one["sample"]: one for one in samples_of(made.out)}
+    for split in ("train", "test"):
+        found = coco.COCO(made.out / view / f"coco-{split}.json")
+        found.info()
+        for one in found.loadAnns(found.getAnnIds()):
+            np.testing.assert_array_equal(found.annToMask(one), filled(one["segmentation"]))
+        visible = found.loadAnns(found.getAnnIds(iscrowd=False))
+        own = [one for one in samples.values() if one["split"] == split]
+        assert len(visible) == sum(each["visibility"][view]["visible"] for one in own for each in one["defects"]) > 0
+        # a detector that finds all that is visible, and nothing else
+        keys = "image_id", "category_id"
+        results = [
+            {key: one[key] for key in keys} | {"segmentation": found.annToRLE(one), "score": 1.0} for one in visible
+        ]
+        detections = found.loadRes(results)
+        judged = evaluation.COCOeval(found, detections, "segm")
+        judged.evaluate()
+        judged.accumulate()
+        judged.summarize()
+        assert judged.stats[0] == pytest.approx(1.0)
+    assert "Average Precision" in capsys.readouterr().out
 
 
 def filled(segmentation):
@@ -511,6 +556,8 @@ def test_intervals_of_a_fit_and_of_a_calibrated_rig_are_limits(bench):
     [
         ({"R_d": {"interval_95": [1.0]}}, "fit.json: R_d: expected interval_95: [low, high], found [1.0]"),
         ({"R_d": {"interval_95": ["a", 1.0]}}, "fit.json: R_d: expected interval_95: [low, high], found ['a', 1.0]"),
+        ({"R_d": {"interval_95": [49.5, 40.5]}}, "R_d: expected interval_95: [low, high], found [49.5, 40.5]"),
+        ({"R_d": {"interval_95": [-2.0, -1.0]}}, "R_d: expected interval_95: [low, high], found [-2.0, -1.0]"),
         ({"R_d": 45.0}, "fit.json: R_d: expected interval_95: [low, high], found 45.0"),
         ([45.0], "expected the fit.json that a fit wrote"),
     ],

@@ -303,7 +303,7 @@ class PatchEvidence:
         """Levels of the patches, and the units of evidence of an image at each exposure, of each of some lights.
 
         panels: Part frame; channels of a light are worked out together
-        added: To the levels under each, whether there is a defect or not [grey level], shape (p,)
+        added: To the levels under each, whether there is a defect or not, and the error [grey level], shape (2, p)
         Yields levels at exposure 1 [grey level], shape (p,), and per exposure flags of shape (units, p, words).
         """
         lights, surface = [rendering.panel_to_shade(panel, caster) for panel in panels], self._surface
@@ -322,15 +322,17 @@ class PatchEvidence:
                 plain_levels[i] = level
         for i, shaded in enumerate(found):
             plain, good, varied = plain_levels[i], shaded.good, shaded.varied
+            error = np.zeros(0)
             if added is not None:
-                more = added[i][self._order]
+                more, error = added[i][:, self._order]
                 plain, good, varied = plain + more, good + more, varied + more.astype(varied.dtype)
+                error = error * passed
             levels = np.empty(len(plain), np.float32)
             levels[self._order] = plain.astype(np.float32) * np.float32(passed)
             good, varied = good * passed, (varied * passed).astype(np.float32, copy=False)
-            yield levels, [self._units(good, varied, exposure) for exposure in exposures]
+            yield levels, [self._units(good, varied, error, exposure) for exposure in exposures]
 
-    def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
+    def _units(self, good: Float64, varied: Float32, error: Float64, exposure: float) -> Words:
         sensor, variants = self._detection.sensor, self._planned.variants
         varied, leant = varied[: variants[-1]], varied[variants[-1] :]
         first = variants if len(self._correlated) > 1 else variants[[0, -1]]
@@ -338,7 +340,7 @@ class PatchEvidence:
         limit = sensor.saturated_from - sensor.black_level
         still = math.hypot(sensor.read_noise_levels, sensor.dsnu_levels)
         camera = scale, limit, still, float(sensor.electrons_per_level or math.inf), sensor.prnu
-        codes, bounds = _changes(good, varied, leant, self._correlated, first, self._image, camera)
+        codes, bounds = _changes(good, varied, leant, error, self._correlated, first, self._image, camera)
         words = evidence_flags(codes, bounds, self._image, self._planned, self._stencils, self._limits)
         in_table = np.empty_like(words)
         in_table[:, self._order] = words
@@ -394,6 +396,7 @@ def _changes(
     good: Float64,
     varied: Float32,
     leant: Float32,
+    error: Float64,
     correlated: Float64,
     first: Int32,
     image: ImagePatches,
@@ -403,7 +406,7 @@ def _changes(
     # clipped, not those that are mixed; the last patch stands for none. The bounds are the least and the greatest
     # change that it delivers, and the change that is none: see expected_change. Levels are above black. The waviness of
     # good parts is noise by what `leant` variants change, `correlated` times in each set of bounds, which is of the
-    # variants from `first`
+    # variants from `first`; so is the error of levels, unless there is none
     (column, row, owner, cell, _, _, _), (scale, limit, still, electrons, prnu) = image, camera
     codes = np.zeros((len(varied), len(good) + 1), np.int16)
     bounds = np.zeros((len(correlated), len(good) + 1, 3), np.float32)
@@ -423,6 +426,9 @@ def _changes(
         variances[p] = (still * still + level / electrons + 1.0 / 12.0 + REGISTRATION_PX * REGISTRATION_PX * square) + (
             prnu * level
         ) ** 2
+        if len(error):
+            top, bottom = min(scale * (good[p] + error[p]), limit), min(scale * (good[p] - error[p]), limit)
+            variances[p] += (0.5 * (top - bottom)) ** 2
         if len(leant):
             spread = scale * math.hypot(leant[0, p] - good[p], leant[1, p] - good[p])
             wavy[p] = clipped_variance(scale * good[p], spread, limit)

@@ -282,7 +282,7 @@ class ImageEvaluator:
                 for (i, at), (here, block, passed) in itertools.product(enumerate(some), own):
                     level = shade(block, (moved[at],))[0]
                     if added is not None:
-                        level += added[i][here]
+                        level += added[i][0, here]
                     # images are stored as float32, and a level is rounded from what is stored
                     store(at, here, (passed * level).astype(np.float32))
             work.add(len(some))

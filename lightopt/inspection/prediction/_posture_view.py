@@ -67,8 +67,8 @@ class PostureView:
     # pixel has the longest that is saturated neither in the image nor in the prediction
     level: Float32
     predicted: Float32  # of the good part, same shape
-    # standard deviation of a good part's level, by the sensor's noise, the part's waviness and the few rays that stand
-    # for the mean over a pixel, same shape
+    # standard deviation of a good part's level, by the sensor's noise, the part's waviness, the few rays that stand for
+    # the mean over a pixel, and those of the light from the part to the part, same shape
     deviation: Float32
     # by how much a good part's level may be off besides: by rounding, where noise does not even it out, and, in images
     # of pixels' centres, by what differs inside a pixel, same shape
@@ -127,6 +127,7 @@ def posture_view(
     images = {_blur(o, moves): prediction.image(o.light, o.exposure) for o in observations}
     means = {key: image.level for key, image in images.items()}
     inside = {key: image.inside for key, image in images.items() if image.inside is not None}
+    errors = {key: image.error for key, image in images.items() if image.error is not None}
     waviness, correlated = prediction.waviness, 1.0
     spreads = None
     if waviness is not None:
@@ -174,8 +175,10 @@ def posture_view(
                 arrays["slack"][i] += share * np.abs(merged(inside, i))
         for i in range(len(lights)):
             mean = merged(means, i)
-            ends = (np.minimum(level, arrays["limit"][i]) for level in (mean, mean + merged(inside, i)))
-            arrays["deviation"][i] = np.hypot(arrays["deviation"][i], SAMPLING * np.subtract(*ends))
+            _add_deviation(arrays, i, mean, mean + merged(inside, i), SAMPLING)
+    for i in range(len(lights) if errors else 0):
+        mean, error = merged(means, i), merged(errors, i)
+        _add_deviation(arrays, i, mean - error, mean + error, 0.5)
     posture = observations[0].posture
     if exact:
         level, predicted, limit, deviation = (arrays[k] for k in ("level", "predicted", "limit", "deviation"))
@@ -183,6 +186,14 @@ def posture_view(
     return PostureView(
         posture=posture, lights=lights, prediction=prediction, photometry=photometry, wavy=wavy, **arrays
     )
+
+
+def _add_deviation(
+    arrays: Mapping[str, Any], number: int, low: Float32, high: Float32, share: float | np.float32
+) -> None:
+    # of a share of what levels of a light differ by, as far as these are not saturated
+    limit, deviation = arrays["limit"][number], arrays["deviation"][number]
+    deviation[:] = np.hypot(deviation, share * (np.minimum(high, limit) - np.minimum(low, limit)))
 
 
 def _blur(observation: Observation, moves: bool) -> _Blur:
