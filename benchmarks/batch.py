@@ -1,6 +1,9 @@
 """What a batch costs beside its commands, and what a second process gains: ``python -m benchmarks.batch``.
 
-Three measurements:
+``python -m benchmarks.batch --plan`` measures the tasks of one plan over workers instead: seconds, and octets sent and
+returned. They run in this process, one after the other.
+
+Else there are three measurements:
 
 - tasks that do nothing but write a file, in this process and by one and two workers: what a task costs by itself, and
   what starting the workers costs;
@@ -24,13 +27,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 from benchmarks._case import CONFIGS, RIG
 from lightopt.batch import Workers, _cluster, run_batch
 from lightopt.batch._expand import expand
 from lightopt.cli._batch import command_form, run_captured
+from lightopt.core.run_context import RunContext
 
 HEAD = """\
 format: lightopt-batch/1
@@ -50,10 +57,64 @@ def main() -> None:
     parser.add_argument("--parts", type=int, default=12, help="number of parts that are checked and rendered")
     parser.add_argument("--tasks", type=int, default=400, help="number of tasks that do nothing")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--plan", action="store_true", help="the tasks of one plan, and nothing else")
+    parser.add_argument("--posture-step", type=float, default=45.0, help="of that plan [°]")
     options = parser.parse_args()
+    if options.plan:
+        measure_plan(options.posture_step)
+        return
     with tempfile.TemporaryDirectory(prefix="lightopt-bench-") as name:
         measure_nothing(Path(name) / "nothing", options.tasks, options.rounds)
         measure_commands(Path(name) / "commands", options.parts, options.rounds)
+
+
+class CountingPool:
+    """In the place of processes: runs their tasks here, and notes what each takes and what it sends and returns."""
+
+    def __init__(self) -> None:
+        self.tasks: dict[str, list[tuple[float, int, int]]] = {}
+        self.shared: dict[str, int] = {}
+
+    def spread(
+        self,
+        function: Callable[..., Any],
+        items: Sequence[Any],
+        keep: Callable[[int, Any], None],
+        *shared: Any,
+        report: Any,
+    ) -> None:
+        """As :class:`lightopt.core.parallel.ProcessPool` has it."""
+        own = [pickle.loads(content) for content in map(pickle.dumps, shared)]
+        self.shared |= {type(one).__name__: len(pickle.dumps(one)) for one in shared if not callable(one)}
+        name = next((one.__name__ for one in shared if callable(one)), function.__name__)
+        for place, item in enumerate(items):
+            begun = time.process_time()
+            found = function(item, *own)
+            seconds = time.process_time() - begun
+            self.tasks.setdefault(name, []).append((seconds, len(pickle.dumps(item)), len(pickle.dumps(found))))
+            keep(place, found)
+
+
+def measure_plan(posture_step: float) -> None:
+    """The tasks of a plan of the cover knob."""
+    pool = CountingPool()
+
+    @contextmanager
+    def counting(_workers: Workers, run: RunContext) -> Iterator[RunContext]:
+        yield run.spread_over(pool)
+
+    part = CONFIGS / "parts" / "cover-knob.yaml"
+    with tempfile.TemporaryDirectory() as out, mock.patch("lightopt.batch.other_processes", counting):
+        words = ["optimize", str(RIG), str(part), "-o", out, "--no-images", "--no-report", "--patches", "20000"]
+        words += ["--step", "15", "--choose-postures", "2", "--posture-step", f"{posture_step:g}", "--workers", "2"]
+        status, _, error = run_captured(words)
+        assert status == 0, error
+    print(f"{'task':24} {'count':>6} {'seconds, median':>16} {'most':>6} {'octets sent':>12} {'returned':>10}")
+    for name, found in pool.tasks.items():
+        seconds, sent, returned = zip(*found, strict=True)
+        middle = [statistics.median(one) for one in (seconds, sent, returned)]
+        print(f"{name:24} {len(found):6} {middle[0]:16.3f} {max(seconds):6.2f} {middle[1]:12,.0f} {middle[2]:10,.0f}")
+    print(f"octets that tasks share: {', '.join(f'{name} {size:,}' for name, size in pool.shared.items())}")
 
 
 def nothing(_words: list[str]) -> tuple[int, str, str]:

@@ -80,9 +80,12 @@ def test_defects_are_where_they_are_on_the_part_wherever_it_lies(trial, found):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rays", [1, 4])
-def test_a_good_part_has_no_defects_whether_pixels_show_means_or_centres(tmp_path, rays):
-    """The spout's hard shadows: predicted at the centres alone, means over pixels look like a dozen defects."""
+@pytest.mark.parametrize(("rays", "bounces"), [(1, 0), (4, 0), (1, 1)])
+def test_a_good_part_has_no_defects_whether_pixels_show_means_or_centres(tmp_path, rays, bounces):
+    """The spout's hard shadows: predicted at the centres alone, means over pixels look like a dozen defects.
+
+    And its light on itself: what few rays say of it differs from place to place, over as many pixels as a defect has.
+    """
     sample = (CONFIGS / "rigs" / "four-panel.yaml").read_text(encoding="utf-8")
     rig = tmp_path / "rig.yaml"
     rig.write_text(sample.replace("[1600, 1200]", "[320, 240]").replace("4.4  ", "22  "), encoding="utf-8")
@@ -90,10 +93,13 @@ def test_a_good_part_has_no_defects_whether_pixels_show_means_or_centres(tmp_pat
     text = text.replace("spout.stl", str(CONFIGS / "parts" / "spout.stl"))
     place = "anchor: rest_on_table\n  translate_mm: [0.4, -0.3, 0]\n  rotate_deg: [0, 0, 0.3]\n"
     for name, moved in (("part", text), ("off", re.sub(r"anchor: rest_on_table.*\n", place, text))):
+        moved += f"inspection: {{bounces: {bounces}}}\n"
         (tmp_path / f"{name}.yaml").write_text(moved, encoding="utf-8")
-    options = RenderOptions(noise=1, postures=(Posture(0.0, 0.0),), patch_budget=500, supersample=rays)
+    how = {"noise": 1, "postures": (Posture(0.0, 0.0),), "patch_budget": 500}
+    options = RenderOptions(**how, supersample=rays, bounces=bounces)
     render_image_set(load_rig(rig), load_part(tmp_path / "off.yaml"), tmp_path / "good", options=options)
-    inspection = InspectOptions(detector="residual", fusion=None, min_images=1)
+    detector = {"detector": "residual", "min_images": 1} if bounces == 0 else {}
+    inspection = InspectOptions(**detector, fusion=None)
     found = inspect_set(
         load_rig(rig), load_part(tmp_path / "part.yaml"), read_image_set(tmp_path / "good"), options=inspection
     )
