@@ -112,10 +112,11 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed, co
     )
     scale, limit = 0.7, 251.0
     leant = (good + rng.normal(0.0, 2.0, (2 if correlated else 0, patches))).astype(np.float32)
+    error = rng.uniform(0.0, 5.0, patches if seed % 2 else 0)
     # with bounds for each entry, the last four variants are the second one's
     first = np.array([0, 2, 6] if len(correlated) > 1 else [0, 6], np.int32)
     codes, all_bounds = evidence._changes(
-        good, varied.T.copy(), leant, np.array(correlated or (0.0,)), first, placed(owner, cell, column, row),
+        good, varied.T.copy(), leant, error, np.array(correlated or (0.0,)), first, placed(owner, cell, column, row),
         (scale, limit, 0.8, 60.0, 0.01),
     )  # fmt: skip
     bounds = all_bounds[-1]
@@ -127,6 +128,9 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed, co
             low, high = (level[p] if q < 0 else level[q] for q in near)
             square += ((high - low) / (max(1, sum(q >= 0 for q in near)) * cell)) ** 2
         variance = 0.8**2 + level[p] / 60.0 + (0.01 * level[p]) ** 2 + 1.0 / 12.0 + 0.1**2 * square
+        if len(error):
+            ends = np.minimum(scale * (good[p] + error[p] * np.array([-1.0, 1.0])), limit)
+            variance += (0.5 * np.ptp(ends)) ** 2
         if correlated:
             spread = scale * math.hypot(*(leant[:, p] - good[p]))
             variance += correlated[-1] * clipped_variance(scale * good[p], spread, limit)
