@@ -83,7 +83,7 @@ def _unseen(tasks: Sequence[Task], outcomes: Mapping[str, Outcome]) -> dict[str,
     found = dict[str, Outcome]()
     for task in hidden:
         outcome = outcomes[task.place]
-        reason = f"{task.folder}: worker {outcome.worker} wrote results that this machine does not see"
+        reason = f"worker {outcome.worker} wrote results that this machine does not see in {task.folder}"
         messages = (f"{reason}; workers need the same output folder, on a shared file system",)
         found[task.place] = replace(outcome, state="failed", messages=messages)
     return found

@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
-from drawn import draw_images
+from drawn import draw_images, draw_levels, expose_levels
 from reference import diffuse, specular
 
 from lightopt import build_scene
@@ -47,9 +48,9 @@ def scene_and_caster(shared_bench):
     return scene, cast_rays_at(scene)
 
 
-def setup_of(scene, caster, images, model, form=None):
+def setup_of(scene, caster, images, model, form=None, *, pixels=20_000):
     reflectance = replace(scene.reflectance, model=SpecularModel(name=model))
-    options = FitOptions(joint=True, pixels=20_000, diffuse=form)
+    options = FitOptions(joint=True, pixels=pixels, diffuse=form)
     return FitSetup(replace(scene, reflectance=reflectance), caster, images, options=options)
 
 
@@ -86,6 +87,29 @@ def test_coefficients_and_form_of_the_lobe_are_found(scene_and_caster, truth, mo
     # one Gaussian lobe is a special case of two
     pair = {truth, "two-lobe"} if truth == "torrance-sparrow" else {truth}
     assert all(row.rms > 1.1 * rows[truth].rms for name, row in rows.items() if name not in pair)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("truth", ["ggx", "two-lobe"])
+def test_intervals_hold_the_truth_as_often_as_they_say(scene_and_caster, truth):
+    """Of 40 draws of the noise: 95 % is expected, and 34 or fewer would be seen once in 50 tests of a parameter."""
+    scene, caster = scene_and_caster
+    own, seeds = TRUTHS[truth], 40
+    levels = draw_levels(scene, caster, partial(specular, reflectance=own), R_d=own.R_d, R_s=own.R_s)
+    held, z = dict.fromkeys(coefficients(own), 0), {name: [] for name in coefficients(own)}
+    for seed in range(seeds):
+        images = expose_levels(scene, levels, exposures=(1.0, 1 / 16), seed=seed)
+        result, *_ = _fit_one(setup_of(scene, caster, images, truth, pixels=2000))
+        for name, value in coefficients(own).items():
+            found = next(v for v in result.values if v.name == name)
+            low, high = found.interval
+            held[name] += (low is None or low <= value) and (high is None or value <= high)
+            z[name].append((found.value - value) / found.standard_error)
+    for name in held:
+        print(f"{truth} {name}: {held[name]} of {seeds}, z {np.mean(z[name]):+.2f} ± {np.std(z[name]):.2f}")
+    assert min(held.values()) >= 34
+    # were all of them held by all, they would be too wide
+    assert sum(held.values()) < seeds * len(held)
 
 
 FORMS = {"exponent": DiffuseForm(exponent=1.3), "oren-nayar": DiffuseForm(roughness=0.5)}
