@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks import auto, bare, command, displaced, peers
+from benchmarks import auto, bare, batch, command, dataset, displaced, peers
 from benchmarks._case import TOY, case_scene, chrome, resized
 from benchmarks._peer_process import MITSUBA, PeerError, PeerProcess
 from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
@@ -527,3 +527,18 @@ def test_a_mesh_of_an_emitter_looks_as_large_from_the_origin_as_the_light() -> N
             angle = sum(mesh.solid_angle() for mesh in whole)
             brightest = max(mesh.factor for mesh in own) / angle
             assert light.elements[:, RADIANCE].max() == pytest.approx(brightest, rel=1e-4), kind
+
+
+@pytest.mark.nightly
+def test_the_benchmarks_of_batches_and_datasets_print_what_they_measure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["batch", "--parts", "1", "--rounds", "1", "--tasks", "2"])
+    batch.main()
+    assert "batch, two workers" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", ["batch", "--plan", "--posture-step", "90"])
+    batch.main()
+    assert "_counts_of_row" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", ["dataset", "--parts", "cover-knob", "--images", "2", "--width", "160"])
+    dataset.main()
+    assert "| cover-knob | 8 | no | 8 |" in capsys.readouterr().out

@@ -82,6 +82,7 @@ def connected(workers: Workers, run: RunContext, *, most: int | None = None) -> 
         stack.callback(client.close, timeout=_ANSWER_S)
         if not workers.here:
             client.subscribe_topic("all", partial(_note_short_lived, run, dict[str, float](), set[str]()))
+            stack.callback(client.unsubscribe_topic, "all")
         if not _check_workers(client) and workers.scheduler is not None:
             run.warn(f"no worker is connected to {workers.scheduler} yet; the work waits for one")
         # closed before all is done, what has not begun does not begin; what a worker elsewhere has begun, it completes
