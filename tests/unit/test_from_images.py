@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 from reference._from_images import reference_gains
-from sample_sets import drawn_samples, write_samples, write_set
+from sample_sets import POSTURE, drawn_samples, write_samples, write_set
 from scipy import ndimage
 
 from lightopt.cli._main import run
@@ -18,7 +18,7 @@ from lightopt.core.run_context import RunContext
 from lightopt.design import FromImagesOptions, optimize_from_images
 from lightopt.design.from_images._choice import _loss, choose_lights, mix_lights, score
 from lightopt.design.from_images._evidence import Evidence
-from lightopt.images import read_image_set, read_png, write_png
+from lightopt.images import read_image_set, read_png, write_exr, write_png
 
 
 def drawn_evidence(lights, defects, seed):
@@ -243,6 +243,18 @@ def test_few_good_samples_are_said(tmp_path, good, text):
     assert result.evidence.noise == pytest.approx(1.5, rel=0.25)
 
 
+@pytest.mark.parametrize(("bad", "text"), [(1, "at most one good sample at each place"), (4, "at most 4 good samples")])
+def test_defects_that_no_good_sample_shows_are_said(tmp_path, bad, text):
+    levels, masks = drawn_samples(good=0, bad=bad)
+    masks[:] = masks[0]
+    warned: list[str] = []
+    sets = write_samples(tmp_path, levels, masks)
+    optimize_from_images(sets, options=FromImagesOptions(images=1), run=RunContext(warn=warned.append))
+    assert warned[0].startswith("no defect can be used: signal over noise of the good surface is all")
+    assert warned[1].startswith(text)
+    assert warned[2].startswith(f"{2 * bad} defects not used, since no good sample shows the place: s0 1, s0 2")
+
+
 def test_one_good_sample_and_one_with_spots(tmp_path):
     levels, masks = drawn_samples(good=1, bad=1)
     result = optimize_from_images(write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=2))
@@ -275,6 +287,16 @@ def test_a_region_leaves_the_rest_out(tmp_path):
     options = FromImagesOptions(images=3)
     result = optimize_from_images(sets, options=options, region=tmp_path / "region.png")
     assert [image.name for image in result.images] == ["led-2", "led-3", "led-4"]
+    spotted = write_samples(tmp_path / "spotted", *drawn_samples())  # each spot lies left of the region
+    write_png(tmp_path / "right.png", np.where(np.arange(48) >= 30, region, 0).astype(np.uint8), metadata={})
+    warned: list[str] = []
+    result = optimize_from_images(
+        spotted, options=options, region=tmp_path / "right.png", run=RunContext(warn=warned.append)
+    )
+    assert result.evidence.surface_contrast is not None
+    assert any(line.startswith("no defect can be used: signal over noise") for line in warned)
+    outside = "4 defects not used, since the part or its region does not have the place: s5 1, s5 2, s6 1, s6 2"
+    assert outside in warned
     region[:] = 0
     region[7, 7] = 1
     write_png(tmp_path / "region.png", region, metadata={})
@@ -290,6 +312,34 @@ def test_saturated_lights_are_named(tmp_path):
         write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=1), run=RunContext(warn=warned.append)
     )
     assert any(line.startswith("saturated pixels, which show no defect: led-2 100.0 %") for line in warned)
+
+
+@pytest.mark.parametrize("share", [1, 2])
+def test_a_saturated_light_is_not_chosen_without_defects(tmp_path, share):
+    levels, masks = drawn_samples(bad=0)
+    levels[:, 1, :, : levels.shape[3] // share] = 255.0
+    result = optimize_from_images(write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=1))
+    assert result.choice.lights != (1,)
+    alone = [score(result.evidence.gains(np.eye(4)[[i]])) for i in range(4)]
+    assert (alone[1] > 0.0) == (share == 2)
+    assert alone[1] < 0.6 * min(alone[0], *alone[2:])
+
+
+def test_a_defect_on_saturated_pixels_is_not_shown(tmp_path):
+    levels, masks = drawn_samples(bad=1)
+    levels[:5, 0] = 255.0  # the first light shows the first spot, as darker than what is saturated
+    levels[5, 0] = np.where(masks[5] > 0, 200.0, 255.0)
+    result = optimize_from_images(write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=1))
+    assert result.evidence.gains(np.eye(4)[[0]]) == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("bad", [0, 2])
+def test_lights_that_are_all_saturated_are_refused(tmp_path, bad):
+    levels, masks = drawn_samples(bad=bad)
+    sets = write_samples(tmp_path, np.full_like(levels, 255.0), masks)
+    assert "each pixel of the part is saturated under each light" in refusal(sets)
+    levels[:, :, 2:] = 255.0
+    assert bad or "most of the part is black or saturated" in refusal(write_samples(tmp_path / "most", levels, masks))
 
 
 def test_an_image_of_a_light_that_is_off_has_no_exposure(tmp_path):
@@ -332,6 +382,66 @@ def test_a_mask_of_no_posture_is_refused(tmp_path, three):
     (sets[2] / "mask.png").rename(sets[0] / "masks" / "posture_0_5.png")
     message = refusal(sets)
     assert "posture_0_5.png: the set has no such posture; expected a name such as masks/posture_0_0.png" in message
+
+
+@pytest.mark.parametrize("name", ["Mask.png", "masks.png", "mask-1.TIF", "masks/Posture_0_0.PNG", "masks/spot.png"])
+def test_a_mask_of_another_name_is_refused(three, name):
+    sets, _, _ = three
+    (sets[2] / name).parent.mkdir(exist_ok=True)
+    (sets[2] / "mask.png").rename(sets[2] / name)
+    message = refusal(sets)
+    assert f"{sets[2] / name}: " in message
+
+
+def test_an_empty_mask_is_refused(three):
+    sets, _, masks = three
+    write_png(sets[2] / "mask.png", 0 * masks[2], metadata={})
+    assert f"{sets[2] / 'mask.png'}: 0 everywhere; expected a mask that is not 0 on defects" in refusal(sets)
+
+
+def test_a_picture_that_is_not_used_is_said(three):
+    sets, _, masks = three
+    write_png(sets[0] / "spots.png", masks[2], metadata={})
+    warned: list[str] = []
+    optimize_from_images(sets, options=FromImagesOptions(images=1), run=RunContext(warn=warned.append))
+    assert warned[0].startswith(f"{sets[0] / 'spots.png'}: not used: the manifest does not list it")
+
+
+def with_geometry(folder, channels, defects=None):
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    if channels:
+        write_exr(folder / "g.exr", {name: np.asarray(own, np.float32) for name, own in channels.items()}, metadata={})
+        manifest["geometry"] = [{"posture": POSTURE, "exr": "g.exr"}]
+    manifest |= {} if defects is None else {"defects": defects}
+    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("channels", "defects", "message"),
+    [
+        ({"P.X": 0}, None, "g.exr: expected a channel Z, found P.X; render the set anew"),
+        ({"Z": 1, "small": True}, None, "g.exr: geometry of 20 × 20 px for images of 48 × 36 px; render the set anew"),
+        ({"Z": 1, "defect": 7}, [{"name": "a"}], "g.exr: channel defect: expected -1 to 0, as the manifest lists 1"),
+        ({"Z": 1, "defect": np.nan}, [{"name": "a"}], "g.exr: channel defect: expected -1 to 0"),
+        ({"Z": 1}, [{"name": "a"}], "g.exr: expected a channel defect, found Z; render the set anew, or add masks"),
+        ({}, ["a"], "the manifest lists defects, but no geometry of posture (0°, 0°) shows where they are"),
+    ],
+)
+def test_foreign_geometry_is_refused(three, channels, defects, message):
+    sets, _, _ = three
+    size = (20, 20) if channels.pop("small", False) else (36, 48)
+    with_geometry(sets[0], {name: np.full(size, value) for name, value in channels.items()}, defects)
+    assert message in refusal(sets)
+
+
+def test_rendered_defects_need_no_name(three):
+    sets, _, masks = three
+    (sets[2] / "mask.png").unlink()
+    with_geometry(
+        sets[2], {"Z": np.ones(masks[2].shape), "defect": np.where(masks[2] > 0, 1, -1)}, ["a", {"kind": "b"}]
+    )
+    result = optimize_from_images(sets, options=FromImagesOptions(images=1))
+    assert result.evidence.defects == (("s2", "2"),)
 
 
 def test_sets_of_other_lights_exposures_or_sensors_are_refused(tmp_path, three):

@@ -117,14 +117,19 @@ class _Windows:
         self.samples = samples
         self.names = [(i, d) for i, defects in enumerate(samples.defects) for d in range(len(defects))]
         self.sizes = np.zeros(len(self.names))  # pixels of each defect
+        self.inside = np.zeros(len(self.names), np.bool_)  # of each defect: whether a pixel of it is of the part
         self.defect = np.zeros(0, np.intp)  # of each window
         self.pixels = np.zeros(0)  # of each window
 
     def add(self, p: int, known: Bool) -> list[_Cells]:
-        """Find those of a posture, at pixels where the good part is known, shape (H, W)."""
+        """Find those of a posture, at pixels of the part that a good sample shows, shape (H, W)."""
+        region = self.samples.regions[p]
+        known = known & region
         index = {name: j for j, name in enumerate(self.names)}
         cells: list[_Cells] = []
         for i, labels in enumerate(self.samples.labels):
+            inside = np.unique(labels[p][(labels[p] >= 0) & region])
+            self.inside[[index[i, d] for d in inside.tolist()]] = True
             pixels = np.flatnonzero((labels[p] >= 0) & known)
             if not len(pixels):
                 continue
@@ -171,6 +176,9 @@ def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) 
         measure = partial(_measure, samples, p, good, cells, total)
         work.append(in_threads(measure, range(len(samples.channels)), run.threads))
         report((p + 1) / len(samples.postures))
+    if all(one.saturated == 1.0 for measured in work for one in measured):
+        everywhere = "each pixel of the part is saturated under each light in some good sample"
+        raise InputError(f"{samples.sets[0].folder}: {everywhere}; take shorter exposures")
     lights = _all_lights(list(zip(*work, strict=True)))
     kept = np.flatnonzero(windows.sizes)
     tests = sum(int(region.sum()) for region in samples.regions) / len(samples.postures)
@@ -230,8 +238,11 @@ def _surface_contrasts(samples: Samples, lights: _Lights, z: float) -> tuple[lis
     # of windows of the good surface, whose reflectance changes so that half of them are found with all lights
     surface = np.stack([np.concatenate([one.surface for one in own]) for own in lights.measured]) / lights.root
     energies = np.sum(surface * np.linalg.solve(lights.correlation, surface), axis=0)
-    if not len(energies) or not np.median(energies) > 0.0:
+    if not len(energies):
         raise InputError(f"{samples.sets[0].folder}: no window of {WINDOW_PX} × {WINDOW_PX} px lies within the part")
+    if not np.median(energies) > 0.0:
+        useless = "most of the part is black or saturated under each light"
+        raise InputError(f"{samples.sets[0].folder}: {useless}; take images with other exposures as well")
     contrast = float(z / np.sqrt(np.median(energies)))
     return list((contrast * surface).T[:, :, None]), contrast
 
@@ -254,25 +265,27 @@ def _measure(samples: Samples, p: int, good: Bool, cells: list[_Cells], total: t
         rest, freedom, own = np.where(good, _mixed_differences(images), 0.0), count, np.ones_like(n)
     deviation = np.sqrt(np.maximum(_pooled((rest**2).sum(axis=0), freedom), _ROUNDING))
     z = rest / (deviation * own)
+    saturated = np.any(good & (images >= samples.unsaturated), axis=0)
     sums, squares = np.zeros(total[0]), np.zeros(total[1])
     for one in cells:
         at = one.pixels
         off = (images[one.number].ravel()[at] - mean.ravel()[at]) / (deviation * np.sqrt(1.0 + 1.0 / n)).ravel()[at]
-        off = np.clip(off, -MOST_CHANGE, MOST_CHANGE)
+        off = np.where(saturated.ravel()[at], 0.0, np.clip(off, -MOST_CHANGE, MOST_CHANGE))
         sums += np.bincount(one.window, off, minlength=total[0])
         squares += np.bincount(one.defect, deviation.ravel()[at] ** 2, minlength=total[1])
     valid = good & region & (count > 1 if count.max() > 1 else count > 0)
     null, variances = _windows_of_good(z, valid)
-    levels = mean[region & (count > 0)]
+    known = region & (count > 0)
+    levels = mean[known]
     return _Measured(
         sums=sums,
         squares=squares,
         null=null,
         variances=variances,
-        surface=_surface(mean / deviation, region & (count > 0)),
+        surface=_surface(np.where(saturated, 0.0, mean / deviation), known),
         brightest=float(np.percentile(levels, _TOP)) if len(levels) else 0.0,
         noise=float(np.sqrt(np.mean(deviation[region] ** 2))),
-        saturated=float(np.mean(levels >= samples.manifest.saturated_from - samples.manifest.black_level - 0.5)),
+        saturated=float(np.mean(saturated[known])),
     )
 
 
@@ -356,20 +369,26 @@ def _warn(
     samples: Samples, run: RunContext, good: int, windows: _Windows, lights: _Lights, contrast: float | None
 ) -> None:
     if contrast is not None:
+        none = "no defect can be used" if windows.names else "no defective sample"
         run.warn(
-            "no defective sample: signal over noise of the good surface is all that can be optimised, here of a change "
+            f"{none}: signal over noise of the good surface is all that can be optimised, here of a change "
             f"of reflectance by {percent(contrast)} anywhere on the part; it says nothing on scratches or dents"
         )
     if good < 5:
         number = "one good sample" if good < 2 else f"{good} good samples"
+        if good > sum(not defects for defects in samples.defects):
+            number = f"at most {number} at each place, as defective ones count beside their masks"
         spread = "unknown, and noise is that of neighbouring pixels" if good < 2 else "estimated from few of them"
         run.warn(f"{number}: how parts differ is {spread}; take at least 5")
     if lights.shrinkage > LEAST_OWN:
         towards = f"is shrunk by {percent(lights.shrinkage)} towards independent lights"
         run.warn(f"few windows of good samples: the correlation of lights {towards}")
-    if hidden := [" ".join(windows.label(j)) for j in np.flatnonzero(windows.sizes == 0).tolist()]:
-        unseen = f"{counted(len(hidden), 'defect')} not used, since no good sample or no pixel shows the place"
-        run.warn(f"{unseen}: {_first_five(hidden)}")
+    for reason, which in (
+        ("the part or its region does not have the place", ~windows.inside),
+        ("no good sample shows the place", windows.inside & (windows.sizes == 0)),
+    ):
+        if unused := [" ".join(windows.label(j)) for j in np.flatnonzero(which).tolist()]:
+            run.warn(f"{counted(len(unused), 'defect')} not used, since {reason}: {_first_five(unused)}")
     saturated = [
         f"{channel.light} {percent(share)}"
         for channel, own in zip(samples.channels, lights.measured, strict=True)

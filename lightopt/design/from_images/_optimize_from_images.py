@@ -97,7 +97,7 @@ def optimize_from_images(
     """
     run = run or RunContext()
     refuse(filter(None, [false_alarms_problem(options.false_alarms)]))
-    samples = _samples.read_samples(sets, region)
+    samples = _samples.read_samples(sets, region, run)
     loaded = None if rig is None else _rig_of(samples, rig)
     if not 1 <= options.images <= len(samples.channels):
         lights = f"1 to {len(samples.channels)}, the number of lights in the sets"
