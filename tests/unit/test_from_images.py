@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,8 +17,9 @@ from lightopt.config import load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.design import FromImagesOptions, optimize_from_images
-from lightopt.design.from_images._choice import _loss, choose_lights, mix_lights, score
+from lightopt.design.from_images._choice import choose_lights, score
 from lightopt.design.from_images._evidence import Evidence
+from lightopt.design.from_images._mixture import MixedImages, mix_lights
 from lightopt.images import read_image_set, read_png, write_exr, write_png
 
 
@@ -28,16 +30,24 @@ def drawn_evidence(lights, defects, seed):
     scale = np.sqrt(np.diag(covariance))
     starts = np.cumsum([0, *random.integers(0, 3, defects)])
     shape = (lights, int(starts[-1]))
+    levels, sensor = random.uniform(20.0, 200.0, (lights, defects)), (0.7, 1.0 / 30.0)
+    # lights with highlights at other places, and a common background
+    places, own = random.uniform(0.0, 1.0, (lights, 1)), np.linspace(0.0, 1.0, 500)
+    surface = 30.0 + 200.0 * np.exp(-(((own - places) / random.uniform(0.05, 0.3, (lights, 1))) ** 2))
     return Evidence(
         correlation=covariance / np.outer(scale, scale),
         factors=4.0 * random.normal(size=shape) * random.exponential(size=shape),
         starts=starts,
         thresholds=random.uniform(25.0, 60.0, defects),
-        deviations=random.uniform(0.5, 2.0, (lights, defects)),
+        deviations=np.sqrt(sensor[0] + sensor[1] * levels + (0.03 * levels) ** 2),
+        levels=levels,
+        sensor=sensor,
+        surface=(surface.T.astype(np.float32),),
+        room=242.0,
         defects=tuple(("set", str(j)) for j in range(defects)),
         brightest=np.full(lights, 100.0),
         noise=np.ones(lights),
-        z=6.0,
+        z=5.0,
         shrinkage=0.05,
         good=5,
         surface_contrast=None,
@@ -46,7 +56,7 @@ def drawn_evidence(lights, defects, seed):
 
 def exhaustive(evidence, count):
     choices = itertools.combinations(range(evidence.lights), count)
-    return max(score(evidence.gains(np.eye(evidence.lights)[list(choice)])) for choice in choices)
+    return max(score(evidence.gains(list(choice))) for choice in choices)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -57,7 +67,7 @@ def test_the_search_finds_what_exhaustive_search_finds(count, seed):
     best = exhaustive(evidence, count)
     assert found.proven
     assert found.score == pytest.approx(best, abs=1e-12)
-    assert found.score == pytest.approx(score(evidence.gains(np.eye(9)[list(found.lights)])), abs=1e-12)
+    assert found.score == pytest.approx(score(evidence.gains(list(found.lights))), abs=1e-12)
     assert found == choose_lights(evidence, count, threads=1)
     stopped = choose_lights(evidence, count, limit=1)
     assert stopped.score <= best + 1e-12
@@ -76,29 +86,77 @@ def test_a_stopped_search_says_so():
 
 def test_weights_are_no_worse_than_single_lights_and_within_the_bound():
     evidence = drawn_evidence(12, 6, 1)
-    choice = choose_lights(evidence, 2)
-    mixture = mix_lights(evidence, choice.lights)
-    assert choice.score < mixture.score <= mixture.bound == score(evidence.all_lights())
+    mixed = MixedImages(evidence)
+    mixture = mix_lights(mixed, choose_lights(evidence, 2).lights)
+    assert mixture.single_score < mixture.score <= mixture.bound < 1.5 * mixture.score
     assert (mixture.weights >= 0.0).all()
     assert mixture.weights.max(axis=1) == pytest.approx(1.0)
-    assert evidence.all_lights() == pytest.approx(evidence.gains(np.eye(12)))
-    assert evidence.gains(np.ones((2, 12))) == pytest.approx(evidence.gains(np.ones((1, 12))))
-    # no weights at all, of any sign, exceed the bound
     random = np.random.default_rng(5)
-    for _ in range(50):
-        assert score(evidence.gains(random.normal(size=(2, 12)))) <= mixture.bound
+    for _ in range(300):
+        weights = random.exponential(size=(2, 12)) * (random.random((2, 12)) < random.random())
+        assert score(mixed.gains(weights)) <= mixture.bound + 1e-12
 
 
-def test_the_gradient_of_the_weights():
+@pytest.mark.parametrize("seed", range(4))
+def test_weights_of_few_lights_are_nearly_the_best_on_a_grid(seed):
+    evidence = drawn_evidence(3, 4, seed)
+    mixed = MixedImages(evidence)
+    mixture = mix_lights(mixed, choose_lights(evidence, 1).lights)
+    grid = [np.array([row]) for row in itertools.product(np.linspace(0.0, 1.0, 11), repeat=3) if max(row) == 1.0]
+    best = max(score(mixed.gains(weights)) for weights in grid)
+    assert 0.99 * best <= mixture.score
+    assert best <= mixture.bound
+    assert mixture.bound < 2.2 * best
+
+
+def test_a_single_light_of_a_mixture_shows_what_it_shows_alone():
+    evidence = replace(drawn_evidence(5, 6, 4), thresholds=np.full(6, 25.0))
+    mixed = MixedImages(evidence)
+    for i in range(5):
+        level, _ = mixed.top(np.eye(5)[i])
+        exposed = mixed.exposed(np.eye(5)[[i]])
+        assert exposed[0, i] == pytest.approx(min(1.0, 242.0 / level))
+        # what is left of R without the sensor's noise has no negative variance, so that it shows a little less
+        assert (mixed.gains(np.eye(5)[[i]]) <= evidence.gains([i]) + 1e-12).all()
+        assert mixed.gains(np.eye(5)[[i]]) == pytest.approx(evidence.gains([i]), rel=0.02)
+
+
+def test_lights_alike_show_no_more_together_than_one_with_their_photons():
+    # six lights as bright as saturation allows: an image of all has the photons of one
+    evidence = drawn_evidence(6, 4, 1)
+    contrast = np.full(evidence.factors.shape, 6.0)
+    levels = np.full(evidence.levels.shape, 240.0)
+    alike = replace(
+        evidence,
+        correlation=np.eye(6),
+        factors=contrast,
+        levels=levels,
+        sensor=(0.0, 0.25),
+        thresholds=np.full(4, 25.0),
+        deviations=np.sqrt(0.25 * levels),
+        surface=(np.full((1000, 6), 240.0, np.float32),),
+    )
+    mixed = MixedImages(alike)
+    assert mixed.gains(np.ones((1, 6))) == pytest.approx(alike.gains([0]) * 242.0 / 240.0)
+    mixture = mix_lights(mixed, (0,))
+    assert mixture.bound == pytest.approx(mixture.single_score, rel=1e-3)
+
+
+def test_the_gradients_of_the_weights_and_of_the_bound():
     evidence = drawn_evidence(6, 5, 2)
-    weights = np.random.default_rng(3).uniform(0.1, 1.0, (2, 6))
-    value, slope = _loss(evidence, weights)
-    assert value == pytest.approx(-score(evidence.gains(weights)), abs=1e-9)
-    for i in range(weights.size):
-        step = np.zeros(weights.size)
-        step[i] = 1e-6
-        ends = [_loss(evidence, weights + sign * step.reshape(weights.shape))[0] for sign in (1, -1)]
-        assert slope[i] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-7)
+    mixed = MixedImages(evidence)
+    weights = np.random.default_rng(3).uniform(0.1, 1.0, (2, 6)) * [[0.05], [1.0]]  # the second one saturates
+    assert mixed.top(weights[0])[0] < evidence.room < mixed.top(weights[1])[0]
+    for function, at, tolerance in (
+        (mixed.loss, weights, 2e-4),
+        (lambda u: mixed.tangent(u)[:2], weights.sum(axis=0), 1e-6),
+    ):
+        _, slope = function(at)
+        for i in np.ndindex(at.shape):
+            step = np.zeros(at.shape)
+            step[i] = 1e-6
+            ends = [function(at + sign * step)[0] for sign in (1, -1)]
+            assert slope[i] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=tolerance)
 
 
 @pytest.mark.slow
@@ -112,7 +170,7 @@ def test_the_evidence_is_that_of_the_plain_reference(tmp_path, subset):
         numbers[i] = np.where(own > 0, own + begin, 0)
         begin += count
     expected = reference_gains(levels, numbers, np.ones(masks.shape[1:], bool), subset)
-    gains = result.evidence.gains(np.eye(4)[subset])
+    gains = result.evidence.gains(subset)
     # the thresholds of these small images know nothing of larger windows than one
     assert gains * result.evidence.thresholds / result.evidence.z**2 == pytest.approx(expected, rel=1e-3, abs=1e-4)
 
@@ -320,7 +378,7 @@ def test_a_saturated_light_is_not_chosen_without_defects(tmp_path, share):
     levels[:, 1, :, : levels.shape[3] // share] = 255.0
     result = optimize_from_images(write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=1))
     assert result.choice.lights != (1,)
-    alone = [score(result.evidence.gains(np.eye(4)[[i]])) for i in range(4)]
+    alone = [score(result.evidence.gains([i])) for i in range(4)]
     assert (alone[1] > 0.0) == (share == 2)
     assert alone[1] < 0.6 * min(alone[0], *alone[2:])
 
@@ -330,7 +388,7 @@ def test_a_defect_on_saturated_pixels_is_not_shown(tmp_path):
     levels[:5, 0] = 255.0  # the first light shows the first spot, as darker than what is saturated
     levels[5, 0] = np.where(masks[5] > 0, 200.0, 255.0)
     result = optimize_from_images(write_samples(tmp_path, levels, masks), options=FromImagesOptions(images=1))
-    assert result.evidence.gains(np.eye(4)[[0]]) == pytest.approx(0.0)
+    assert result.evidence.gains([0]) == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize("bad", [0, 2])

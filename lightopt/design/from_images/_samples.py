@@ -15,6 +15,7 @@ from lightopt.core.errors import InputError, counted, refuse
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design.from_images._labels import part_pixels, read_labels, read_mask
+from lightopt.design.from_images._sensor_noise import ROUNDING
 from lightopt.images import ImageEntry, ImageSet, Manifest, read_image_set
 
 MOST_SATURATED = 0.001  # of several exposures of a light, the longest is used that saturates at most this share
@@ -178,7 +179,6 @@ def _region(samples: Samples, p: int) -> Bool:
     return lit | (samples.labels[:, p] >= 0).any(axis=0) if lit.any() else lit
 
 
-USED_RANGE = 0.95  # of the range up to saturation that 99.9 % of the part's pixels of an image may reach
 MOST_LONGER = 100.0  # times that of the samples, an exposure may be
 
 _STEPS = 1000  # of brightness, of lights whose levels are unknown
@@ -203,30 +203,30 @@ class Agreement:
     exposure: float
     pixels: int
     rms: float  # [sensor level]
+    noise: float  # rms that the sensor's noise and rounding alone make of all images that are compared [sensor level]
     means_rms: float  # of means over squares of 5 × 5 px, where all of them are compared [sensor level]
 
 
 def chosen_images(
-    samples: Samples, brightest: Float64, weights: Float64, levels: Mapping[str, int]
+    samples: Samples, tops: Sequence[float], weights: Float64, room: float, levels: Mapping[str, int]
 ) -> tuple[ChosenImage, ...]:
     """The images of weights (N, K) on the samples' images, each as long as saturation allows.
 
-    brightest: Of each light's image the level above black that 0.1 % of the part's pixels exceed [sensor level], (K,)
+    tops: Of each image of these weights the level above black that 0.1 % of the part's pixels exceed [sensor level]
+    room: What it may be
     levels: Controller level of a light at full brightness, where it is known: its weights are whole levels
     Raises InputError: The lights of an image leave the part black.
     """
     exposures = np.array([channel.exposure for channel in samples.channels])
-    room = USED_RANGE * (samples.manifest.saturated_from - samples.manifest.black_level)
     images: list[ChosenImage] = []
-    for number, row in enumerate(weights, start=1):
+    for number, (row, top) in enumerate(zip(weights, tops, strict=True), start=1):
         brightness = row * exposures  # a light that was exposed longer is darker than its image
-        top = float(row @ brightest)
         longest = float(brightness.max())
         if not top * MOST_LONGER > room:
             lights = ", ".join(c.light for c, share in zip(samples.channels, row, strict=True) if share)
             black = f"99.9 % of the part's pixels are black under {lights}, or nearly so"
             raise InputError(f"{samples.sets[0].folder}: {black}; ask for fewer images, or leave the light out")
-        exposure = room / top * longest
+        exposure = room / float(top) * longest
         lit: dict[str, float] = {}
         for channel, share in zip(samples.channels, brightness / brightness.max(), strict=True):
             steps = levels.get(channel.light, _STEPS)
@@ -276,11 +276,12 @@ def quantised(samples: Samples, levels: Float32) -> UInt8 | NDArray[np.uint16]:
 
 
 def compare_captured(
-    samples: Samples, images: Sequence[ChosenImage], captured: ImageSet
+    samples: Samples, images: Sequence[ChosenImage], captured: ImageSet, sensor: tuple[float, float]
 ) -> tuple[str, tuple[Agreement, ...]]:
     """Compare a captured set with the images of the set that shows the same sample: that which agrees best.
 
     captured: Its lights are the names of `images`.
+    sensor: Variance of the sensor's noise, rounding included: at level 0, and its increase per level
     Returns: Name of the samples' set, and each image of it.
     Raises InputError: The captured set has none of the images, or they are of another size or saturated all over.
     """
@@ -290,7 +291,7 @@ def compare_captured(
         found = ", ".join(sorted({entry.light for entry in captured.images}))
         raise InputError(f"{captured.folder}: none of the chosen images: expected {', '.join(known)}, found {found}")
     found = [
-        [_agreement(samples, number, known[entry.light], captured, entry) for entry in entries]
+        [_agreement(samples, number, known[entry.light], captured, entry, sensor) for entry in entries]
         for number in range(len(samples.sets))
     ]
     best = min(range(len(found)), key=lambda i: _rms_of_all(found[i], "rms"))
@@ -299,12 +300,23 @@ def compare_captured(
     return samples.names[best], tuple(found[best])
 
 
-def _rms_of_all(found: Sequence[Agreement], key: Literal["rms", "means_rms"]) -> float:
+def _variance(sensor: tuple[float, float], levels: Float32) -> Float64:
+    return sensor[0] + sensor[1] * np.maximum(levels, 0.0).astype(np.float64)
+
+
+def _rms_of_all(found: Sequence[Agreement], key: Literal["rms", "noise", "means_rms"]) -> float:
     pixels = sum(one.pixels for one in found)
     return math.sqrt(sum(getattr(one, key) ** 2 * one.pixels for one in found) / pixels) if pixels else math.inf
 
 
-def _agreement(samples: Samples, number: int, image: ChosenImage, captured: ImageSet, entry: ImageEntry) -> Agreement:
+def _agreement(
+    samples: Samples,
+    number: int,
+    image: ChosenImage,
+    captured: ImageSet,
+    entry: ImageEntry,
+    sensor: tuple[float, float],
+) -> Agreement:
     levels, saturated = synthesise(samples, number, image, entry.posture, exposure=entry.exposure)
     taken = captured.load(entry)
     if taken.levels.shape != levels.shape:
@@ -314,6 +326,10 @@ def _agreement(samples: Samples, number: int, image: ChosenImage, captured: Imag
     used = samples.regions[samples.postures.index(entry.posture)] & ~saturated & ~taken.saturated
     used &= levels < samples.manifest.saturated_from
     off = np.where(used, own - np.asarray(quantised(samples, levels), np.float32), 0.0)
+    variance = ROUNDING + _variance(sensor, levels[used] - samples.manifest.black_level)
+    for channel in samples.channels:
+        share = image.weights.get(channel.light, 0.0) * entry.exposure / channel.exposure
+        variance = variance + share**2 * _variance(sensor, samples.load(number, channel, entry.posture)[used])
     whole = ndimage.uniform_filter(used.astype(np.float32), _MEAN_PX) > 0.999
     means = np.asarray(ndimage.uniform_filter(off, _MEAN_PX), np.float32)[whole]
     return Agreement(
@@ -322,6 +338,7 @@ def _agreement(samples: Samples, number: int, image: ChosenImage, captured: Imag
         exposure=entry.exposure,
         pixels=int(used.sum()),
         rms=_rms(off[used]),
+        noise=float(np.sqrt(np.mean(variance))) if variance.size else 0.0,
         means_rms=_rms(means),
     )
 
@@ -332,8 +349,9 @@ def _rms(values: Float32) -> float:
 
 def agreement_text(name: str, found: Sequence[Agreement]) -> str:
     pixels = sum(one.pixels for one in found)
+    rms, noise, means = (_rms_of_all(found, key) for key in ("rms", "noise", "means_rms"))
+    images, own = counted(len(found), "captured image"), f"the sensor's noise makes {noise:.2f}"
     return (
-        f"{counted(len(found), 'captured image')} against images synthesised from {name}: "
-        f"{_rms_of_all(found, 'rms'):.2f} levels rms, {_rms_of_all(found, 'means_rms'):.2f} as means of {_MEAN_PX} × "
-        f"{_MEAN_PX} px, at {counted(pixels, 'unsaturated pixel')}"
+        f"{images} against images synthesised from {name}: {rms:.2f} levels rms, of which {own}; {means:.2f} as means of "
+        f"{_MEAN_PX} × {_MEAN_PX} px; at {counted(pixels, 'unsaturated pixel')}"
     )
