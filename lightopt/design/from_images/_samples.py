@@ -352,6 +352,6 @@ def agreement_text(name: str, found: Sequence[Agreement]) -> str:
     rms, noise, means = (_rms_of_all(found, key) for key in ("rms", "noise", "means_rms"))
     images, own = counted(len(found), "captured image"), f"the sensor's noise makes {noise:.2f}"
     return (
-        f"{images} against images synthesised from {name}: {rms:.2f} levels rms, of which {own}; {means:.2f} as means of "
-        f"{_MEAN_PX} × {_MEAN_PX} px; at {counted(pixels, 'unsaturated pixel')}"
+        f"{images} against images synthesised from {name}: {rms:.2f} levels rms, of which {own}; "
+        f"{means:.2f} as means of {_MEAN_PX} × {_MEAN_PX} px; at {counted(pixels, 'unsaturated pixel')}"
     )
