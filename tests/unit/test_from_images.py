@@ -121,6 +121,14 @@ def test_a_single_light_of_a_mixture_shows_what_it_shows_alone():
         assert mixed.gains(np.eye(5)[[i]]) == pytest.approx(evidence.gains([i]), rel=0.02)
 
 
+@pytest.mark.parametrize("pixels", [0, 1, 3])
+def test_a_bound_of_few_pixels(pixels):
+    evidence = drawn_evidence(5, 6, 4)
+    surface = tuple(own[:pixels] for own in evidence.surface if pixels)
+    mixture = mix_lights(MixedImages(replace(evidence, surface=surface)), (0, 1))
+    assert mixture.single_score <= mixture.score <= mixture.bound <= 1.0
+
+
 def test_lights_alike_show_no_more_together_than_one_with_their_photons():
     # six lights as bright as saturation allows: an image of all has the photons of one
     evidence = drawn_evidence(6, 4, 1)

@@ -220,7 +220,7 @@ def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) 
         defects=defects,
         levels=levels,
         sensor=lights.sensor,
-        surface=tuple(np.stack(own, axis=1) for own in _pixels(lights.measured)),
+        surface=tuple(np.stack(own, axis=1) for own in _pixels(lights.measured) if len(own[0])),
         room=_room(samples, lights.sensor),
         brightest=np.array([max(one.brightest for one in own) for own in lights.measured]),
         noise=lights.noise,
