@@ -44,7 +44,7 @@ _LEAST_BLOCKS = 30  # of good samples, for the variance of their sums
 _SATURATED = 0.01  # share of the part's pixels from which on a light is reported as saturated
 USED_RANGE = 0.95  # of the range up to saturation that 99.9 % of the part's pixels of an image may reach
 _HEADROOM = 3.0  # standard deviations of the sensor's noise below saturation, where that is less
-_MOST_PIXELS = 20_000  # of the part, whose levels tell where mixed lights saturate
+_MOST_PIXELS = 10_000  # of the part, whose levels tell where mixed lights saturate
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -105,7 +105,7 @@ def optimize_from_images(
     choice = choose_lights(evidence, options.images, limit=options.limit, threads=run.threads)
     report(0.5)
     mixed = MixedImages(evidence)
-    mixture = mix_lights(mixed, choice.lights)
+    mixture = mix_lights(mixed, choice.lights, quick=not options.mix)
     report(1.0)
     weights = mixture.weights if options.mix else np.eye(evidence.lights)[list(choice.lights)]
     tops = [mixed.top(row)[0] if options.mix else float(row @ evidence.brightest) for row in weights]
