@@ -25,13 +25,18 @@ from benchmarks.loop import run_command
 from lightopt import load_rig
 from lightopt.core.arrays import Float64
 from lightopt.design import FromImagesOptions, optimize_from_images
-from lightopt.design.from_images._choice import choose_lights, mix_lights, score
+from lightopt.design.from_images._choice import choose_lights, score
 from lightopt.design.from_images._evidence import Evidence
+from lightopt.design.from_images._mixture import MixedImages, mix_lights
 from lightopt.design.from_images._samples import ChosenImage, compare_captured, read_samples
+from lightopt.design.from_images._sensor_noise import ROUNDING
 from lightopt.images import read_image_set
 from lightopt.rendering import RenderOptions, render_image_set
 
 WAVES = 3  # kinds of variation that the lights of drawn contrasts have in common
+LEVEL, PIXELS = 235.0, 2000  # of the highlights of drawn parts; pixels of their surface
+SENSOR = (0.7, 1.0 / 60.0)  # variance of the noise: at level 0, and its increase per level
+VARIATION = 0.02  # of good parts
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,11 @@ TOY = Size(((8, 2),), 96, 2, 2, 2, 2, 4)
 
 
 def drawn_evidence(lights: int, defects: int, seed: int) -> Evidence:
-    """Contrasts as an array of lights has them: each defect shows under a few neighbours, and parts vary in common."""
+    """Contrasts as an array of lights has them: each defect shows under a few neighbours, and parts vary in common.
+
+    Images of single lights are exposed until their highlight saturates nearly. Each has it at another place of the
+    part; the rest of the part has 15 % of its level.
+    """
     random = np.random.default_rng(seed)
     common = random.normal(size=(lights, WAVES))
     covariance = np.eye(lights) + 0.2 * common @ common.T
@@ -61,14 +70,21 @@ def drawn_evidence(lights: int, defects: int, seed: int) -> Evidence:
     at, width = random.uniform(0, lights, (2 * defects, 1)), random.uniform(0.02, 0.1, (2 * defects, 1)) * lights
     lobes = np.exp(-((np.arange(lights) - at) ** 2) / (2 * width**2)) * random.lognormal(1.2, 0.8, (2 * defects, 1))
     lobes *= random.choice([-1.0, 1.0], (2 * defects, lights)) ** (random.random((2 * defects, lights)) < 0.1)
+    places = np.linspace(0, lights, PIXELS)
+    surface = LEVEL * (0.15 + 0.85 * np.exp(-((places[:, None] - np.arange(lights)) ** 2) / (2 * (0.05 * lights) ** 2)))
+    levels = surface[(at[::2, 0] * (PIXELS - 1) / lights).astype(int)].T
     return Evidence(
         correlation=covariance / np.outer(scale, scale),
         factors=lobes.T,
         starts=np.arange(0, 2 * defects + 1, 2),
         thresholds=np.full(defects, 36.0),
-        deviations=np.ones((lights, defects)),
+        deviations=np.sqrt(SENSOR[0] + SENSOR[1] * levels + (VARIATION * levels) ** 2),
+        levels=levels,
+        sensor=SENSOR,
+        surface=(surface.astype(np.float32),),
+        room=242.0,
         defects=tuple(("drawn", str(j)) for j in range(defects)),
-        brightest=np.ones(lights),
+        brightest=np.full(lights, LEVEL),
         noise=np.ones(lights),
         z=6.0,
         shrinkage=0.05,
@@ -86,7 +102,7 @@ def drawn_table(size: Size) -> Table:
         start, busy = time.perf_counter(), time.process_time()
         choice = choose_lights(evidence, images)
         searched, worked = time.perf_counter(), time.process_time()
-        mixture = mix_lights(evidence, choice.lights)
+        mixture = mix_lights(MixedImages(evidence), choice.lights)
         mixed, ended = time.perf_counter(), time.process_time()
         gap = choice.bound / choice.score - 1.0
         rows.append(
@@ -99,7 +115,7 @@ def drawn_table(size: Size) -> Table:
                 "proven" if choice.proven else f"≤ {gap:.2%}",
                 f"{mixed - searched:.2f}",
                 f"{ended - worked:.2f}",
-                f"{mixture.score / choice.score - 1.0:+.1%}",
+                f"{mixture.score / mixture.single_score - 1.0:+.1%}",
                 f"{mixture.bound / mixture.score - 1.0:.1%}",
             )
         )
@@ -159,25 +175,34 @@ def rendered_table(size: Size) -> Table:
             start, busy = time.perf_counter(), time.process_time()
             result = optimize_from_images([*good, *bad[:half]], options=FromImagesOptions(images=images))
             seconds, worked = time.perf_counter() - start, time.process_time() - busy
-            choice = result.choice
+            choice, mixture = result.choice, result.mixture
+            times = [time.perf_counter(), time.process_time()]
+            choose_lights(result.evidence, images)
+            times += [time.perf_counter(), time.process_time()]
+            mix_lights(MixedImages(result.evidence), choice.lights)
+            times += [time.perf_counter(), time.process_time()]
             best = exhaustive(result.evidence, images)
-            own = unseen.gains(np.eye(unseen.lights)[list(choice.lights)])
+            own = unseen.gains(list(choice.lights))
             rows.append(
                 (
                     f"{images} of {unseen.lights}",
                     f"{math.comb(unseen.lights, images):,}",
                     f"{seconds:.2f}",
                     f"{worked:.2f}",
+                    *(f"{later - earlier:.2f}" for earlier, later in zip(times, times[2:], strict=False)),
                     f"{choice.score:.4f}",
                     f"{best:.4f}",
                     f"{int((result.gains >= 1.0).sum())} of {len(result.gains)}",
                     f"{int((own >= 1.0).sum())} of {len(own)}",
                     f"{score(own):.4f}",
                     f"{choose_lights(unseen, images).score:.4f}",
+                    f"{mixture.score:.4f} ({mixture.score / mixture.single_score - 1.0:+.1%})",
+                    f"{mixture.bound:.4f}",
                 )
             )
-    header = ("lights", "choices", "all [s]", "processor [s]", "score", "exhaustive", "found")
-    header = (*header, "found unseen", "score unseen", "best unseen")
+    header = ("lights", "choices", "all [s]", "processor [s]", "search [s]", "processor [s]", "weights [s]")
+    header = (*header, "processor [s]", "score", "exhaustive", "found", "found unseen", "score unseen", "best unseen")
+    header = (*header, "several lights", "at most")
     return Table(f"Rendered samples, {size.good} good, {size.bad} with {size.defects} defects each", header, rows)
 
 
@@ -210,9 +235,13 @@ def captured_table(size: Size) -> Table:
                 ChosenImage(name=image.name, weights=dict(image.lights), exposure=(image.exposures or (1.0,))[0])
                 for image in load_rig(several).programme or ()
             ]
-            _, found = compare_captured(read_samples([sets[0]]), images, read_image_set(sets[1]))
-        rows += [(f"{name}, {one.image}", f"{one.pixels:,}", f"{one.rms:.2f}", f"{one.means_rms:.2f}") for one in found]
-    header = ("sensor, image", "pixels", "rms [levels]", "rms of means of 5 × 5 px")
+            variance = read**2 + ROUNDING, 1.0 / electrons
+            _, found = compare_captured(read_samples([sets[0]]), images, read_image_set(sets[1]), variance)
+        for one in found:
+            beyond = math.sqrt(max(0.0, one.rms**2 - one.noise**2))
+            values = (one.rms, one.noise, beyond, one.means_rms, one.noise / 5.0)
+            rows.append((f"{name}, {one.image}", f"{one.pixels:,}", *(f"{value:.2f}" for value in values)))
+    header = ("sensor, image", "pixels", "rms [levels]", "of noise alone", "beyond", "rms of means", "of noise alone")
     return Table("Images of several lights: captured against synthesised", header, rows)
 
 

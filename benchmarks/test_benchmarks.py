@@ -472,6 +472,20 @@ def test_the_reach_of_a_shadow_is_that_of_rays(light_deg: float) -> None:
 
 
 @pytest.mark.nightly
+def test_the_benchmark_of_lights_from_images_fills_its_tables(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from benchmarks import from_images
+
+    monkeypatch.setattr(sys, "argv", ["from_images", "--toy"])
+    from_images.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("  as filed, ") for line in lines) == 2
+    assert sum(" of 8 " in line and " proven " in line for line in lines) == 1
+    assert sum(" of 4 " in line for line in lines) >= 3
+
+
+@pytest.mark.nightly
 def test_the_benchmark_of_displaced_defects_compares_images_and_what_is_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

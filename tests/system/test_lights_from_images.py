@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from lightopt.design import FromImagesOptions, optimize_from_images
@@ -57,11 +57,11 @@ def test_rendered_samples_need_no_masks_and_the_choice_is_the_best_of_all(tmp_pa
         result = optimize_from_images([*sets, shown], options=FromImagesOptions(images=images))
         assert {name for name, _ in result.evidence.defects} == {"shown"}
         every = itertools.combinations(range(8), images)
-        best = max(score(result.evidence.gains(np.eye(8)[list(choice)])) for choice in every)
+        best = max(score(result.evidence.gains(list(choice))) for choice in every)
         assert result.choice.proven
         assert result.choice.score == pytest.approx(best, abs=1e-12)
         assert best > 0.1
-        assert result.choice.score <= result.mixture.score <= result.mixture.bound
+        assert result.mixture.single_score <= result.mixture.score <= result.mixture.bound
 
 
 @pytest.mark.slow
@@ -78,14 +78,16 @@ def test_images_of_single_lights_predict_those_of_several(tmp_path, cli, read_no
         ChosenImage(name="all-on", weights={f"ring-{i}": 1.0 for i in range(1, 5)}, exposure=0.25),
     ]
     samples = read_samples([tmp_path / "single"])
-    name, found = compare_captured(samples, images, read_image_set(tmp_path / "several"))
+    variance = float(read_noise) ** 2 + 1.0 / 12.0, 1.0 / float(electrons)
+    name, found = compare_captured(samples, images, read_image_set(tmp_path / "several"), variance)
     assert name == "single"
     assert [one.image for one in found] == ["three", "all-on"]
     for one in found:
         assert one.pixels > 500
-        # of an ordinary sensor the noise of one image alone is up to 1.7 levels
-        assert one.rms < (1.0 if read_noise == "0.1" else 2.0), one
-        assert one.means_rms < 0.5, one
+        # of an ordinary sensor, the noise of the images alone exceeds 1 level
+        beyond = math.sqrt(max(0.0, one.rms**2 - one.noise**2))
+        assert beyond < 0.25, one
+        assert one.means_rms < 0.3, one
 
 
 @pytest.mark.slow

@@ -54,3 +54,9 @@ def write_samples(folder: Path, levels, masks) -> list[Path]:
         write_set(folder / f"s{i}", own, mask if mask.any() else None)
         for i, (own, mask) in enumerate(zip(levels, masks, strict=True))
     ]
+
+
+def camera_levels(light, random, *, read=0.8, electrons=60.0, highest=255):
+    """What a camera delivers of levels of light: with shot noise and read noise, rounded and clipped."""
+    taken = random.poisson(np.maximum(light, 0.0) * electrons) / electrons + random.normal(0.0, read, light.shape)
+    return np.clip(np.rint(taken), 0, highest)

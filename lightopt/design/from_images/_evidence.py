@@ -16,6 +16,8 @@ whitened Z are shrunk by the rule that is best for the sum of squares (Gavish an
 values, IEEE Trans. Inf. Theory 63, 2017, equation 7): those that noise alone reaches become 0.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -28,19 +30,21 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
 from lightopt.defects import MOST_CHANGE, least_z
 from lightopt.design.from_images._samples import Samples
+from lightopt.design.from_images._sensor_noise import ROUNDING, noise_points, sensor_noise
 
 WINDOW_PX = 3  # side of the windows whose sums are compared
 SLACK_PX = 2  # so near to a mask, a pixel is not one of a good sample
+TOP = 99.9  # percentile of the part's levels that exposures are fitted to
 LEAST_OWN = 0.05  # share of a light's variance that no other light can explain, at least: R is shrunk by so much
 
-_ALIKE = 1e-10  # share of the greatest variance of images below which a combination of them is none of its own
 _POOLED_PX = 7  # variances are means over squares of this side
-_ROUNDING = 1.0 / 12.0  # variance of rounding to whole levels
 _MOST_WINDOWS = 4096  # of good samples per set and posture for the correlation of lights
 _MOST_TILES = 256  # windows of the surface that stand for defects where there are none
 _LEAST_BLOCKS = 30  # of good samples, for the variance of their sums
 _SATURATED = 0.01  # share of the part's pixels from which on a light is reported as saturated
-_TOP = 99.9  # percentile of the part's levels that exposures are fitted to
+USED_RANGE = 0.95  # of the range up to saturation that 99.9 % of the part's pixels of an image may reach
+_HEADROOM = 3.0  # standard deviations of the sensor's noise below saturation, where that is less
+_MOST_PIXELS = 10_000  # of the part, whose levels tell where mixed lights saturate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +57,10 @@ class Evidence:
     thresholds: Float64  # evidence from which each defect counts as found, shape (J,)
     deviations: Float64  # standard deviation of a window of each defect under each light [sensor level], (K, J)
     defects: tuple[tuple[str, str], ...]  # set and name of each
+    levels: Float64  # mean level above black of each defect's place on good parts, per light [sensor level], (K, J)
+    sensor: tuple[float, float]  # noise of the sensor: variance at level 0, and its increase per level
+    surface: tuple[Float32, ...]  # levels above black of pixels of the good part, per posture, shape (pixels, K)
+    room: float  # highest level above black that 99.9 % of the part's pixels of an image may reach
     brightest: Float64  # level above black that 0.1 % of the part's pixels exceed, per light [sensor level], (K,)
     noise: Float64  # standard deviation of a pixel under each light, rms over the part [sensor level], (K,)
     z: float  # T
@@ -64,14 +72,12 @@ class Evidence:
     def lights(self) -> int:
         return len(self.correlation)
 
-    def gains(self, weights: Float64) -> Float64:
-        """E of each defect in units of its threshold, shape (J,), in images of lights with weights, shape (N, K)."""
-        scaled = weights * self.deviations.T[:, None]
-        contrast = scaled @ self.contrasts
-        covariance = scaled @ self.correlation @ scaled.transpose(0, 2, 1)
-        # images that are alike count once
-        solved = np.linalg.pinv(covariance, rcond=_ALIKE, hermitian=True) @ contrast
-        return np.sum(contrast * solved, axis=(1, 2)) / self.thresholds
+    def gains(self, lights: Sequence[int]) -> Float64:
+        """E of each defect in units of its threshold, shape (J,), in images of one light each."""
+        chosen = np.array(lights, np.intp)
+        own = self.contrasts[:, chosen]
+        solved = np.linalg.solve(self.correlation[np.ix_(chosen, chosen)], own)
+        return np.sum(own * solved, axis=(1, 2)) / self.thresholds
 
     @cached_property
     def contrasts(self) -> Float64:
@@ -83,7 +89,7 @@ class Evidence:
         return found
 
     def all_lights(self) -> Float64:
-        """What no choice and no weights exceed: E of each defect with all lights, in units of its threshold, (J,)."""
+        """What no choice exceeds: E of each defect with all lights, in units of its threshold, (J,)."""
         energies = np.sum(self.factors * np.linalg.solve(self.correlation, self.factors), axis=0)
         return np.diff(np.cumsum([0.0, *energies])[self.starts]) / self.thresholds
 
@@ -104,7 +110,11 @@ class _Measured:
     squares: Float64  # of the standard deviation, summed over the pixels of each defect, shape (J,)
     null: Float32  # windows of good samples, flat
     variances: tuple[float, float, float]  # of sums over squares of WINDOW_PX × 1, 3, 9, over those of white noise
+    levels: Float64  # above black of good parts, summed over the pixels of each defect, shape (J,)
     surface: Float64  # windows of the good surface: level over standard deviation, shape (tiles,)
+    surface_levels: Float64  # their levels, shape (tiles,)
+    pixels: Float32  # levels of some of the part's pixels
+    points: Float64  # noise against level
     brightest: float
     noise: float
     saturated: float  # share of the part's pixels
@@ -117,14 +127,19 @@ class _Windows:
         self.samples = samples
         self.names = [(i, d) for i, defects in enumerate(samples.defects) for d in range(len(defects))]
         self.sizes = np.zeros(len(self.names))  # pixels of each defect
+        self.inside = np.zeros(len(self.names), np.bool_)  # of each defect: whether a pixel of it is of the part
         self.defect = np.zeros(0, np.intp)  # of each window
         self.pixels = np.zeros(0)  # of each window
 
     def add(self, p: int, known: Bool) -> list[_Cells]:
-        """Find those of a posture, at pixels where the good part is known, shape (H, W)."""
+        """Find those of a posture, at pixels of the part that a good sample shows, shape (H, W)."""
+        region = self.samples.regions[p]
+        known = known & region
         index = {name: j for j, name in enumerate(self.names)}
         cells: list[_Cells] = []
         for i, labels in enumerate(self.samples.labels):
+            inside = np.unique(labels[p][(labels[p] >= 0) & region])
+            self.inside[[index[i, d] for d in inside.tolist()]] = True
             pixels = np.flatnonzero((labels[p] >= 0) & known)
             if not len(pixels):
                 continue
@@ -151,6 +166,7 @@ class _Lights:
     shrinkage: float
     root: Float64  # standard deviation of windows over that of independent pixels, (K, 1)
     noise: Float64
+    sensor: tuple[float, float]
 
 
 def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) -> Evidence:
@@ -171,6 +187,9 @@ def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) 
         measure = partial(_measure, samples, p, good, cells, total)
         work.append(in_threads(measure, range(len(samples.channels)), run.threads))
         report((p + 1) / len(samples.postures))
+    if all(one.saturated == 1.0 for measured in work for one in measured):
+        everywhere = "each pixel of the part is saturated under each light in some good sample"
+        raise InputError(f"{samples.sets[0].folder}: {everywhere}; take shorter exposures")
     lights = _all_lights(list(zip(*work, strict=True)))
     kept = np.flatnonzero(windows.sizes)
     tests = sum(int(region.sum()) for region in samples.regions) / len(samples.postures)
@@ -180,11 +199,15 @@ def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) 
         factors = _contrasts(windows, kept, lights)
         squares = np.stack([np.sum([one.squares for one in own], axis=0) for own in lights.measured])[:, kept]
         deviations = np.sqrt(squares / windows.sizes[kept]) * lights.root
+        levels = np.stack([np.sum([one.levels for one in own], axis=0) for own in lights.measured])[:, kept]
+        levels = levels / windows.sizes[kept]
         thresholds = z * z * _inflation(lights.variances, windows.sizes[kept])
         defects = tuple(map(windows.label, kept.tolist()))
     else:
         factors, contrast = _surface_contrasts(samples, lights, z)
-        deviations = np.repeat(lights.noise[:, None] * lights.root, len(factors), axis=1)
+        levels = np.stack([np.concatenate([one.surface_levels for one in own]) for own in lights.measured])
+        ratios = np.stack([np.concatenate([one.surface for one in own]) for own in lights.measured]) / WINDOW_PX
+        deviations = np.where(ratios > 0.0, levels / np.maximum(ratios, 1e-9), lights.noise[:, None]) * lights.root
         thresholds = np.full(len(factors), z * z)
         defects = tuple(("surface", str(j + 1)) for j in range(len(factors)))
     _warn(samples, run, most, windows, lights, contrast)
@@ -195,6 +218,10 @@ def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) 
         thresholds=thresholds,
         deviations=deviations,
         defects=defects,
+        levels=levels,
+        sensor=lights.sensor,
+        surface=tuple(np.stack(own, axis=1) for own in _pixels(lights.measured) if len(own[0])),
+        room=_room(samples, lights.sensor),
         brightest=np.array([max(one.brightest for one in own) for own in lights.measured]),
         noise=lights.noise,
         z=z,
@@ -204,6 +231,16 @@ def measure_evidence(samples: Samples, *, false_alarms: float, run: RunContext) 
     )
 
 
+def _room(samples: Samples, sensor: tuple[float, float]) -> float:
+    top = samples.manifest.saturated_from - samples.manifest.black_level
+    return max(0.5 * top, min(USED_RANGE * top, top - _HEADROOM * math.sqrt(sensor[0] + sensor[1] * top)))
+
+
+def _pixels(measured: list[tuple[_Measured, ...]]) -> list[list[Float32]]:
+    # of each posture, of all lights
+    return [[one.pixels for one in own] for own in zip(*measured, strict=True)]
+
+
 def _all_lights(measured: list[tuple[_Measured, ...]]) -> _Lights:
     variances = np.array([[one.variances for one in own] for own in measured])
     # windows of good samples vary at least like sums of independent noise
@@ -211,7 +248,8 @@ def _all_lights(measured: list[tuple[_Measured, ...]]) -> _Lights:
     null = np.stack([np.concatenate([one.null for one in own]) for own in measured]).astype(np.float64)
     correlation, shrinkage = _correlation(null)
     noise = np.array([float(np.sqrt(np.mean([one.noise**2 for one in own]))) for own in measured])
-    return _Lights(measured, variances, correlation, shrinkage, np.sqrt(spread)[:, None], noise)
+    sensor = sensor_noise([one.points for own in measured for one in own])
+    return _Lights(measured, variances, correlation, shrinkage, np.sqrt(spread)[:, None], noise, sensor)
 
 
 def _contrasts(windows: _Windows, kept: Index, lights: _Lights) -> list[Float64]:
@@ -230,8 +268,11 @@ def _surface_contrasts(samples: Samples, lights: _Lights, z: float) -> tuple[lis
     # of windows of the good surface, whose reflectance changes so that half of them are found with all lights
     surface = np.stack([np.concatenate([one.surface for one in own]) for own in lights.measured]) / lights.root
     energies = np.sum(surface * np.linalg.solve(lights.correlation, surface), axis=0)
-    if not len(energies) or not np.median(energies) > 0.0:
+    if not len(energies):
         raise InputError(f"{samples.sets[0].folder}: no window of {WINDOW_PX} × {WINDOW_PX} px lies within the part")
+    if not np.median(energies) > 0.0:
+        useless = "most of the part is black or saturated under each light"
+        raise InputError(f"{samples.sets[0].folder}: {useless}; take images with other exposures as well")
     contrast = float(z / np.sqrt(np.median(energies)))
     return list((contrast * surface).T[:, :, None]), contrast
 
@@ -252,27 +293,38 @@ def _measure(samples: Samples, p: int, good: Bool, cells: list[_Cells], total: t
         own = np.sqrt(np.maximum(1.0 - 1.0 / n, 0.5))
     else:  # one good sample: mixed differences of neighbours, which a smooth surface does not have
         rest, freedom, own = np.where(good, _mixed_differences(images), 0.0), count, np.ones_like(n)
-    deviation = np.sqrt(np.maximum(_pooled((rest**2).sum(axis=0), freedom), _ROUNDING))
+    deviation = np.sqrt(np.maximum(_pooled((rest**2).sum(axis=0), freedom), ROUNDING))
     z = rest / (deviation * own)
-    sums, squares = np.zeros(total[0]), np.zeros(total[1])
+    saturated = np.any(good & (images >= samples.unsaturated), axis=0)
+    sums, squares, below = np.zeros(total[0]), np.zeros(total[1]), np.zeros(total[1])
     for one in cells:
         at = one.pixels
         off = (images[one.number].ravel()[at] - mean.ravel()[at]) / (deviation * np.sqrt(1.0 + 1.0 / n)).ravel()[at]
-        off = np.clip(off, -MOST_CHANGE, MOST_CHANGE)
+        off = np.where(saturated.ravel()[at], 0.0, np.clip(off, -MOST_CHANGE, MOST_CHANGE))
         sums += np.bincount(one.window, off, minlength=total[0])
         squares += np.bincount(one.defect, deviation.ravel()[at] ** 2, minlength=total[1])
+        below += np.bincount(one.defect, mean.ravel()[at], minlength=total[1])
     valid = good & region & (count > 1 if count.max() > 1 else count > 0)
     null, variances = _windows_of_good(z, valid)
-    levels = mean[region & (count > 0)]
+    known = region & (count > 0)
+    levels = mean[known]
+    places = np.flatnonzero(known)
+    places = places[:: -(-len(places) * len(samples.postures) // _MOST_PIXELS) or 1]
     return _Measured(
         sums=sums,
         squares=squares,
         null=null,
         variances=variances,
-        surface=_surface(mean / deviation, region & (count > 0)),
-        brightest=float(np.percentile(levels, _TOP)) if len(levels) else 0.0,
+        levels=below,
+        surface=_surface(np.where(saturated, 0.0, mean / deviation), known),
+        surface_levels=_surface(mean, known) / WINDOW_PX,
+        pixels=np.asarray(mean.ravel()[places], np.float32),
+        points=noise_points(
+            rest / own, valid & ~saturated, mean, places, bits=samples.manifest.bit_depth, differ=bool(count.max() > 1)
+        ),
+        brightest=float(np.percentile(levels, TOP)) if len(levels) else 0.0,
         noise=float(np.sqrt(np.mean(deviation[region] ** 2))),
-        saturated=float(np.mean(levels >= samples.manifest.saturated_from - samples.manifest.black_level - 0.5)),
+        saturated=float(np.mean(saturated[known])),
     )
 
 
@@ -356,20 +408,26 @@ def _warn(
     samples: Samples, run: RunContext, good: int, windows: _Windows, lights: _Lights, contrast: float | None
 ) -> None:
     if contrast is not None:
+        none = "no defect can be used" if windows.names else "no defective sample"
         run.warn(
-            "no defective sample: signal over noise of the good surface is all that can be optimised, here of a change "
+            f"{none}: signal over noise of the good surface is all that can be optimised, here of a change "
             f"of reflectance by {percent(contrast)} anywhere on the part; it says nothing on scratches or dents"
         )
     if good < 5:
         number = "one good sample" if good < 2 else f"{good} good samples"
+        if good > sum(not defects for defects in samples.defects):
+            number = f"at most {number} at each place, as defective ones count beside their masks"
         spread = "unknown, and noise is that of neighbouring pixels" if good < 2 else "estimated from few of them"
         run.warn(f"{number}: how parts differ is {spread}; take at least 5")
     if lights.shrinkage > LEAST_OWN:
         towards = f"is shrunk by {percent(lights.shrinkage)} towards independent lights"
         run.warn(f"few windows of good samples: the correlation of lights {towards}")
-    if hidden := [" ".join(windows.label(j)) for j in np.flatnonzero(windows.sizes == 0).tolist()]:
-        unseen = f"{counted(len(hidden), 'defect')} not used, since no good sample or no pixel shows the place"
-        run.warn(f"{unseen}: {_first_five(hidden)}")
+    for reason, which in (
+        ("the part or its region does not have the place", ~windows.inside),
+        ("no good sample shows the place", windows.inside & (windows.sizes == 0)),
+    ):
+        if unused := [" ".join(windows.label(j)) for j in np.flatnonzero(which).tolist()]:
+            run.warn(f"{counted(len(unused), 'defect')} not used, since {reason}: {_first_five(unused)}")
     saturated = [
         f"{channel.light} {percent(share)}"
         for channel, own in zip(samples.channels, lights.measured, strict=True)

@@ -1,6 +1,7 @@
 """From image sets to the images to take: the pipeline, and its files."""
 
 import json
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,8 +19,9 @@ from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
 from lightopt.defects import DEFAULT_FALSE_ALARMS, false_alarms_problem
 from lightopt.design.from_images import _samples
-from lightopt.design.from_images._choice import DEFAULT_LIMIT, Choice, Mixture, choose_lights, mix_lights, score
+from lightopt.design.from_images._choice import DEFAULT_LIMIT, Choice, choose_lights, score
 from lightopt.design.from_images._evidence import Evidence, measure_evidence
+from lightopt.design.from_images._mixture import MixedImages, Mixture, mix_lights
 
 RESULT_NAME, PROGRAMME_NAME, RIG_NAME = "result.json", "programme.yaml", "rig.optimized.yaml"
 REPORT_NAME, IMAGES_FOLDER = "report.html", "images"
@@ -45,17 +47,13 @@ class FromImagesResult:
     choice: Choice  # of single lights
     mixture: Mixture  # of several lights per image
     images: tuple[_samples.ChosenImage, ...]  # those to take: of the choice, or of the mixture with `mix`
-    weights: Float64  # of theirs on the samples' images, shape (N, K)
+    gains: Float64  # evidence of each defect in them in units of its threshold, shape (J,)
+    found_alone: tuple[int, ...]  # by each of them, defects that it shows without the others
     rig: RigConfig | None  # that takes the images as its programme
     captured: files.ImageSet | None  # taken with a previous result of the same sets
     # with its images: the set of the same sample, and each
     agreement: tuple[str, tuple[_samples.Agreement, ...]] | None
     warnings: tuple[str, ...]
-
-    @property
-    def gains(self) -> Float64:
-        """Evidence of each defect in the chosen images in units of its threshold, shape (J,)."""
-        return self.evidence.gains(self.weights)
 
     @property
     def score(self) -> float:
@@ -97,7 +95,7 @@ def optimize_from_images(
     """
     run = run or RunContext()
     refuse(filter(None, [false_alarms_problem(options.false_alarms)]))
-    samples = _samples.read_samples(sets, region)
+    samples = _samples.read_samples(sets, region, run)
     loaded = None if rig is None else _rig_of(samples, rig)
     if not 1 <= options.images <= len(samples.channels):
         lights = f"1 to {len(samples.channels)}, the number of lights in the sets"
@@ -106,14 +104,21 @@ def optimize_from_images(
     report = run.stage("choosing lights")
     choice = choose_lights(evidence, options.images, limit=options.limit, threads=run.threads)
     report(0.5)
-    mixture = mix_lights(evidence, choice.lights)
+    mixed = MixedImages(evidence)
+    mixture = mix_lights(mixed, choice.lights, quick=not options.mix)
     report(1.0)
     weights = mixture.weights if options.mix else np.eye(evidence.lights)[list(choice.lights)]
+    tops = [mixed.top(row)[0] if options.mix else float(row @ evidence.brightest) for row in weights]
     hardware = None if loaded is None else loaded.hardware
     levels = {} if hardware is None else {name: light.level for name, light in hardware.lights.items()}
-    chosen = _samples.chosen_images(samples, evidence.brightest, weights, levels)
+    chosen = _samples.chosen_images(samples, tops, weights, evidence.room, levels)
+    if options.mix:
+        weights = _samples.weights_of(samples, chosen)
+        gains, alone = mixed.gains(weights), [mixed.gains(row[None]) for row in weights]
+    else:
+        gains, alone = evidence.gains(choice.lights), [evidence.gains([i]) for i in choice.lights]
     taken = None if captured is None else files.read_image_set(captured)
-    agreement = None if taken is None else _samples.compare_captured(samples, chosen, taken)
+    agreement = None if taken is None else _samples.compare_captured(samples, chosen, taken, evidence.sensor)
     return FromImagesResult(
         samples=samples,
         evidence=evidence,
@@ -121,7 +126,8 @@ def optimize_from_images(
         choice=choice,
         mixture=mixture,
         images=chosen,
-        weights=_samples.weights_of(samples, chosen),
+        gains=gains,
+        found_alone=tuple(int((one >= 1.0).sum()) for one in alone),
         rig=loaded,
         captured=taken,
         agreement=agreement,
@@ -249,12 +255,12 @@ def _document(result: FromImagesResult) -> dict[str, Any]:
             "lights": [samples.channels[i].light for i in result.choice.lights],
             **{key: getattr(result.choice, key) for key in ("score", "bound", "proven", "scored", "total")},
         },
-        "several_lights_per_image": {"score": result.mixture.score, "bound": result.mixture.bound},
+        "several_lights_per_image": {key: getattr(result.mixture, key) for key in ("score", "single_score", "bound")},
         "lights": [
             {
                 "light": channel.light,
                 "exposure": channel.exposure,
-                "score_alone": score(evidence.gains(np.eye(evidence.lights)[[i]])),
+                "score_alone": score(evidence.gains([i])),
                 "brightest_level": float(f"{evidence.brightest[i]:.6g}"),
                 "noise_levels": float(f"{evidence.noise[i]:.6g}"),
             }
@@ -281,10 +287,11 @@ def from_images_answer(result: FromImagesResult) -> tuple[str, str]:
     gains = result.gains
     found = int((gains >= 1.0).sum())
     kind = counted(len(result.images), "image")
+    more = result.bound / max(result.score, 1e-12) - 1.0
     proof = (
         "no other choice scores more (proven)"
         if result.proven
-        else f"no other choice exceeds its score by more than {percent(result.bound / max(result.score, 1e-12) - 1.0)}"
+        else f"no other choice exceeds its score by more than {percent(math.ceil(1000.0 * more) / 1000.0)}"
     )
     if result.evidence.surface_contrast is not None:
         return f"{percent(result.score)}", f"score of {kind} on the good surface; {proof}"

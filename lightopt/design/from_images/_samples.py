@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,14 @@ from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32, UInt8
 from lightopt.core.errors import InputError, counted, refuse
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.images import ImageEntry, ImageSet, Manifest, posture_folder, read_image_set, read_png
+from lightopt.design.from_images._labels import part_pixels, read_labels, read_mask
+from lightopt.design.from_images._sensor_noise import ROUNDING
+from lightopt.images import ImageEntry, ImageSet, Manifest, read_image_set
 
 MOST_SATURATED = 0.001  # of several exposures of a light, the longest is used that saturates at most this share
 LIT_SHARE = 0.02  # of full scale; without a geometry image, what no light makes brighter is background
-
-_TOUCHING = np.ones((3, 3), np.bool_)
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,11 @@ class Samples:
         """Highest level above black that the camera delivers [sensor level]."""
         return self.manifest.max_level - self.manifest.black_level
 
+    @property
+    def unsaturated(self) -> float:
+        """Level above black from which on a pixel is saturated, less rounding [sensor level]."""
+        return self.manifest.saturated_from - self.manifest.black_level - 0.5
+
     def entry(self, number: int, channel: Channel, posture: Posture) -> ImageEntry:
         key = (channel.light, posture, channel.exposure)
         return next(entry for entry in self.sets[number].images if entry.key == key)
@@ -78,12 +84,13 @@ def sensor_levels(image_set: ImageSet, entry: ImageEntry) -> Float32:
     return np.minimum(levels, np.float32(manifest.max_level - manifest.black_level))
 
 
-def read_samples(paths: Sequence[Path], region: Path | None = None) -> Samples:
+def read_samples(paths: Sequence[Path], region: Path | None = None, run: RunContext | None = None) -> Samples:
     """Read image sets, and check that they are of the same lights, exposures, postures and sensor.
 
     region: PNG that is not 0 where the part is to be inspected, in all postures
     Raises InputError: One message per problem: of a set, of its masks, or what differs between sets.
     """
+    run = run or RunContext()
     sets = tuple(read_image_set(path) for path in paths)
     first = sets[0]
     homes = [one.folder.resolve() for one in sets]
@@ -100,8 +107,8 @@ def read_samples(paths: Sequence[Path], region: Path | None = None) -> Samples:
     )
     shape = first.load(first.images[0]).levels.shape
     problems: list[str] = []
-    found = [_labels(one, postures, shape, problems) for one in sets]
-    shown = None if region is None else _mask(region, shape, problems) > 0
+    found = [read_labels(one, postures, shape, problems, run) for one in sets]
+    shown = None if region is None else read_mask(region, shape, problems)
     if shown is not None and not problems and not shown.any():
         problems.append(f"{region}: 0 everywhere; expected a picture that is not 0 where the part is to be inspected")
     refuse(problems)
@@ -114,7 +121,7 @@ def read_samples(paths: Sequence[Path], region: Path | None = None) -> Samples:
         defects=tuple(names for _, names in found),
         regions=(),
     )
-    regions = tuple(_region(samples, posture) if shown is None else shown for posture in postures)
+    regions = tuple(_region(samples, p) if shown is None else shown for p in range(len(postures)))
     if not all(one.any() for one in regions):
         dark = f"no pixel is brighter than {LIT_SHARE:.0%} of full scale"
         raise InputError(f"{first.folder}: {dark}; take longer exposures, or give a mask with option 'region'")
@@ -159,63 +166,19 @@ def _channel(sets: Sequence[ImageSet], light: str) -> Channel:
     return Channel(light, exposures[0])
 
 
-def _labels(
-    one: ImageSet, postures: Sequence[Posture], shape: tuple[int, ...], problems: list[str]
-) -> tuple[Int32, tuple[str, ...]]:
-    # labels of a set's postures and the names of its defects: those of its masks, else those that it was rendered with
-    labels = np.full((len(postures), *shape), -1, np.int32)
-    paths = [one.path(f"masks/{posture_folder(posture)}.png") for posture in postures]
-    if len(postures) == 1 and not paths[0].is_file():
-        paths = [one.path("mask.png")]
-    folder = one.path("masks")
-    unknown = sorted(set(folder.glob("*.png")) - set(paths)) if folder.is_dir() else []
-    problems += [
-        f"{path}: the set has no such posture; expected a name such as masks/{posture_folder(postures[0])}.png"
-        for path in unknown
-    ]
-    if any(path.is_file() for path in paths):
-        names: list[str] = []
-        for number, (path, posture) in enumerate(zip(paths, postures, strict=True)):
-            if path.is_file():
-                labelled: Any = ndimage.label(_mask(path, shape, problems) > 0, _TOUCHING)
-                found, count = labelled
-                labels[number] = np.where(found > 0, found - 1 + len(names), -1)
-                where = f"{posture} " if len(postures) > 1 else ""
-                names += [f"{where}{i + 1}" for i in range(count)]
-        return labels, tuple(names)
-    listed = one.manifest.extra.get("defects")
-    if not isinstance(listed, list):
-        return labels, ()
-    for entry in one.geometry:
-        channels = one.load_geometry(entry)
-        if entry.posture in postures and "defect" in channels and channels["defect"].shape == shape:
-            labels[postures.index(entry.posture)] = channels["defect"].astype(np.int32)
-    return labels, tuple(str(defect.get("name", i + 1)) for i, defect in enumerate(listed))
-
-
-def _mask(path: Path, shape: tuple[int, ...], problems: list[str]) -> Int32:
-    # a PNG of the images' size; zeros, and a problem, where it is of another one
-    mask = read_png(path)
-    if mask.shape != shape:
-        sizes = f"a mask of {mask.shape[1]} × {mask.shape[0]} px for images of {shape[1]} × {shape[0]} px"
-        problems.append(f"{path}: {sizes}; expected the same size")
-        return np.zeros(shape, np.int32)
-    return mask.astype(np.int32)
-
-
-def _region(samples: Samples, posture: Posture) -> Bool:
-    # pixels of the part: by the geometry of a rendered set, else those that some light makes brighter than background
-    for one in samples.sets:
-        for entry in one.geometry:
-            if entry.posture == posture:
-                return one.load_geometry(entry)["Z"] > 0.0
+def _region(samples: Samples, p: int) -> Bool:
+    # of the part: by the geometry of a rendered set, else what some light makes brighter than background, or is masked
+    posture = samples.postures[p]
+    shown = part_pixels(samples.sets, posture, samples.labels.shape[2:])
+    if shown is not None:
+        return shown
     brightest = samples.load(0, samples.channels[0], posture)
     for channel in samples.channels[1:]:
         brightest = np.maximum(brightest, samples.load(0, channel, posture))
-    return brightest > LIT_SHARE * samples.limit
+    lit = brightest > LIT_SHARE * samples.limit
+    return lit | (samples.labels[:, p] >= 0).any(axis=0) if lit.any() else lit
 
 
-USED_RANGE = 0.95  # of the range up to saturation that 99.9 % of the part's pixels of an image may reach
 MOST_LONGER = 100.0  # times that of the samples, an exposure may be
 
 _STEPS = 1000  # of brightness, of lights whose levels are unknown
@@ -240,30 +203,30 @@ class Agreement:
     exposure: float
     pixels: int
     rms: float  # [sensor level]
+    noise: float  # rms that the sensor's noise and rounding alone make of all images that are compared [sensor level]
     means_rms: float  # of means over squares of 5 × 5 px, where all of them are compared [sensor level]
 
 
 def chosen_images(
-    samples: Samples, brightest: Float64, weights: Float64, levels: Mapping[str, int]
+    samples: Samples, tops: Sequence[float], weights: Float64, room: float, levels: Mapping[str, int]
 ) -> tuple[ChosenImage, ...]:
     """The images of weights (N, K) on the samples' images, each as long as saturation allows.
 
-    brightest: Of each light's image the level above black that 0.1 % of the part's pixels exceed [sensor level], (K,)
+    tops: Of each image of these weights the level above black that 0.1 % of the part's pixels exceed [sensor level]
+    room: What it may be
     levels: Controller level of a light at full brightness, where it is known: its weights are whole levels
     Raises InputError: The lights of an image leave the part black.
     """
     exposures = np.array([channel.exposure for channel in samples.channels])
-    room = USED_RANGE * (samples.manifest.saturated_from - samples.manifest.black_level)
     images: list[ChosenImage] = []
-    for number, row in enumerate(weights, start=1):
+    for number, (row, top) in enumerate(zip(weights, tops, strict=True), start=1):
         brightness = row * exposures  # a light that was exposed longer is darker than its image
-        top = float(row @ brightest)
         longest = float(brightness.max())
         if not top * MOST_LONGER > room:
             lights = ", ".join(c.light for c, share in zip(samples.channels, row, strict=True) if share)
             black = f"99.9 % of the part's pixels are black under {lights}, or nearly so"
             raise InputError(f"{samples.sets[0].folder}: {black}; ask for fewer images, or leave the light out")
-        exposure = room / top * longest
+        exposure = room / float(top) * longest
         lit: dict[str, float] = {}
         for channel, share in zip(samples.channels, brightness / brightness.max(), strict=True):
             steps = levels.get(channel.light, _STEPS)
@@ -302,7 +265,7 @@ def synthesise(
             levels = samples.load(number, channel, posture)
             share = image.weights[channel.light] * (exposure or image.exposure) / channel.exposure
             total = total + np.float32(share) * levels
-            saturated = saturated | (levels >= manifest.saturated_from - manifest.black_level - 0.5)
+            saturated = saturated | (levels >= samples.unsaturated)
     return np.asarray(total, np.float32) + np.float32(manifest.black_level), np.asarray(saturated, np.bool_)
 
 
@@ -313,11 +276,12 @@ def quantised(samples: Samples, levels: Float32) -> UInt8 | NDArray[np.uint16]:
 
 
 def compare_captured(
-    samples: Samples, images: Sequence[ChosenImage], captured: ImageSet
+    samples: Samples, images: Sequence[ChosenImage], captured: ImageSet, sensor: tuple[float, float]
 ) -> tuple[str, tuple[Agreement, ...]]:
     """Compare a captured set with the images of the set that shows the same sample: that which agrees best.
 
     captured: Its lights are the names of `images`.
+    sensor: Variance of the sensor's noise, rounding included: at level 0, and its increase per level
     Returns: Name of the samples' set, and each image of it.
     Raises InputError: The captured set has none of the images, or they are of another size or saturated all over.
     """
@@ -327,7 +291,7 @@ def compare_captured(
         found = ", ".join(sorted({entry.light for entry in captured.images}))
         raise InputError(f"{captured.folder}: none of the chosen images: expected {', '.join(known)}, found {found}")
     found = [
-        [_agreement(samples, number, known[entry.light], captured, entry) for entry in entries]
+        [_agreement(samples, number, known[entry.light], captured, entry, sensor) for entry in entries]
         for number in range(len(samples.sets))
     ]
     best = min(range(len(found)), key=lambda i: _rms_of_all(found[i], "rms"))
@@ -336,12 +300,23 @@ def compare_captured(
     return samples.names[best], tuple(found[best])
 
 
-def _rms_of_all(found: Sequence[Agreement], key: Literal["rms", "means_rms"]) -> float:
+def _variance(sensor: tuple[float, float], levels: Float32) -> Float64:
+    return sensor[0] + sensor[1] * np.maximum(levels, 0.0).astype(np.float64)
+
+
+def _rms_of_all(found: Sequence[Agreement], key: Literal["rms", "noise", "means_rms"]) -> float:
     pixels = sum(one.pixels for one in found)
     return math.sqrt(sum(getattr(one, key) ** 2 * one.pixels for one in found) / pixels) if pixels else math.inf
 
 
-def _agreement(samples: Samples, number: int, image: ChosenImage, captured: ImageSet, entry: ImageEntry) -> Agreement:
+def _agreement(
+    samples: Samples,
+    number: int,
+    image: ChosenImage,
+    captured: ImageSet,
+    entry: ImageEntry,
+    sensor: tuple[float, float],
+) -> Agreement:
     levels, saturated = synthesise(samples, number, image, entry.posture, exposure=entry.exposure)
     taken = captured.load(entry)
     if taken.levels.shape != levels.shape:
@@ -351,6 +326,10 @@ def _agreement(samples: Samples, number: int, image: ChosenImage, captured: Imag
     used = samples.regions[samples.postures.index(entry.posture)] & ~saturated & ~taken.saturated
     used &= levels < samples.manifest.saturated_from
     off = np.where(used, own - np.asarray(quantised(samples, levels), np.float32), 0.0)
+    variance = ROUNDING + _variance(sensor, levels[used] - samples.manifest.black_level)
+    for channel in samples.channels:
+        share = image.weights.get(channel.light, 0.0) * entry.exposure / channel.exposure
+        variance = variance + share**2 * _variance(sensor, samples.load(number, channel, entry.posture)[used])
     whole = ndimage.uniform_filter(used.astype(np.float32), _MEAN_PX) > 0.999
     means = np.asarray(ndimage.uniform_filter(off, _MEAN_PX), np.float32)[whole]
     return Agreement(
@@ -359,6 +338,7 @@ def _agreement(samples: Samples, number: int, image: ChosenImage, captured: Imag
         exposure=entry.exposure,
         pixels=int(used.sum()),
         rms=_rms(off[used]),
+        noise=float(np.sqrt(np.mean(variance))) if variance.size else 0.0,
         means_rms=_rms(means),
     )
 
@@ -369,8 +349,9 @@ def _rms(values: Float32) -> float:
 
 def agreement_text(name: str, found: Sequence[Agreement]) -> str:
     pixels = sum(one.pixels for one in found)
+    rms, noise, means = (_rms_of_all(found, key) for key in ("rms", "noise", "means_rms"))
+    images, own = counted(len(found), "captured image"), f"the sensor's noise makes {noise:.2f}"
     return (
-        f"{counted(len(found), 'captured image')} against images synthesised from {name}: "
-        f"{_rms_of_all(found, 'rms'):.2f} levels rms, {_rms_of_all(found, 'means_rms'):.2f} as means of {_MEAN_PX} × "
-        f"{_MEAN_PX} px, at {counted(pixels, 'unsaturated pixel')}"
+        f"{images} against images synthesised from {name}: {rms:.2f} levels rms, of which {own}; "
+        f"{means:.2f} as means of {_MEAN_PX} × {_MEAN_PX} px; at {counted(pixels, 'unsaturated pixel')}"
     )

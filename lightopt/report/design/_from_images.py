@@ -12,11 +12,10 @@ _DEFECTS = 500  # rows
 
 
 def chosen_table(result: FromImagesResult) -> _page.Table:
-    alone = result.evidence.gains
-    rows: list[list[str]] = []
-    for image, weights in zip(result.images, result.weights, strict=True):
-        found = int((alone(weights[None]) >= 1.0).sum())
-        rows.append([image.name, result.lights_text(image), f"{image.exposure:.3g}", str(found)])
+    rows = [
+        [image.name, result.lights_text(image), f"{image.exposure:.3g}", str(found)]
+        for image, found in zip(result.images, result.found_alone, strict=True)
+    ]
     return _page.Table(
         header=["image", "lights", "exposure", "found alone"],
         rows=rows,
@@ -65,10 +64,10 @@ def from_images_report(result: FromImagesResult) -> str:
         name, found = result.agreement
         rows = [
             [one.image, str(one.posture), f"{one.exposure:g}", f"{one.pixels:,}"]
-            + [f"{rms:.2f}" for rms in (one.rms, one.means_rms)]
+            + [f"{rms:.2f}" for rms in (one.rms, one.noise, one.means_rms)]
             for one in found
         ]
-        header = ["image", "posture", "exposure", "pixels", "rms [levels]", "rms of means"]
+        header = ["image", "posture", "exposure", "pixels", "rms [levels]", "of noise", "rms of means"]
         note = _page.Note(text=f"{agreement_text(name, found)}.")
         blocks = [note, _page.Table(header=header, rows=rows, numbers_from=2)]
         sections.append(_page.Section(heading="Against captured images", blocks=blocks))
