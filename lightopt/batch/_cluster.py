@@ -1,6 +1,7 @@
 """Where work runs beside this process: an embedded Dask cluster of this machine, or a Dask cluster elsewhere."""
 
 import asyncio
+import atexit
 import json
 import logging
 import math
@@ -137,6 +138,7 @@ def local_cluster(number: int) -> Generator["LocalCluster"]:
     with (
         tempfile.TemporaryDirectory(prefix="lightopt-", ignore_cleanup_errors=True) as folder,
         dask.config.set(settings),
+        _without_a_last_word(),
         start(
             n_workers=number,
             threads_per_worker=1,
@@ -150,6 +152,18 @@ def local_cluster(number: int) -> Generator["LocalCluster"]:
         ) as cluster,
     ):
         yield cluster
+
+
+@contextmanager
+def _without_a_last_word() -> Generator[None]:
+    """After Ctrl-C, let Dask not close a second time, with a traceback, what it had not begun to start."""
+    from distributed.deploy.spec import close_clusters
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        atexit.unregister(close_clusters)
+        raise
 
 
 def dask_setup(_worker: object) -> None:

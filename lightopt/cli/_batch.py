@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lightopt.cli import _common as common
+from lightopt.cli._process import INTERRUPTED
 from lightopt.cli._terminal import echo, echo_error, echo_paths, run_context, show_table, with_flags
 from lightopt.core.errors import CheckFailed, counted
 
@@ -146,7 +147,8 @@ def _refusals(line: list[str]) -> Sequence[str]:
 
     token = common.ONLY_OPTIONS.set(True)
     try:
-        parser()(line, prog_name="lightopt", standalone_mode=False)
+        if parser()(line, prog_name="lightopt", standalone_mode=False) == INTERRUPTED:
+            raise KeyboardInterrupt
     except common.OptionsRead:
         return ()
     except Exception as error:

@@ -463,6 +463,15 @@ def test_options_are_checked_without_a_file(command, tmp_path, monkeypatch, caps
     assert capsys.readouterr() == ("", "")
 
 
+def test_ctrl_c_while_options_are_checked(monkeypatch):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lightopt.cli._common.options_are_read", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        list(command_form("check").problems({}))
+
+
 HARDWARE = """\
 hardware:
   controllers: {main: {driver: ccs, port: PORT, channels: 4}}

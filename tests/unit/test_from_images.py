@@ -346,6 +346,11 @@ def test_lights_of_the_written_rig_do_not_move(tmp_path, cli):
     lights = "".join(f"  - {light % (i, 90 * i)}\n" for i in range(1, 5))
     rig = tmp_path / "rig.yaml"
     rig.write_text(RIG[: RIG.index("lights:")] + "light_source: {size_mm: [60, 60], points: 4}\nlights:\n" + lights)
+    mixed = cli(
+        "optimize", "--from-images", *map(str, sets), "--rig", str(rig), "-k", "2", "-o", str(tmp_path), "--mix"
+    )
+    assert mixed.status == 2
+    assert "rig.yaml: --mix shows several lights in an image, and " in mixed.err
     ran = cli("optimize", "--from-images", *map(str, sets), "--rig", str(rig), "-k", "2", "-o", str(tmp_path / "out"))
     assert ran.status == 0, ran.err
     assert "range" not in (tmp_path / "out" / "rig.optimized.yaml").read_text(encoding="utf-8")

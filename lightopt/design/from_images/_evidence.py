@@ -41,7 +41,7 @@ _POOLED_PX = 7  # variances are means over squares of this side
 _MOST_WINDOWS = 4096  # of good samples per set and posture for the correlation of lights
 _MOST_TILES = 256  # windows of the surface that stand for defects where there are none
 _LEAST_BLOCKS = 30  # of good samples, for the variance of their sums
-_SATURATED = 0.01  # share of the part's pixels from which on a light is reported as saturated
+_SATURATED = 0.001  # share of the part's pixels from which on exposures are unknown that saturate none
 USED_RANGE = 0.95  # of the range up to saturation that 99.9 % of the part's pixels of an image may reach
 _HEADROOM = 3.0  # standard deviations of the sensor's noise below saturation, where that is less
 _MOST_PIXELS = 10_000  # of the part, whose levels tell where mixed lights saturate
@@ -434,7 +434,8 @@ def _warn(
         if (share := max(one.saturated for one in own)) > _SATURATED
     ]
     if saturated:
-        run.warn(f"saturated pixels, which show no defect: {_first_five(saturated)}; take shorter exposures as well")
+        unknown = "take shorter exposures as well, for those chosen here saturate these pixels, too"
+        run.warn(f"saturated pixels, which show no defect: {_first_five(saturated)}; {unknown}")
 
 
 def _first_five(names: list[str]) -> str:

@@ -96,7 +96,7 @@ def optimize_from_images(
     run = run or RunContext()
     refuse(filter(None, [false_alarms_problem(options.false_alarms)]))
     samples = _samples.read_samples(sets, region, run)
-    loaded = None if rig is None else _rig_of(samples, rig)
+    loaded = None if rig is None else _rig_of(samples, rig, mix=options.mix)
     if not 1 <= options.images <= len(samples.channels):
         lights = f"1 to {len(samples.channels)}, the number of lights in the sets"
         raise InputError(f"option 'images': expected a number from {lights}, found {options.images}")
@@ -187,7 +187,7 @@ def finish_from_images(output: files.ResultFolder, result: FromImagesResult, pag
     return [*paths, rig if rig.is_file() else output.folder / PROGRAMME_NAME, output.folder / IMAGES_FOLDER]
 
 
-def _rig_of(samples: _samples.Samples, path: Path) -> RigConfig:
+def _rig_of(samples: _samples.Samples, path: Path, *, mix: bool) -> RigConfig:
     rig = load_rig(path)
     if rig.programme is not None:
         raise InputError(f"{path}: has a programme; give the rig file without it, whose lights the sets show")
@@ -195,6 +195,10 @@ def _rig_of(samples: _samples.Samples, path: Path) -> RigConfig:
     missing = [channel.light for channel in samples.channels if channel.light not in names]
     if missing:
         raise InputError(f"{path}: no light {', '.join(missing[:5])}, which the sets show; it has {', '.join(names)}")
+    panels = [light.name for light in rig.lights if light.kind == "panel"] if mix and len(rig.lights) > 1 else []
+    if panels:
+        shown = f"option 'mix' shows several lights in an image, and {', '.join(panels[:5])} are panels"
+        raise InputError(f"{path}: {shown}, which images show alone; write kind: bar in this file, or omit the option")
     return rig
 
 
