@@ -117,6 +117,8 @@ def optimize_from_images(
         gains, alone = mixed.gains(weights), [mixed.gains(row[None]) for row in weights]
     else:
         gains, alone = evidence.gains(choice.lights), [evidence.gains([i]) for i in choice.lights]
+    if not (gains >= 1.0).any():
+        run.warn("no choice of lights shows any of the defects: these come nearest, and show no more than noise may")
     taken = None if captured is None else files.read_image_set(captured)
     agreement = None if taken is None else _samples.compare_captured(samples, chosen, taken, evidence.sensor)
     return FromImagesResult(
