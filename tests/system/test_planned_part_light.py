@@ -61,7 +61,7 @@ def bounced(own, posture):
 
 
 @pytest.mark.parametrize("reflectance", [MATTE, SATIN, BRUSHED], ids=["matte", "satin", "brushed"])
-@pytest.mark.parametrize("most", [300, 10**6])
+@pytest.mark.parametrize("most", [300, pytest.param(10**6, marks=pytest.mark.slow)])
 def test_patches_show_the_light_that_images_show(reflectance, most, monkeypatch):
     monkeypatch.setattr(_bounced_patches, "MOST", most)
     scene = scene_from_mesh(CAMERA, LIGHTS, ditch(), reflectance=reflectance)
