@@ -71,7 +71,10 @@ def process_of(_item: int) -> int:
 
 
 @pytest.mark.slow
-def test_a_posture_returns_to_the_process_that_has_its_images():
+def test_a_posture_returns_to_the_process_that_has_its_images(monkeypatch):
+    monkeypatch.delenv(
+        "MALLOC_TRIM_THRESHOLD_", raising=False
+    )  # Dask leaves it here where a test had a cluster of its own
     passes: list[dict[int, int]] = [{}, {}, {}]
     with other_processes(Workers(number=2), RunContext()) as run:
         assert run.pool is not None
