@@ -72,9 +72,8 @@ def process_of(_item: int) -> int:
 
 @pytest.mark.slow
 def test_a_posture_returns_to_the_process_that_has_its_images(monkeypatch):
-    monkeypatch.delenv(
-        "MALLOC_TRIM_THRESHOLD_", raising=False
-    )  # Dask leaves it here where a test had a cluster of its own
+    # Dask leaves it here where a test had a cluster of its own
+    monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
     passes: list[dict[int, int]] = [{}, {}, {}]
     with other_processes(Workers(number=2), RunContext()) as run:
         assert run.pool is not None
