@@ -138,7 +138,7 @@ def local_cluster(number: int) -> Generator["LocalCluster"]:
     with (
         tempfile.TemporaryDirectory(prefix="lightopt-", ignore_cleanup_errors=True) as folder,
         dask.config.set(settings),
-        _without_a_last_word(),
+        _closed_once(),
         start(
             n_workers=number,
             threads_per_worker=1,
@@ -155,8 +155,8 @@ def local_cluster(number: int) -> Generator["LocalCluster"]:
 
 
 @contextmanager
-def _without_a_last_word() -> Generator[None]:
-    """After Ctrl-C, let Dask not close a second time, with a traceback, what it had not begun to start."""
+def _closed_once() -> Generator[None]:
+    """After Ctrl-C, keep Dask from closing clusters again at exit: with a traceback for one that had not started."""
     from distributed.deploy.spec import close_clusters
 
     try:

@@ -74,11 +74,9 @@ def run_batch(
 
 def _unseen(tasks: Sequence[Task], outcomes: Mapping[str, Outcome]) -> dict[str, Outcome]:
     """Failures of tasks whose results workers elsewhere have put where this machine does not see them."""
-    begun, hidden = monotonic(), list(tasks)
-    while True:
-        hidden = [task for task in hidden if _succeeded(outcomes.get(task.place)) and published(task) is None]
-        if not hidden or monotonic() - begun > _SHARED_S:
-            break
+    begun = monotonic()
+    hidden = [task for task in tasks if task.place in outcomes and outcomes[task.place].succeeded]
+    while (hidden := [task for task in hidden if published(task) is None]) and monotonic() - begun <= _SHARED_S:
         sleep(0.5)
     found = dict[str, Outcome]()
     for task in hidden:
@@ -87,10 +85,6 @@ def _unseen(tasks: Sequence[Task], outcomes: Mapping[str, Outcome]) -> dict[str,
         messages = (f"{reason}; workers need the same output folder, on a shared file system",)
         found[task.place] = replace(outcome, state="failed", messages=messages)
     return found
-
-
-def _succeeded(outcome: Outcome | None) -> bool:
-    return outcome is not None and outcome.succeeded
 
 
 SUMMARY_NAME, PAGE_NAME = "summary.csv", "report.html"

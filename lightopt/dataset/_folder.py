@@ -13,12 +13,8 @@ MANIFEST, FORMAT = "dataset.json", "lightopt-dataset/1"
 INVISIBLE = "invisible"  # folder of images whose defects none can find
 TRAIN_DEFECTS = "train_defects"  # folder of images with visible defects in the split train
 
-_OF_SAMPLES = (
-    "images",
-    "labels",
-    INVISIBLE,
-    TRAIN_DEFECTS,
-)  # folders of a view whose files begin with the number of a sample
+# folders of a view whose files begin with the number of a sample
+_OF_SAMPLES = ("images", "labels", INVISIBLE, TRAIN_DEFECTS)
 _NUMBER = "[0-9]" * 6
 
 

@@ -26,6 +26,7 @@ from ._patches import (
     build_patches as build_patches,
     camera_visibility,
     grain_of,
+    marks_by_area,
     patch_pixels as patch_pixels,
     patch_positions,
     patches_for_edge,

@@ -19,6 +19,7 @@ from lightopt.lights import PanelLight
 from lightopt.rendering._bounced_images import ALIKE
 from lightopt.rendering._caustics import ENOUGH, landed_light
 from lightopt.rendering._interreflection import PartLight
+from lightopt.rendering._patches import marks_by_area
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PartView, Scene
 
@@ -69,8 +70,7 @@ class BouncedPatches:
         # every part of the surface by its area, in the order of the mesh
         if len(self.areas) <= MOST:
             return np.arange(len(self.areas))
-        marks = np.floor(np.cumsum(self.areas) / (self.areas.sum() / MOST) + 0.5)
-        return np.flatnonzero(np.diff(marks, prepend=0.0) > 0.0)
+        return np.flatnonzero(marks_by_area(self.areas, MOST) > 0.0)
 
     @cached_property
     def _nearest(self) -> Index:

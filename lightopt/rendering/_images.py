@@ -45,9 +45,10 @@ _log = logging.getLogger("lightopt.rendering")
 # large enough to hide Python's overhead
 BLOCK_SAMPLES = 49_152
 
+ERROR_WINDOW = 5  # rows and columns of pixels, of whose errors each has the greatest
+
 # Means over pixels take so many rays a side, where second and fourth differences of neighbouring levels are above the
 # camera's noise. Elsewhere a twenty-fourth of the second differences is the mean's, to a few hundredths of the noise.
-ERROR_WINDOW = 5  # rows and columns of pixels, of whose errors each has the greatest
 RAYS_ACROSS = 3
 
 

@@ -335,6 +335,12 @@ def patch_positions(table: PatchTable, scene: Scene, posture: Posture) -> tuple[
     return columns, rows
 
 
+def marks_by_area(areas: Float64, count: int) -> Float64:
+    """How many of `count` marks at equal distances along the running sum of the areas each patch has, shape (n,)."""
+    each = areas.sum() / count
+    return np.diff(np.floor(np.cumsum(areas) / each + 0.5), prepend=0.0)
+
+
 def grain_of(areas: Float64) -> float:
     """How far a share of an area may be off since each patch counts as its middle does, 0 to 1.
 

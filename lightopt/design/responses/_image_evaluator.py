@@ -30,7 +30,7 @@ from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix,
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import expose
-from lightopt.rendering import BouncedPatches, PatchTable, SurfacePoints, shade_isolated, shadow_targets
+from lightopt.rendering import BouncedPatches, PatchTable, SurfacePoints, marks_by_area, shade_isolated, shadow_targets
 from lightopt.scene import Scene, surface_share, view_from_part
 
 BLOCK_PATCHES = 1 << 12  # patches whose levels, under all hypotheses, are in the processor's caches together
@@ -439,11 +439,9 @@ def drawn_patches(table: PatchTable, count: int) -> PatchTable:
     if len(seen) <= count:
         return table
     areas = table.patches.areas[seen]
-    each = areas.sum() / count
-    ends = np.floor(np.cumsum(areas) / each + 0.5)
-    marks = np.diff(ends, prepend=0.0)
+    marks = marks_by_area(areas, count)
     chosen = np.zeros(len(table.patches), np.bool_)
     chosen[seen[marks > 0.0]] = True
     drawn = np.zeros(len(table.patches))
-    drawn[seen] = marks * each
+    drawn[seen] = marks * (areas.sum() / count)
     return replace(table, patches=replace(table.patches, areas=drawn), visible=table.visible & chosen)
