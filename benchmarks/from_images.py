@@ -211,7 +211,8 @@ programme:
   - {name: three, lights: {ring-1: 1, ring-2: 0.5, ring-4: 0.75}, exposures: [0.4]}
   - {name: all-on, lights: {ring-1: 1, ring-2: 1, ring-3: 1, ring-4: 1}, exposures: [0.25]}
 """
-SENSORS = {"as filed": (0.8, 60.0), "hardly any noise": (0.1, 1e6)}
+# read noise, electrons per level, frames per image
+SENSORS = {"as filed": (0.8, 60.0, 1), "as filed, mean of 4 frames": (0.8, 60.0, 4), "hardly any noise": (0.1, 1e6, 1)}
 
 
 def captured_table(size: Size) -> Table:
@@ -221,7 +222,7 @@ def captured_table(size: Size) -> Table:
     text = text.replace("640, 480", f"{2 * size.width}, {2 * size.width * 3 // 4}")
     text = text.replace("pixel_size_um: 11", f"pixel_size_um: {11 * 320 / size.width:g}")
     part = CONFIGS / "parts" / "cover-knob.yaml"
-    for name, (read, electrons) in SENSORS.items():
+    for name, (read, electrons, frames) in SENSORS.items():
         sensor = f"black_level: 12, read_noise_levels: {read:g}, electrons_per_level: {electrons:g}"
         own = re.sub(r"black_level: 0, read_noise_levels: 0.8, electrons_per_level: 60", sensor, text)
         with tempfile.TemporaryDirectory() as folder:
@@ -230,12 +231,13 @@ def captured_table(size: Size) -> Table:
             several.write_text(own + PROGRAMME, encoding="utf-8")
             sets = [rig.with_suffix("") for rig in (single, several)]
             for rig, target in zip((single, several), sets, strict=True):
-                run_command("capture", rig, part, "-o", target, "--posture", "0,0", "--quiet")
+                run_command("capture", rig, part, "-o", target, "--posture", "0,0", "--average", str(frames), "--quiet")
             images = [
                 ChosenImage(name=image.name, weights=dict(image.lights), exposure=(image.exposures or (1.0,))[0])
                 for image in load_rig(several).programme or ()
             ]
-            variance = read**2 + ROUNDING, 1.0 / electrons
+            rounding = ROUNDING / frames + (ROUNDING if frames > 1 else 0.0)  # of each frame, and of their mean
+            variance = read**2 / frames + rounding, 1.0 / electrons / frames
             _, found = compare_captured(read_samples([sets[0]]), images, read_image_set(sets[1]), variance)
         for one in found:
             beyond = math.sqrt(max(0.0, one.rms**2 - one.noise**2))

@@ -1,7 +1,6 @@
 """Where work runs beside this process: an embedded Dask cluster of this machine, or a Dask cluster elsewhere."""
 
 import asyncio
-import atexit
 import json
 import logging
 import math
@@ -17,6 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 from lightopt.core.errors import InputError, error_text
+from lightopt.core.interrupts import held_back
 from lightopt.core.provenance import computed_by, differences
 from lightopt.core.run_context import RunContext
 
@@ -134,40 +134,29 @@ def local_cluster(number: int) -> Generator["LocalCluster"]:
     key = "distributed.nanny.pre-spawn-environ"
     environment = {name: value for name, value in dask.config.get(key).items() if name != "MALLOC_TRIM_THRESHOLD_"}
     settings = {"distributed.worker.profile.enabled": False, key: environment}
-    # one thread each; the network sees neither the processes nor a dashboard
-    with (
-        tempfile.TemporaryDirectory(prefix="lightopt-", ignore_cleanup_errors=True) as folder,
-        dask.config.set(settings),
-        _closed_once(),
-        start(
-            n_workers=number,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            dashboard_address=None,
-            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # of its answers to "are you well"
-            memory_limit=0,
-            silence_logs=logging.CRITICAL,
-            local_directory=folder,
-            preload=["lightopt.batch._cluster"],
-        ) as cluster,
-    ):
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lightopt-", ignore_cleanup_errors=True))
+        stack.enter_context(dask.config.set(settings))
+        # Ctrl-C would leave it half started, with a traceback of each worker
+        with held_back():
+            # one thread each; the network sees neither the processes nor a dashboard
+            cluster = start(
+                n_workers=number,
+                threads_per_worker=1,
+                host="127.0.0.1",
+                dashboard_address=None,
+                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # of its answers to "are you well"
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+                local_directory=folder,
+                preload=["lightopt.batch._cluster"],
+            )
+            stack.enter_context(cluster)
         yield cluster
 
 
-@contextmanager
-def _closed_once() -> Generator[None]:
-    """After Ctrl-C, keep Dask from closing clusters again at exit: with a traceback for one that had not started."""
-    from distributed.deploy.spec import close_clusters
-
-    try:
-        yield
-    except KeyboardInterrupt:
-        atexit.unregister(close_clusters)
-        raise
-
-
 def dask_setup(_worker: object) -> None:
-    """Let a worker of this machine ignore Ctrl-C, which the terminal sends it, too; Dask calls it in each."""
+    """Let a worker of this machine ignore Ctrl-C, which a terminal of Windows sends it, too; Dask calls it in each."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -7,8 +7,12 @@ they need when they run.
 
 def main() -> None:
     """Run the command line and leave with its exit status."""
+    import os
     import sys
 
+    # before NumPy is loaded: the matrices are small, so that threads of BLAS cost more than they gain, beside those of
+    # lightopt; and sums would depend on how many there are
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from lightopt.cli._process import run_process
 
     sys.exit(run_process(_run))

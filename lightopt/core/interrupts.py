@@ -11,6 +11,8 @@ import signal
 import subprocess
 import threading
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
@@ -41,6 +43,32 @@ def start_apart(arguments: list[str], **options: Any) -> subprocess.Popen[Any]:
     # in a group of its own
     apart: dict[str, Any] = {"creationflags": 0x00000200} if os.name == "nt" else {"start_new_session": True}
     return subprocess.Popen(arguments, **apart, **options)  # noqa: S603  (without a shell)
+
+
+@contextmanager
+def held_back() -> Generator[None]:
+    """Keep Ctrl-C for the end of the block, where starting something must not be interrupted half way.
+
+    Processes that are started in it, or by threads that are, never get it; on Windows they do.
+    """
+    came = list[int]()
+    in_main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number)) if in_main else None
+    blocked = None
+    if hasattr(signal, "pthread_sigmask"):
+        from multiprocessing import resource_tracker
+
+        resource_tracker.ensure_running()  # which would unblock it in the thread that starts the first process
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        if blocked is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        if in_main:
+            signal.signal(signal.SIGINT, handler)
+    if came:
+        signal.raise_signal(signal.SIGINT)
 
 
 def _send_again(number: int) -> None:

@@ -65,26 +65,31 @@ def test_rendered_samples_need_no_masks_and_the_choice_is_the_best_of_all(tmp_pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("read_noise", "electrons"), [("0.1", "100000"), ("0.8", "60")])
-def test_images_of_single_lights_predict_those_of_several(tmp_path, cli, read_noise, electrons):
+@pytest.mark.parametrize(
+    ("read_noise", "electrons", "frames"), [("0.1", "100000", 1), ("0.8", "60", 1), ("0.8", "60", 4)]
+)
+def test_images_of_single_lights_predict_those_of_several(tmp_path, cli, read_noise, electrons, frames):
     sensor = {"read_noise_levels": read_noise, "electrons_per_level": electrons, "black_level": "12"}
     rig, part = small_rig(tmp_path, "ring-quadrants", **sensor), one_posture(tmp_path)
     mixed = tmp_path / "mixed.yaml"
     mixed.write_text(rig.read_text(encoding="utf-8") + PROGRAMME, encoding="utf-8")
-    assert cli("capture", rig, part, "-o", tmp_path / "single").status == 0
-    assert cli("capture", mixed, part, "-o", tmp_path / "several").status == 0
+    assert cli("capture", rig, part, "-o", tmp_path / "single", "--average", frames).status == 0
+    assert cli("capture", mixed, part, "-o", tmp_path / "several", "--average", frames).status == 0
     images = [
         ChosenImage(name="three", weights={"ring-1": 1.0, "ring-2": 0.5, "ring-4": 0.75}, exposure=0.4),
         ChosenImage(name="all-on", weights={f"ring-{i}": 1.0 for i in range(1, 5)}, exposure=0.25),
     ]
     samples = read_samples([tmp_path / "single"])
-    variance = float(read_noise) ** 2 + 1.0 / 12.0, 1.0 / float(electrons)
+    # a mean of frames is rounded to whole levels once more
+    rounding = 1.0 / 12.0 / frames + (1.0 / 12.0 if frames > 1 else 0.0)
+    variance = float(read_noise) ** 2 / frames + rounding, 1.0 / float(electrons) / frames
     name, found = compare_captured(samples, images, read_image_set(tmp_path / "several"), variance)
     assert name == "single"
     assert [one.image for one in found] == ["three", "all-on"]
     for one in found:
         assert one.pixels > 500
-        # of an ordinary sensor, the noise of the images alone exceeds 1 level
+        # of one frame of an ordinary sensor, the noise of the images alone exceeds 1 level
+        assert one.rms < 1.0 or one.noise > 1.0, one
         beyond = math.sqrt(max(0.0, one.rms**2 - one.noise**2))
         assert beyond < 0.25, one
         assert one.means_rms < 0.3, one

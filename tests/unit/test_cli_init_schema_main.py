@@ -244,3 +244,25 @@ def test_defaults_in_the_help_are_those_of_the_library():
     for key, value in expected.items():
         same = shown[key] == value or (isinstance(shown[key], str) and shown[key] == f"{value}".removesuffix(".0"))
         assert same, f"{key}: the help has {shown[key]}, the library {value}"
+
+
+BLAS = """
+import os, sys
+import lightopt.cli
+early = "numpy" not in sys.modules
+sys.argv[1:] = ["--version"]
+try:
+    lightopt.cli.main()
+except SystemExit:
+    print(early, os.environ["OPENBLAS_NUM_THREADS"])
+"""
+
+
+@pytest.mark.parametrize(("set_to", "used"), [(None, "1"), ("3", "3")])
+def test_blas_has_one_thread_unless_the_user_says_otherwise(monkeypatch, set_to, used):
+    if set_to is None:
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    else:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", set_to)
+    ran = subprocess.run([sys.executable, "-c", BLAS], capture_output=True, text=True, check=True)
+    assert ran.stdout.splitlines()[-1] == f"True {used}"

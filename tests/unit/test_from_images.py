@@ -387,6 +387,22 @@ def test_few_good_samples_are_said(tmp_path, good, text):
     assert result.evidence.noise == pytest.approx(1.5, rel=0.25)
 
 
+@pytest.mark.parametrize("number", [1, 6])
+def test_a_sample_of_another_part_is_named(tmp_path, number):
+    # a good one, and a defective one beside its masks
+    levels, masks = drawn_samples(good=5, bad=2)
+    sets = write_samples(tmp_path / "alike", levels, masks)
+    warned: list[str] = []
+    optimize_from_images(sets, options=FromImagesOptions(images=1), run=RunContext(warn=warned.append))
+    assert not any("unlike" in line for line in warned)
+    levels[number] = levels[number][..., ::-1, ::-1]
+    sets = write_samples(tmp_path / "unlike", levels, masks)
+    optimize_from_images(sets, options=FromImagesOptions(images=1), run=RunContext(warn=warned.append))
+    (line,) = (line for line in warned if "unlike" in line)
+    assert line.startswith(f"unlike the other samples: s{number} (")
+    assert "another part" in line
+
+
 @pytest.mark.parametrize(("bad", "text"), [(1, "at most one good sample at each place"), (4, "at most 4 good samples")])
 def test_defects_that_no_good_sample_shows_are_said(tmp_path, bad, text):
     levels, masks = drawn_samples(good=0, bad=bad)

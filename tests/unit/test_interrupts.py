@@ -71,3 +71,42 @@ def test_pythons_own_handler_would_lose_it():
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300)
     assert ran.stdout.splitlines() == ["lock taken", "lost"]
     assert "ignored" in ran.stderr
+
+
+HELD_BACK = """
+import signal, threading
+from lightopt.core.interrupts import held_back, interrupt
+
+signal.signal(signal.SIGINT, interrupt)
+steps = []
+try:
+    with held_back():
+        signal.raise_signal(signal.SIGINT)
+        steps.append("started")
+        # as Dask starts its workers
+        import multiprocessing
+        context = multiprocessing.get_context("spawn")
+        pipe, other = context.Pipe()
+        def start():
+            child = context.Process(target=other.send, args=("a child",))
+            child.start()
+            from pathlib import Path
+            lines = Path(f"/proc/{child.pid}/status").read_text().splitlines()
+            blocked = int(next(line for line in lines if "SigBlk" in line).split()[1], 16)
+            steps.append(bool(blocked & 1 << signal.SIGINT - 1))
+            child.join()
+        thread = threading.Thread(target=start)
+        thread.start()
+        thread.join()
+    steps.append("not reached")
+except KeyboardInterrupt:
+    steps.append("interrupted")
+print(*steps)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads what a process blocks from /proc")
+def test_an_interrupt_waits_for_the_end_of_a_start_and_does_not_reach_what_was_started():
+    ran = subprocess.run([sys.executable, "-c", HELD_BACK], capture_output=True, text=True, timeout=300)
+    assert (ran.stdout.split(), ran.stderr) == (["started", "True", "interrupted"], "")

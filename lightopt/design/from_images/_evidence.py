@@ -45,6 +45,7 @@ _SATURATED = 0.001  # share of the part's pixels from which on exposures are unk
 USED_RANGE = 0.95  # of the range up to saturation that 99.9 % of the part's pixels of an image may reach
 _HEADROOM = 3.0  # standard deviations of the sensor's noise below saturation, where that is less
 _MOST_PIXELS = 10_000  # of the part, whose levels tell where mixed lights saturate
+_UNLIKE = 4.0  # times as far from the other samples as those are from each other: another part, or another place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +119,7 @@ class _Measured:
     brightest: float
     noise: float
     saturated: float  # share of the part's pixels
+    distances: Float64  # of each set from the median of all, median over good pixels [sensor level], shape (sets,)
 
 
 class _Windows:
@@ -325,7 +327,13 @@ def _measure(samples: Samples, p: int, good: Bool, cells: list[_Cells], total: t
         brightest=float(np.percentile(levels, TOP)) if len(levels) else 0.0,
         noise=float(np.sqrt(np.mean(deviation[region] ** 2))),
         saturated=float(np.mean(saturated[known])),
+        distances=_distances(images.reshape(len(images), -1)[:, places], good.reshape(len(good), -1)[:, places]),
     )
+
+
+def _distances(levels: Float32, good: Bool) -> Float64:
+    off = np.abs(levels - np.median(levels, axis=0))
+    return np.array([float(np.median(row[used])) if used.any() else 0.0 for row, used in zip(off, good, strict=True)])
 
 
 def _mixed_differences(images: Float32) -> Float32:
@@ -419,6 +427,9 @@ def _warn(
             number = f"at most {number} at each place, as defective ones count beside their masks"
         spread = "unknown, and noise is that of neighbouring pixels" if good < 2 else "estimated from few of them"
         run.warn(f"{number}: how parts differ is {spread}; take at least 5")
+    if unlike := _unlike_others(np.mean([one.distances for own in lights.measured for one in own], axis=0)):
+        which = ", ".join(f"{samples.names[i]} ({times:.0f} times as far)" for i, times in unlike)
+        run.warn(f"unlike the other samples: {which}; is it another part, or at another place or brightness?")
     if lights.shrinkage > LEAST_OWN:
         towards = f"is shrunk by {percent(lights.shrinkage)} towards independent lights"
         run.warn(f"few windows of good samples: the correlation of lights {towards}")
@@ -436,6 +447,16 @@ def _warn(
     if saturated:
         unknown = "take shorter exposures as well, for those chosen here saturate these pixels, too"
         run.warn(f"saturated pixels, which show no defect: {_first_five(saturated)}; {unknown}")
+
+
+def _unlike_others(distances: Float64) -> list[tuple[int, float]]:
+    # sets, and how many times as far from the median as the others are; of two, none can be told
+    if len(distances) < 3:
+        return []
+    others = [max(float(np.median(np.delete(distances, i))), ROUNDING**0.5) for i in range(len(distances))]
+    return [
+        (i, own / rest) for i, (own, rest) in enumerate(zip(distances, others, strict=True)) if own > _UNLIKE * rest
+    ]
 
 
 def _first_five(names: list[str]) -> str:

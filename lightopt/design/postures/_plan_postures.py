@@ -36,6 +36,9 @@ from lightopt.scene import build_lights, build_scene, pace_text
 
 MOST_ITERATIONS = 2  # of the lights for the images as they are planned, at the end
 
+# postures × drawn patches of an iteration, at most, and patches that are always drawn
+DRAWN_PAIRS, LEAST_DRAWN = 8_000_000, 2_000
+
 
 def choose_with_exposures(
     whole: ImageEvaluator,
@@ -287,6 +290,11 @@ def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
     )
 
 
+def _drawn_count(postures: int) -> int:
+    """How many patches the first iterations use: fewer where there are many postures, which each iteration tries."""
+    return max(LEAST_DRAWN, min(DRAWN_PATCHES, DRAWN_PAIRS // max(1, postures)))
+
+
 def plan_postures(
     rig: RigConfig, part: PartConfig, options: _problem.OptimizeOptions, plan: _problem.PlanOptions, run: RunContext
 ) -> ChosenPostures:
@@ -310,7 +318,7 @@ def plan_postures(
     table = build_patches(scene, caster=caster, budget=budget, edges=False, threads=threads, pool=pool)
     detection = _problem.detection_model_of(scene, part, options)
     whole = ImageEvaluator(scene, table, caster, detection, shadows=options.shadows, threads=threads, pool=pool)
-    drawn = replace(whole, table=drawn_patches(table, DRAWN_PATCHES))
+    drawn = replace(whole, table=drawn_patches(table, _drawn_count(len(postures))))
     request = PostureRequest(count=plan.choose_postures, target=plan.target, limit=options.limit)
     further = plan.all_exposures, plan.exposure_gain
     choice = choose_with_exposures(whole, drawn, lights, candidates, request, *further, run)
