@@ -467,10 +467,16 @@ def smooth_nodes(
     half, spread = half_vector_cone(at, centre, reach)
     off = minus(at.n, half)
     away = length(off)
-    if spread >= 1.0:
-        return MAX_NODES
     if lobe.widening > 1.0:
         away = math.sqrt(max(0.0, away * away - square_across(off, lobe)))
+    return smooth_nodes_within(away, spread, lobe, error, negligible)
+
+
+@kernel
+def smooth_nodes_within(away: float, spread: float, lobe: Lobe, error: float, negligible: float) -> int:
+    """:func:`smooth_nodes` of a light whose half vectors are within `spread` of one that is `away` from the normal."""
+    if spread >= 1.0:
+        return MAX_NODES
     if lobe.ggx:
         # singular where δ = ±iα
         return tail_nodes(away - spread, away + spread, math.sqrt(2.0 / lobe.inverse), error)

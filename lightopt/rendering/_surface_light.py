@@ -67,6 +67,7 @@ from lightopt.rendering._panel_quadrature import (
     piece_of,
     ridge_nodes,
     smooth_nodes,
+    smooth_nodes_within,
     tail_nodes,
 )
 from lightopt.rendering._pattern_weights import pattern_weights, picture_weights
@@ -318,15 +319,6 @@ def _divisor(at: SurfacePoint, lobe: Lobe) -> float:
 
 
 @kernel
-def _lobe_reaches(at: SurfacePoint, e: Element, inverse: float, farthest: float) -> bool:
-    # whether the lobe of a point may not be negligible on an element, by its 1/(2σ²) [rad⁻²] and the δ²/(2σ²) from
-    # which it is: a quick test
-    half, spread = half_vector_cone(at, e.centre, e.reach)
-    nearest = max(0.0, length(minus(at.n, half)) - spread)
-    return (spread >= math.pi) | (nearest * nearest * inverse <= farthest)
-
-
-@kernel
 def specular_of_element(
     at: SurfacePoint, e: Element, area: Rectangle, pattern: Pattern, lobe: Lobe, most: float, found: Float64
 ) -> None:
@@ -567,16 +559,17 @@ def _piece(e: Element, number: int) -> Rectangle:
 
 
 @kernel
-def _most_exponents(rows: PointRows, most: float, lobe: Lobe) -> Float64:
-    # where less than e to the power of minus this of a lobe is negligible, given that where cosθ_o is 1; −1 where there
-    # is no specular light
+def _of_views(rows: PointRows, most: float, lobe: Lobe) -> tuple[Float64, Float64]:
+    # what the specular light of each point is divided by for its view, and where less than e to the power of minus how
+    # much of a lobe is negligible: `most` where that is 1; −1 where there is no specular light
     points, frames, views, _, _ = rows
-    limits = np.full(len(frames), -1.0)
+    divisors, limits = np.ones(len(frames)), np.full(len(frames), -1.0)
     for i in range(len(frames)):
         at = point_at(points, frames, views, i)
         if at.n_dot_v > 0.0 and most >= 0.0:
-            limits[i] = max(0.0, most - math.log(_divisor(at, lobe_at(lobe, frames, i))))
-    return limits
+            divisors[i] = _divisor(at, lobe_at(lobe, frames, i))
+            limits[i] = max(0.0, most - math.log(divisors[i]))
+    return divisors, limits
 
 
 @kernel
@@ -611,13 +604,14 @@ def _add_elements(
     # points at once in loops without branches over numbers that lie side by side
     points, frames, views, _, _ = rows
     terms = len(pattern.terms)
-    found, limits = np.empty(terms), _most_exponents(rows, most, lobe)
+    found, (divisors, limits) = np.empty(terms), _of_views(rows, most, lobe)
     places, light, weights = all_diffuse_nodes(elements, pattern)
     striped = not (terms == 1 and pattern.terms[0, 2] == 0.0)
     p, n, v = np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE)), np.empty((3, _SIDE_BY_SIDE))
     value, near = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE, np.bool_)
     limit, farthest, greatest = np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE), np.empty(_SIDE_BY_SIDE)
-    work = np.empty((14, _SIDE_BY_SIDE))
+    work, cones = np.empty((14, _SIDE_BY_SIDE)), np.empty((4, _SIDE_BY_SIDE))
+    chord, spread, height, distance2 = cones[0], cones[1], cones[2], cones[3]
     for first in range(0, len(points), _SIDE_BY_SIDE):
         count = min(_SIDE_BY_SIDE, len(points) - first)
         for j in range(count):
@@ -649,17 +643,21 @@ def _add_elements(
                             to[j] += weights[m, b, k] * value[j] if own[j] else 0.0
             for j in range(count):
                 at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
-                above = dot(at.n, minus(e.centre, at.p)) > -e.reach
-                near[j] = above & _lobe_reaches(at, e, lobe.inverse, farthest[j])
+                half, spread[j] = half_vector_cone(at, e.centre, e.reach)
+                towards = minus(e.centre, at.p)
+                chord[j], height[j], distance2[j] = length(minus(at.n, half)), dot(at.n, towards), dot(towards, towards)
+                # whether the lobe may not be negligible on the element: a quick test
+                nearest = max(0.0, chord[j] - spread[j])
+                reached = (spread[j] >= math.pi) | (nearest * nearest * lobe.inverse <= farthest[j])
+                near[j] = (height[j] > -e.reach) & reached
             if not lobe.plain:
                 nodes = places[m], light[m], weights[m]
                 few = nodes if striped else _nodes(e, pattern, FAINT_NODES)
                 many = nodes if striped else _nodes(e, pattern, MANY_NODES)
                 own_specular = specular[m, :, first:]
-                columns, rules = (p, n, v), (few, nodes, many)
-                _add_smooth(
-                    columns, frames[first:], near[:count], e, rules, lobe, (limit, greatest), work, own_specular
-                )
+                columns, rules, numbers = (p, n, v), (few, nodes, many), (cones, work)
+                some, of_lobe = near[:count], (limit, greatest, divisors[first:])
+                _add_smooth(columns, frames[first:], some, e, rules, lobe, of_lobe, numbers, own_specular)
             for j in range(count):
                 if near[j]:
                     i = first + j
@@ -682,39 +680,42 @@ def _add_smooth(
     e: Element,
     rules: tuple[_Nodes, _Nodes, _Nodes],
     lobe: Lobe,
-    limits: tuple[Float64, Float64],
-    work: Float64,
+    of_lobe: tuple[Float64, Float64, Float64],
+    numbers: tuple[Float64, Float64],
     specular: Float64,
 ) -> None:
     # where the lobe is smooth all over an element, which is above the horizon: sets the light of these points from the
-    # nodes of diffuse light, and they are no longer `near`. Where the element adds hardly anything, few nodes do
-    (p, n, v), (few, nodes, many), (limit, greatest) = columns, rules, limits
+    # nodes of diffuse light, and they are no longer `near`. Where the element adds hardly anything, few nodes do.
+    # numbers: of the cone of half vectors of each point, and of the work
+    (p, n, v), (few, nodes, many), (limit, greatest, divisors), (cones, work) = columns, rules, of_lobe, numbers
     rule = np.zeros(len(near), np.int64)
     striped = len(many[0]) == len(nodes[0])
     for j in range(len(near)):
-        at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
-        if not near[j] or at.n_dot_v <= 0.0:
+        if not near[j] or limit[j] < 0.0:
             continue
-        towards = minus(e.centre, at.p)
-        half, spread = half_vector_cone(at, e.centre, e.reach)
-        nearest = max(0.0, length(minus(at.n, half)) - spread) if spread < math.pi else 0.0
-        angle = min(math.pi * e.reach**2 / dot(towards, towards), math.pi)
+        chord, spread, height, distance2 = cones[0, j], cones[1, j], cones[2, j], cones[3, j]
+        nearest = max(0.0, chord - spread) if spread < math.pi else 0.0
+        angle = min(math.pi * e.reach**2 / distance2, math.pi)
         level = greatest[j] * specular_lobe(nearest * nearest / lobe.widening, 0.0, lobe) * angle
         if level < FAINT_LEVEL:
             rule[j] = FAINT_NODES
         elif lobe.ggx and level < FAINT_AT_HORIZON:
             # masking lets its light end at the horizon, not break off
             rule[j] = DIFFUSE_NODES
-        elif dot(at.n, towards) >= e.reach:
+        elif height >= e.reach:
             error = min(ELEMENT_ERROR / level, 0.1)
-            wanted = smooth_nodes(at, e.centre, e.reach, lobe_at(lobe, frames, j), error, limit[j])
+            if lobe.widening > 1.0:
+                at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
+                wanted = smooth_nodes(at, e.centre, e.reach, lobe_at(lobe, frames, j), error, limit[j])
+            else:
+                wanted = smooth_nodes_within(chord, spread, lobe, error, limit[j])
             if wanted <= DIFFUSE_NODES + (not striped):
                 rule[j] = DIFFUSE_NODES
             elif wanted <= MANY_NODES + 1 and not striped:
                 rule[j] = MANY_NODES
-    _add_nodes(columns, frames, rule == FAINT_NODES, few, lobe, work, specular)
-    _add_nodes(columns, frames, rule == DIFFUSE_NODES, nodes, lobe, work, specular)
-    _add_nodes(columns, frames, rule == MANY_NODES, many, lobe, work, specular)
+    _add_nodes(columns, frames, rule == FAINT_NODES, few, lobe, work, divisors, specular)
+    _add_nodes(columns, frames, rule == DIFFUSE_NODES, nodes, lobe, work, divisors, specular)
+    _add_nodes(columns, frames, rule == MANY_NODES, many, lobe, work, divisors, specular)
     for j in range(len(near)):
         near[j] &= rule[j] == 0
 
@@ -771,6 +772,7 @@ def _add_nodes(
     nodes: _Nodes,
     lobe: Lobe,
     work: Float64,
+    divisors: Float64,
     specular: Float64,
 ) -> None:
     # adds the light of the nodes of an element that are above the horizon to the chosen points, which lie side by side
@@ -797,10 +799,8 @@ def _add_nodes(
             for i in range(number):
                 specular[b, index[i]] += weights[b, k] * work[9, i]
     for i in range(number):
-        at = surface_point(column_at(work, i), column_at(work, i, 3), column_at(work, i, 6))
-        divisor = _divisor(at, lobe_at(lobe, frames, index[i]))
         for b in range(len(weights)):
-            specular[b, index[i]] /= divisor
+            specular[b, index[i]] /= divisors[index[i]]
 
 
 @kernel
@@ -841,7 +841,7 @@ def _replace_pieces(
     specular: Float64,
 ) -> None:
     (points, frames, views, _, _), (element, point) = rows, pairs
-    found, limits = np.empty(len(pattern.terms)), _most_exponents(rows, most, lobe)
+    found, (_, limits) = np.empty(len(pattern.terms)), _of_views(rows, most, lobe)
     for k in range(len(point)):
         i, m = point[k], element[k]
         at, e, turned = point_at(points, frames, views, i), element_at(elements, m), lobe_at(lobe, frames, i)
