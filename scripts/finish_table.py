@@ -18,6 +18,9 @@ Brushed steel: the GGX part, k_d/π + F·D·G/(4·cosθ_i cosθ_o) with F of a r
 material acquisition and rendering, SIGGRAPH Asia 2018. Its parameters are in the authors' file
 Ours_ld4_32x2_weta_brushed_steel_satin_pink_rgb.brdf (Ubisoft-LaForge/Ubisoft-LaForge.github.io). The share of light
 that the data reflect: scripts/python/amaze/res/rgl_materials.json of Timour/Amaze, green, mean at normal incidence.
+
+Satin anodised aluminium and satin nickel are not measured: alpha is what gives a reading of a gloss meter of 60°, whose
+angles are those of ISO 2813 (and ISO 7668, method C), and the share of light reflected is assumed.
 """
 
 from __future__ import annotations
@@ -28,9 +31,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 
-from lightopt.optics import Reflectance, SpecularModel, least_white_level, specular_lobe
+from lightopt.optics import Reflectance, SpecularModel, least_white_level, light_factor, specular_divisor, specular_lobe
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "finishes.md"
 WHITE = 100.0
@@ -175,6 +178,63 @@ def brushed_row(surface: Brushed) -> tuple[str, str]:
     )
 
 
+class Satin(NamedTuple):
+    """A surface known by its gloss only: the share of light that it reflects, and readings at 60° [gloss units]."""
+
+    finish: str
+    share: float
+    readings: tuple[float, ...]
+
+
+SATIN = (Satin("satin anodised aluminium", 0.70, (30.0, 50.0, 70.0)), Satin("satin nickel", 0.55, (50.0, 100.0, 200.0)))
+GLOSS_ANGLE = math.radians(60.0)
+RECEPTOR, SOURCE = np.radians([4.4, 11.7]), np.radians([0.75, 2.5])  # sides of the apertures, in and across the plane
+STANDARD = 0.1001  # of the light at 60° is reflected by black glass of index 1.567, which has 100 gloss units
+
+
+def satin_reflectance(share: float, alpha: float) -> Reflectance:
+    """GGX alone, of a surface that reflects a share of the light along its normal."""
+    one = Reflectance(R_d=0.0, R_s=1.0, sigma=0.5 * alpha, model=SpecularModel(name="ggx"))
+    return Reflectance(R_d=0.0, R_s=share * WHITE / least_white_level(one), sigma=0.5 * alpha, model=one.model)
+
+
+def _directions(sides: np.ndarray, count: int, azimuth: float) -> np.ndarray:
+    # unit vectors of the middles of a rectangle of angles about the direction of 60°
+    middles = (np.arange(count) + 0.5) / count - 0.5
+    off, across = (side * middles for side in sides)
+    theta, phi = np.meshgrid(GLOSS_ANGLE + off, across, indexing="ij")
+    plane = np.stack([np.sin(theta) * np.cos(phi), np.sin(phi), np.cos(theta) * np.cos(phi)], axis=-1)
+    return plane.reshape(-1, 3) * [math.cos(azimuth), 1.0, 1.0]
+
+
+def gloss(reflectance: Reflectance, *, nodes: int = 24) -> float:
+    """What a gloss meter of 60° reads [gloss units]."""
+    lobe, total = reflectance.lobe, 0.0
+    sources, receptors = _directions(SOURCE, 3, 0.0), _directions(RECEPTOR, nodes, math.pi)
+    solid_angle = float(np.prod(2.0 * np.sin(0.5 * RECEPTOR))) / len(receptors)
+    for light in sources:
+        for view in receptors:
+            half = light + view
+            size = float(np.linalg.norm(half))
+            chord = float(np.sum((half / size - [0.0, 0.0, 1.0]) ** 2))
+            value = specular_lobe(chord, 0.0, lobe) * light_factor(float(light[2]), 0.0, size, lobe)
+            level = reflectance.R_s * value / specular_divisor(float(view[2]), 0.0, lobe)
+            total += level / (math.pi * WHITE) * view[2] * solid_angle / light[2]
+    return 100.0 * total / len(sources) / STANDARD
+
+
+def satin_row(surface: Satin, reading: float) -> tuple[str, str]:
+    """A row of the table of surfaces known by their gloss, and the line for a part file."""
+
+    def off(log_alpha: float) -> float:
+        return math.log(gloss(satin_reflectance(surface.share, math.exp(log_alpha))) / reading)
+
+    own = satin_reflectance(surface.share, math.exp(brentq(off, math.log(0.02), math.log(0.9), xtol=1e-4)))
+    alpha, name = 2.0 * own.sigma, f"{surface.finish}, {reading:g} gloss units"
+    keys = f"R_d: 0, R_s: {own.R_s:.4g}, alpha: {alpha:.3g}, white_level: {WHITE:g}"
+    return (f"| {name} | ggx | {alpha:.2g} | {surface.share:.2f} |", f"reflectance: {{model: ggx, {keys}}}   # {name}")
+
+
 def main() -> None:
     """Compute the table and put it into the page."""
     rows, blocks = zip(*map(row, SURFACES), strict=True)
@@ -183,6 +243,9 @@ def main() -> None:
     text = "\n".join([head, "|---|---|---|---|", *rows, "", "```yaml", *lines, "```"])
     rows, lines = zip(*map(brushed_row, BRUSHED), strict=True)
     head = "| surface with a direction | form | α along / across | share of light reflected |"
+    text += "\n\n" + "\n".join([head, "|---|---|---|---|", *rows, "", "```yaml", *lines, "```"])
+    rows, lines = zip(*(satin_row(one, reading) for one in SATIN for reading in one.readings), strict=True)
+    head = "| surface, by its gloss at 60° | form | α | share of light reflected, assumed |"
     text += "\n\n" + "\n".join([head, "|---|---|---|---|", *rows, "", "```yaml", *lines, "```"])
     page = PAGE.read_text(encoding="utf-8")
     begin, end = "<!-- begin finishes -->", "<!-- end finishes -->"

@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from reference import specular
 
 from lightopt.config import ReflectanceConfig
 from lightopt.images import read_image_set, write_png
+from lightopt.optics import Reflectance, SpecularModel
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -138,3 +140,29 @@ def test_finishes_are_reflectances_of_part_files():
         own = ReflectanceConfig.model_validate(yaml.safe_load(line)["reflectance"])
         gaussian = own.brushing and not line.endswith("# brushed steel")
         assert own.model == ("torrance-sparrow" if gaussian else "ggx")
+
+
+def test_satin_finishes_have_the_gloss_that_they_name():
+    """By drawn directions of the meter's apertures (ISO 2813), the plain formula of GGX, and glass by Fresnel's."""
+    page = (ROOT / "docs" / "reference" / "finishes.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^(reflectance: .*)   # .*, (\d+) gloss units$", page, re.MULTILINE)
+    assert len(lines) == 6
+    random = np.random.default_rng(5)
+
+    def drawn(sides, sign):
+        axis, aside = [sign * np.sqrt(0.75), 0.0, 0.5], [sign * 0.5, 0.0, -np.sqrt(0.75)]
+        a, b = (np.tan(np.radians(side) * random.uniform(-0.5, 0.5, (40_000, 1))) for side in sides)
+        found = axis + a * np.array(aside) + b * np.array([0.0, 1.0, 0.0])
+        return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+    light, view = drawn((0.75, 2.5), 1.0), drawn((4.4, 11.7), -1.0)
+    n, c = 1.567, 0.5
+    t = np.sqrt(1.0 - 0.75 / n**2)
+    glass = 0.5 * (((c - n * t) / (c + n * t)) ** 2 + ((n * c - t) / (n * c + t)) ** 2)
+    for line, reading in lines:
+        own = ReflectanceConfig.model_validate(yaml.safe_load(line)["reflectance"])
+        reflectance = Reflectance(R_d=0.0, R_s=own.R_s, sigma=0.5 * own.alpha, model=SpecularModel(name="ggx"))
+        lobe = specular(np.array([0.0, 0.0, 1.0]), view, light, reflectance)
+        share = np.mean(own.R_s * lobe * view[:, 2] / light[:, 2]) / (np.pi * own.white_level)
+        found = 100.0 * share * np.radians(4.4) * np.radians(11.7) / glass
+        assert found == pytest.approx(float(reading), rel=0.015), line
