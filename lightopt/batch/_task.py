@@ -6,6 +6,7 @@
 import json
 import os
 import platform
+import re
 import shutil
 import threading
 import uuid
@@ -196,9 +197,13 @@ def _run(task: Task, run_command: RunCommand) -> Outcome:
 
 
 def _answer(lines: Sequence[str]) -> str:
-    # the first line that was printed, or of a table the first row
-    row = 1 if len(lines) > 1 and "  " in lines[0] else 0
-    return " ".join(lines[row].split()) if lines else ""
+    # the first line that was printed, or of a table the first row, with the names of its columns
+    if len(lines) < 2 or "  " not in lines[0]:
+        return " ".join(lines[0].split()) if lines else ""
+    names, cells = (re.split(r"\s{2,}", line.strip()) for line in lines[:2])
+    if len(names) != len(cells):  # with empty cells
+        return " ".join(lines[1].split())
+    return "; ".join(f"{name}: {cell}" for name, cell in zip(names, cells, strict=True))
 
 
 def _resolved(argument: FromTask) -> str:

@@ -674,7 +674,14 @@ def test_progress_counts_tasks(batch):
 
 
 @pytest.mark.parametrize(
-    ("lines", "answer"), [([], ""), (["4 images"], "4 images"), (["a  b", "1  2", "3  4"], "1 2"), (["a  b"], "a b")]
+    ("lines", "answer"),
+    [
+        ([], ""),
+        (["4 images"], "4 images"),
+        (["lights  found at", "60°, 45°   50 %", "3  4"], "lights: 60°, 45°; found at: 50 %"),
+        (["a  b  c", "1     2"], "1 2"),
+        (["a  b"], "a b"),
+    ],
 )
 def test_the_answer_is_the_first_line_or_row(lines, answer):
     assert _task._answer(lines) == answer
