@@ -1,7 +1,8 @@
 """What a batch costs beside its commands, and what a second process gains: ``python -m benchmarks.batch``.
 
 ``python -m benchmarks.batch --plan`` measures the tasks of one plan over workers instead: seconds, and octets sent and
-returned. They run in this process, one after the other.
+returned. They run in this process, one after the other. ``--large-plan`` runs a plan of 2,002 postures and 961
+positions of each light with two workers, for more than an hour; its passes and their times are shown as they begin.
 
 Else there are three measurements:
 
@@ -20,6 +21,7 @@ from __future__ import annotations
 
 import argparse
 import pickle
+import re
 import resource
 import shutil
 import statistics
@@ -58,10 +60,14 @@ def main() -> None:
     parser.add_argument("--tasks", type=int, default=400, help="number of tasks that do nothing")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--plan", action="store_true", help="the tasks of one plan, and nothing else")
-    parser.add_argument("--posture-step", type=float, default=45.0, help="of that plan [°]")
+    parser.add_argument("--large-plan", action="store_true", help="a large plan with two workers, and nothing else")
+    parser.add_argument("--posture-step", type=float, help="of these plans [°]; 45, of the large one 3.6")
     options = parser.parse_args()
+    if options.large_plan:
+        run_large_plan(options.posture_step or 3.6)
+        return
     if options.plan:
-        measure_plan(options.posture_step)
+        measure_plan(options.posture_step or 45.0)
         return
     with tempfile.TemporaryDirectory(prefix="lightopt-bench-") as name:
         measure_nothing(Path(name) / "nothing", options.tasks, options.rounds)
@@ -115,6 +121,26 @@ def measure_plan(posture_step: float) -> None:
         middle = [statistics.median(one) for one in (seconds, sent, returned)]
         print(f"{name:24} {len(found):6} {middle[0]:16.3f} {max(seconds):6.2f} {middle[1]:12,.0f} {middle[2]:10,.0f}")
     print(f"octets that tasks share: {', '.join(f'{name} {size:,}' for name, size in pool.shared.items())}")
+
+
+def run_large_plan(posture_step: float) -> None:
+    """A plan of the cover knob as a command of its own, with everything that it says, and its time."""
+    text = RIG.read_text(encoding="utf-8")
+    text = text.replace("1600, 1200", "800, 600").replace("pixel_size_um: 4.4 ", "pixel_size_um: 8.8 ")
+    text = text.replace("elevation_range_deg: [-45, 45]", "elevation_range_deg: [-36, 32.4]")
+    for azimuth in (45, 135, 225, 315):
+        own = f"azimuth_deg: {azimuth}, azimuth_range_deg: [{azimuth - 15}, {azimuth + 15}],"
+        text = re.sub(rf"azimuth_deg: {azimuth},", own, text)
+    with tempfile.TemporaryDirectory(prefix="lightopt-bench-") as name:
+        rig, part = Path(name) / "rig.yaml", CONFIGS / "parts" / "cover-knob.yaml"
+        rig.write_text(text, encoding="utf-8")
+        words = ["--step", "1", "--posture-step", f"{posture_step:g}", "--choose-postures", "4", "--patches", "600"]
+        words += ["--no-images", "--no-report", "--workers", "2", "-v", "-o", str(Path(name) / "plan")]
+        command = [sys.executable, "-m", "lightopt", "optimize", str(rig), str(part), *words]
+        seconds, _ = timed(lambda: subprocess.run(command, check=True))
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor = used.ru_utime + used.ru_stime
+    print(f"{seconds:.0f} s, {processor:.0f} s of processors, at most {used.ru_maxrss / 1e6:.1f} GB in a process")
 
 
 def nothing(_words: list[str]) -> tuple[int, str, str]:
