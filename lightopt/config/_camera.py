@@ -44,6 +44,7 @@ class DistortionConfig(Frozen):
     """Radial coefficient of r⁶."""
 
 
+_LEAST_SHARE = 0.05  # of the light, that a lens lets through
 _Dimming = Annotated[float, Field(ge=-0.9, le=1.0), expecting("a number from -0.9 to 1")]
 
 
@@ -56,6 +57,14 @@ class VignettingConfig(Frozen):
     """Coefficient of ρ⁴."""
     cos4: bool = False
     """Whether the fourth power of the cosine to the optical axis dims the image as well, as with a simple lens."""
+
+    @fields.rule("v4")
+    def _lit_everywhere(cls, v4: float, info: ValidationInfo) -> Iterator[fields.Fault]:
+        v2: float = info.data.get("v2", 0.0)
+        least = 1.0 + v2 + v4  # in the corners, for it is more elsewhere
+        if least < _LEAST_SHARE:
+            factor = f"with v2 = {v2:g}, 1 + v2·ρ² + v4·ρ⁴ is {least:.3g} in the corners"
+            yield f"{factor}; expected at least {_LEAST_SHARE:g} of the light everywhere"
 
 
 _Electrons = Annotated[float, Field(ge=0, le=1e6), expecting("electrons, from 0 to 1e6")]

@@ -188,7 +188,7 @@ class ReflectanceConfig(Frozen):
     R_s: fields.Coefficient
     """Specular coefficient [levels of full_scale]."""
     sigma_rad: _Sigma | None = None
-    """Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating. All models but ggx."""
+    """torrance-sparrow, two-lobe: width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating."""
     alpha: _Alpha | None = None
     """ggx: roughness α of the microfacet model. It is about twice the σ that fits the middle of the lobe: 0.006 is
     polished chrome, 0.1 satin plating."""
@@ -206,8 +206,8 @@ class ReflectanceConfig(Frozen):
     """Complex refractive index [n, k] of a metal: its specular reflection follows Fresnel's equations, and grows at
     grazing angles. If absent, it does not depend on the angle of incidence."""
     sigma_across_rad: _Sigma | None = None
-    """Brushed surfaces: width of the lobe across the brushing, more than sigma_rad, that along it [rad]. Of two lobes,
-    of the narrow one; the wide one is as many times wider. All models but ggx."""
+    """Brushed surfaces, torrance-sparrow and two-lobe: width of the lobe across the brushing, more than sigma_rad, that
+    along it [rad]. Of two lobes, of the narrow one; the wide one is as many times wider."""
     alpha_across: _Alpha | None = None
     """Brushed surfaces, ggx: roughness across the brushing, more than alpha, that along it."""
     brushing: BrushingConfig | None = Field(default=None, validate_default=True)

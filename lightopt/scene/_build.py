@@ -67,7 +67,8 @@ def build_scene(
     mesh, placement, warnings = _mesh(part, cameras.pixel_footprint(camera, rig.camera.distance_mm))
     housings = build_housings(rig)
     surrounded = rig.environment.level > 0.0 or (housings is not None and housings.level > 0.0)
-    reflectance, regions = _reflectances(part, seen=bounces > 0 or surrounded)
+    mirrored = bounces > 0 or part.inspection.bounces > 0
+    reflectance, regions = _reflectances(part, seen=mirrored or surrounded)
     scene = Scene(
         camera=camera,
         lights=placed,

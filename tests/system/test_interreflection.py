@@ -243,17 +243,19 @@ def test_interpolation_between_pixels_keeps_the_bounce(monkeypatch):
     assert each.mean() > 0.5
 
 
-def test_a_part_that_reflects_more_than_it_gets_is_refused():
+@pytest.mark.parametrize("of_inspection", [False, True])
+def test_a_part_that_reflects_more_than_it_gets_is_refused(of_inspection):
     part = PartConfig.model_validate(
         {
             "format": "lightopt-part/1",
             "name": "x",
             "mesh": {"file": str(CONFIGS / "parts" / "spout.stl"), "units": "mm"},
             "reflectance": {"R_d": 45, "R_s": 12500, "sigma_rad": 0.0475, "white_level": 100},
+            "inspection": {"bounces": int(of_inspection)},
         }
     )
     with pytest.raises(InputError, match=r"white_level: expected at least 269.* found 100: .*more light than it gets"):
-        build_scene(CONFIGS / "rigs" / "four-panel.yaml", part, bounces=1)
+        build_scene(CONFIGS / "rigs" / "four-panel.yaml", part, bounces=int(not of_inspection))
 
 
 @pytest.mark.parametrize("sigma", [0.003, 0.0475])

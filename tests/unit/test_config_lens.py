@@ -87,6 +87,11 @@ def test_no_aperture_is_a_pinhole(load):
         ("aperture: 8\n  focus_distance_mm: 0", 10, "a length"),
         ("aperture: 8\n  wavelength_nm: 0.00055", 10, "nanometres"),
         ("aperture: 8\n  vignetting: {cos4: 1}", 10, "camera.vignetting.cos4"),
+        (
+            "aperture: 8\n  vignetting: {v2: -0.9, v4: -0.9}",
+            10,
+            "1 + v2·ρ² + v4·ρ⁴ is -0.8 in the corners; expected at",
+        ),
     ],
 )
 def test_wrong_lenses(load, keys, line, says):

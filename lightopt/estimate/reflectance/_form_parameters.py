@@ -262,8 +262,6 @@ def fit_wide_lobe(samples: Samples, *, freed: FreeParameters, held: Float64 | No
     falls = {place: 2.0 * top.value - around[place].value - around[-place[0], -place[1]].value for place in around}
     cross = 0.5 * (falls[1, 1] - falls[1, 0] - falls[0, 1])
     hessian = np.array([[falls[1, 0], cross], [cross, falls[0, 1]]]) / WIDE_STEP**2
-    # a criterion of all samples bends as many times more as there are more of them
-    hessian *= len(samples.sample) / max(1, len(few.sample))
     values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
     covariance = (vectors / np.maximum(values, MOST_DEVIATION**-2)) @ vectors.T
     report(1.0)
