@@ -92,7 +92,7 @@ def test_coefficients_and_form_of_the_lobe_are_found(scene_and_caster, truth, mo
 @pytest.mark.nightly
 @pytest.mark.parametrize(("truth", "seeds", "least"), [("ggx", 40, 0.85), ("two-lobe", 160, 0.87)])
 def test_intervals_hold_the_truth_as_often_as_they_say(scene_and_caster, truth, seeds, least):
-    """Of draws of the noise: 95 % is expected; those of two lobes are a little too narrow (docs/validation/fitting.md)."""
+    """Of draws of the noise: 95 % is expected; those of two lobes are too narrow (docs/validation/fitting.md)."""
     scene, caster = scene_and_caster
     own = TRUTHS[truth]
     levels = draw_levels(scene, caster, partial(specular, reflectance=own), R_d=own.R_d, R_s=own.R_s)
