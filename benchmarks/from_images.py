@@ -175,11 +175,11 @@ def rendered_table(size: Size) -> Table:
             start, busy = time.perf_counter(), time.process_time()
             result = optimize_from_images([*good, *bad[:half]], options=FromImagesOptions(images=images))
             seconds, worked = time.perf_counter() - start, time.process_time() - busy
-            choice, mixture = result.choice, result.mixture
+            choice = result.choice
             times = [time.perf_counter(), time.process_time()]
             choose_lights(result.evidence, images)
             times += [time.perf_counter(), time.process_time()]
-            mix_lights(MixedImages(result.evidence), choice.lights)
+            mixture = mix_lights(MixedImages(result.evidence), choice.lights)
             times += [time.perf_counter(), time.process_time()]
             best = exhaustive(result.evidence, images)
             own = unseen.gains(list(choice.lights))
