@@ -198,19 +198,18 @@ def satin_reflectance(share: float, alpha: float) -> Reflectance:
     return Reflectance(R_d=0.0, R_s=share * WHITE / least_white_level(one), sigma=0.5 * alpha, model=one.model)
 
 
-def _directions(sides: np.ndarray, count: int, azimuth: float) -> np.ndarray:
+def _directions(sides: np.ndarray, count: int) -> np.ndarray:
     # unit vectors of the middles of a rectangle of angles about the direction of 60°
     middles = (np.arange(count) + 0.5) / count - 0.5
     off, across = (side * middles for side in sides)
     theta, phi = np.meshgrid(GLOSS_ANGLE + off, across, indexing="ij")
-    plane = np.stack([np.sin(theta) * np.cos(phi), np.sin(phi), np.cos(theta) * np.cos(phi)], axis=-1)
-    return plane.reshape(-1, 3) * [math.cos(azimuth), 1.0, 1.0]
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(phi), np.cos(theta) * np.cos(phi)], axis=-1).reshape(-1, 3)
 
 
 def gloss(reflectance: Reflectance, *, nodes: int = 24) -> float:
     """What a gloss meter of 60° reads [gloss units]."""
     lobe, total = reflectance.lobe, 0.0
-    sources, receptors = _directions(SOURCE, 3, 0.0), _directions(RECEPTOR, nodes, math.pi)
+    sources, receptors = _directions(SOURCE, 3), _directions(RECEPTOR, nodes) * [-1.0, 1.0, 1.0]
     solid_angle = float(np.prod(2.0 * np.sin(0.5 * RECEPTOR))) / len(receptors)
     for light in sources:
         for view in receptors:

@@ -61,7 +61,7 @@ class VignettingConfig(Frozen):
     @fields.rule("v4")
     def _lit_everywhere(cls, v4: float, info: ValidationInfo) -> Iterator[fields.Fault]:
         v2: float = info.data.get("v2", 0.0)
-        least = 1.0 + v2 + v4  # in the corners, for it is more elsewhere
+        least = 1.0 + v2 + v4  # in the corners; where these coefficients have a minimum nearer, it is 0.55 or more
         if least < _LEAST_SHARE:
             factor = f"with v2 = {v2:g}, 1 + v2·ρ² + v4·ρ⁴ is {least:.3g} in the corners"
             yield f"{factor}; expected at least {_LEAST_SHARE:g} of the light everywhere"
