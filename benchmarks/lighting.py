@@ -11,6 +11,7 @@ places where the defects lie.
 from __future__ import annotations
 
 import argparse
+import csv
 import math
 import tempfile
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import trimesh
@@ -133,6 +135,15 @@ def rows_of(case: tuple[str, str], options: argparse.Namespace) -> list[Row]:
     return rows
 
 
+def read_rows(path: Path) -> list[Row]:
+    """Rows that a run has written; none where it has not written yet."""
+    if not path.is_file():
+        return []
+    kinds = get_type_hints(Row)
+    with path.open(encoding="utf-8", newline="") as file:
+        return [Row(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(file)]
+
+
 def table(rows: list[Row]) -> str:
     """A line per part, finish and system, the winners in bold."""
     lines = [
@@ -179,16 +190,23 @@ def main(arguments: list[str] | None = None) -> None:
         "--larger", type=float, default=2.0, help="size of the defects, as a multiple of that in the built-in catalogue"
     )
     parser.add_argument("--patches", type=int, default=3000, help="about how many patches are visible")
+    parser.add_argument(
+        "--keep", action="store_true", help="do not compare again what --out has, from a run of the same options"
+    )
     parser.add_argument("--out", type=Path, default=Path("out/lighting"), help="folder of lighting.csv")
     parser.add_argument("--page", action="store_true", help="put the table into docs/validation/lighting.md")
     options = parser.parse_args(arguments)
     options.lobe, options.rays = 1.0, 1
     cases = [(name, finish) for name in options.parts for finish in options.finishes]
+    results = options.out / "lighting.csv"
+    rows = read_rows(results) if options.keep else []
+    cases = [case for case in cases if case not in {(row.part, row.finish) for row in rows}]
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
-        rows = [row for some in pool.map(rows_of, cases, [options] * len(cases)) for row in some]
+        for some in pool.map(rows_of, cases, [options] * len(cases)):
+            rows += some
+            write_records(results, rows)
     text = table(rows)
     print(f"\n{text}")
-    write_records(options.out / "lighting.csv", rows)
     if options.page:
         replace_block("lighting", text, page="lighting.md")
 
