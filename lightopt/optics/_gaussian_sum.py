@@ -1,5 +1,7 @@
 """A lobe that is given by a table, as a sum of a few Gaussian lobes."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,9 @@ from lightopt.optics._reflection_model import MOST_WIDER
 
 # shares of the peak below which relative deviations count less: in the search, and in the error that is stated
 FLOOR, ERROR_FLOOR = 1e-4, 1e-3
+# angles over which deviations are averaged, so that noise of a table is none: to either side, as a share of the angle
+# and of the narrowest σ
+_WINDOW, _CORE = 0.3, 1.0
 _WIDTHS = 48  # that are tried, from half the table's least angle above 0 to this [rad]
 _WIDEST = 1.0
 _LEAST_WIDTH = 2e-4  # [rad]
@@ -16,14 +21,26 @@ _MOST_PLACES = 400  # of the table that count, evenly by the logarithm of the an
 _APART, _LEAST_RATIO = 1.4, 1.1  # of widths of lobes that follow each other, as they are added and in the end
 
 
-def gaussian_sum(delta: Float64, value: Float64) -> tuple[tuple[tuple[float, float], ...], float]:
-    """Heights and σ [rad] of the Gaussian lobes whose sum follows a table, from the narrowest on; their sum is 1.
+@dataclass(frozen=True)
+class GaussianSum:
+    """Gaussian lobes that follow a table, and how well they do."""
+
+    lobes: tuple[tuple[float, float], ...]
+    """Height and σ [rad] of each, from the narrowest on; the heights' sum is 1."""
+    error: float
+    """Greatest deviation from the table, averaged over neighbouring angles, as a share of the level and 1e-3 of the
+    peak."""
+    worst: float
+    """Angle δ of that deviation [rad]."""
+
+
+def gaussian_sum(delta: Float64, value: Float64) -> GaussianSum:
+    """The Gaussian lobes whose sum follows a table.
 
     Widths are added one by one, each the one that helps most, and then improved together.
 
     delta: Angle δ between normal and half vector [rad], ascending, from 0 or nearly so, shape (n,)
     value: The lobe there, in any unit, shape (n,)
-    Returns lobes, error: The greatest deviation from the table, as a share of the level and 1e-3 of the peak
     Raises InputError: The table has no peak at its first angle
     """
     from scipy.optimize import least_squares, nnls  # takes long to load
@@ -68,6 +85,11 @@ def gaussian_sum(delta: Float64, value: Float64) -> tuple[tuple[tuple[float, flo
         sigma = improved(np.delete(sigma, 1 + int(np.argmax(alike))))
     heights, _ = fit(sigma)
     sigma, heights = sigma[heights > 0.0], heights[heights > 0.0]
-    error = float(np.max(np.abs(lobes(sigma) @ heights - wanted) / (wanted + ERROR_FLOOR)))
+    deviations = np.append(0.0, np.cumsum((lobes(sigma) @ heights - wanted) / (wanted + ERROR_FLOOR)))
+    reach = np.maximum(_WINDOW * places, _CORE * sigma[0])
+    first, end = np.searchsorted(places, places - reach), np.searchsorted(places, places + reach, side="right")
+    errors = np.abs(deviations[end] - deviations[first]) / (end - first)
+    worst = int(np.argmax(errors))
     shares = heights / heights.sum()
-    return tuple(zip(shares.tolist(), sigma.tolist(), strict=True)), error
+    found = tuple(zip(shares.tolist(), sigma.tolist(), strict=True))
+    return GaussianSum(found, float(errors[worst]), float(places[worst]))

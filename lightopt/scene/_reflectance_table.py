@@ -25,20 +25,24 @@ _MERL_SCALES = np.array([1.0, 1.15, 1.66]) / 1500.0
 def table_lobes(path: Path) -> tuple[tuple[float, float], ...]:
     """Height and σ [rad] of each Gaussian lobe whose sum follows a file's table, from the narrowest on.
 
-    Raises InputError: The file is no table of a lobe, or no sum of Gaussian lobes follows it to 10 %.
+    Raises InputError: The file is no table of a lobe, or no sum of Gaussian lobes follows it to 10 %, noise
+        aside.
     """
     try:
         delta, value = _merl(path) if path.suffix.lower() == ".binary" else _rows(path)
-        lobes, error = gaussian_sum(delta, value)
+        found = gaussian_sum(delta, value)
     except OSError as failed:
         raise InputError(f"{path}: {failed.strerror or failed}") from failed
     except InputError as failed:
         raise InputError(f"{path}: {failed.args[0]}") from None
-    if error > LARGEST_ERROR:
+    if found.error > LARGEST_ERROR:
         raise InputError(
-            f"{path}: a sum of Gaussian lobes follows it only to {100.0 * error:.0f} %; expected a smooth lobe"
+            f"{path}: the lobes that model measured adds up follow the table only to {100.0 * found.error:.0f} %, at δ = "
+            f"{math.degrees(found.worst):.2g} degrees (most {100.0 * LARGEST_ERROR:.0f} %): expected a lobe that falls "
+            "steadily, without an edge or a second peak; check the rows there, end the table before them, or use model "
+            "ggx or two-lobe"
         )
-    return lobes
+    return found.lobes
 
 
 def _rows(path: Path) -> tuple[Float64, Float64]:

@@ -10,7 +10,7 @@ from lightopt.config import copied_text, load_part
 from lightopt.config._load import input_files
 from lightopt.core.errors import InputError
 from lightopt.optics import Reflectance, SpecularModel, gaussian_sum, specular_lobe
-from lightopt.scene._reflectance_table import table_lobes
+from lightopt.scene._reflectance_table import LARGEST_ERROR, table_lobes
 
 DELTA = np.radians(np.concatenate([[0.0], np.geomspace(0.05, 60.0, 120)]))
 
@@ -25,20 +25,51 @@ def summed(lobes, delta):
 
 def test_two_gaussian_lobes_are_found_again():
     truth = ((0.95, 0.02), (0.05, 0.12))
-    lobes, error = gaussian_sum(DELTA, 3.0 * summed(truth, DELTA))
-    assert error < 0.01
-    assert np.allclose(summed(lobes, DELTA), summed(truth, DELTA), rtol=0.01, atol=1e-4)
+    found = gaussian_sum(DELTA, 3.0 * summed(truth, DELTA))
+    assert found.error < 0.01
+    assert np.allclose(summed(found.lobes, DELTA), summed(truth, DELTA), rtol=0.01, atol=1e-4)
 
 
 @pytest.mark.parametrize("alpha", [0.01, 0.06, 0.3])
 def test_tails_of_ggx_are_followed(alpha):
     value = ggx(DELTA, alpha)
-    lobes, error = gaussian_sum(DELTA, value)
-    assert error < 0.03
-    assert sum(height for height, _ in lobes) == pytest.approx(1.0)
-    assert np.all(np.diff([sigma for _, sigma in lobes]) > 0.0)
+    found = gaussian_sum(DELTA, value)
+    assert found.error < 0.02
+    assert sum(height for height, _ in found.lobes) == pytest.approx(1.0)
+    assert np.all(np.diff([sigma for _, sigma in found.lobes]) > 0.0)
     seen = value > 1e-3
-    assert np.allclose(summed(lobes, DELTA)[seen], value[seen], rtol=0.05)
+    assert np.allclose(summed(found.lobes, DELTA)[seen], value[seen], rtol=0.05)
+
+
+LOBES = {
+    "ggx": lambda delta: ggx(delta, 0.06),
+    "narrow ggx": lambda delta: ggx(delta, 0.01),
+    "longer tails": lambda delta: 1.0 / (1.0 + (np.tan(delta) / 0.03) ** 2) ** 1.5,
+    "short tails": lambda delta: 1.0 / (1.0 + (np.tan(delta) / 0.05) ** 2) ** 3,
+    "abc": lambda delta: 1.0 / (1.0 + 1e4 * (2.0 * np.sin(0.5 * delta)) ** 2) ** 0.8,
+    "exponential": lambda delta: np.exp(-delta / 0.05),
+    "beckmann": lambda delta: np.exp(-((np.tan(delta) / 0.1) ** 2)) / np.cos(delta) ** 4,
+}
+
+
+@pytest.mark.parametrize("name", LOBES)
+@pytest.mark.parametrize(
+    "delta", [DELTA, np.radians(90.0 * (np.arange(85) / 90.0) ** 2), np.radians(np.arange(0.0, 60.1, 0.25))]
+)
+def test_noise_of_a_table_is_no_error_of_the_sum(name, delta):
+    truth = LOBES[name](delta)
+    noisy = truth * (1.0 + 0.04 * np.random.default_rng(3).standard_normal(len(delta)))
+    found = gaussian_sum(delta, noisy)
+    assert found.error < LARGEST_ERROR
+    seen = truth > 0.01
+    ratio = summed(found.lobes, delta)[seen] / truth[seen]
+    assert np.std(ratio) < 0.08 * np.mean(ratio)  # the height itself is R_s
+
+
+def test_the_worst_angle_is_where_the_table_has_an_edge():
+    found = gaussian_sum(DELTA, np.where(DELTA < math.radians(20.0), 1.0, 0.0))
+    assert found.error > 0.5
+    assert math.degrees(found.worst) == pytest.approx(20.0, abs=5.0)
 
 
 def test_the_lobe_is_the_sum():
@@ -83,7 +114,7 @@ def test_a_material_of_the_merl_database_is_read(tmp_path):
         ("5,1\n6,0.5\n7,0.4\n8,0.1\n9,0\n", "expected ascending angles from 0"),
         ("0,1\n1,0.5\n2,-0.4\n3,0.1\n4,0\n", "expected values of 0 and above"),
         ("0,0.1\n1,0.5\n2,1\n3,0.1\n4,0\n", "expected a lobe that is greatest at the least angle"),
-        ("\n".join(f"{d},{1.0 if d < 20 else 0.0}" for d in range(40)), "a sum of Gaussian lobes follows it only to"),
+        ("\n".join(f"{d},{1.0 if d < 20 else 0.0}" for d in range(40)), "follow the table only to .* at δ = .* end the table before them"),
     ],
 )
 def test_what_is_no_table_is_said(tmp_path, text, words):
