@@ -4,8 +4,8 @@
 [--systems four-panel,coaxial] [--seeds N] [--processes N]``. The parts are the two samples, and two that are made here:
 ``cap``, a shallow cap of a sphere, and ``ring``, a torus. Random defects are placed on each part, the same ones for all
 systems; those of the built-in catalogue, larger as the pixels are. The part is rendered 0.4 and 0.3 mm off its place,
-with noise of its own for each seed; what the inspection finds is set beside what is predicted of all places, and of the
-places where the defects lie.
+with noise of its own for each seed. The images of the first seed find its place. What the inspection finds is set
+beside what is predicted of all places, and of the places where the defects lie.
 """
 
 from __future__ import annotations
@@ -116,7 +116,8 @@ def compare(folder: Path, name: str, finish: str, options: argparse.Namespace) -
         rig, nominal = load_rig(path), load_part(part_file)
         least = min(2, len(rig.lights))
         counts = {least: Prediction(rig, nominal, least, options)}
-        found = count_found(folder, f"{part_file.stem}-{path.stem}", rig, placed, counts, options, take=render_set)
+        name_of_set = f"{part_file.stem}-{path.stem}"
+        found = count_found(folder, name_of_set, rig, placed, counts, options, take=render_set, fixture=True)
         tallies = list(found)
         (whole,) = [one for one in tallies if one.kind == "all"]
         facts = {key: getattr(whole, key) for key in ("planned", "at_places", "placed", "found")}

@@ -42,6 +42,7 @@ from lightopt.design._problem import images_that_decide
 from lightopt.design.responses._evidence import spare_units
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._pairs import unpack_flags
+from lightopt.estimate.registration import part_file_placement
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import (
     Calibration,
@@ -256,19 +257,29 @@ def count_found(
     calibrations: dict[int, Calibration] | None = None,
     *,
     take: Callable[..., ImageSet] = take,
+    fixture: bool = False,
 ) -> Iterator[Tally]:
-    """Capture and inspect parts with defects, with each number of images that must show one."""
+    """Capture and inspect parts with defects, with each number of images that must show one.
+
+    fixture: The parts lie in the same place, which the images of the first one show
+    """
     counts = {k: _Counts(prediction) for k, prediction in predictions.items()}
-    cache = PredictionCache()
+    cache, place = PredictionCache(), None
     for seed, path in enumerate(placed, 1):
         part = load_part(path)
+        if place is not None:
+            part = part.model_copy(update={"placement": place})
         image_set = take(rig, as_made(path, options.lobe), folder / f"{name}-{seed}", seed, rays=options.rays)
         for k, own in counts.items():
-            inspection = InspectOptions(fusion=None, min_images=k, false_alarms=options.false_alarms)
+            register = place is None
+            inspection = InspectOptions(fusion=None, min_images=k, false_alarms=options.false_alarms, register=register)
             known_good = (calibrations or {}).get(k)
             result = inspect_set(rig, part, image_set, options=inspection, cache=cache, calibration=known_good)
             known = place_defects(result.nominal, rig, part)
             own.add(known, evaluate_set(image_set, result, known=known))
+        if fixture and place is None and result.placement is not None:
+            place = part_file_placement(result.nominal, result.placement, part.placement)
+            cache = PredictionCache()
         print(f"{name}, seed {seed}: done", flush=True)
     for k, own in counts.items():
         yield from own.tallies(name, "", k)

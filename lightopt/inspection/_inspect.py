@@ -183,10 +183,7 @@ class Inspector:
             postures,
             options,
             expected=expected,
-            registration=(
-                *(() if found is None else found.warnings),
-                *(() if adjustment is None else adjustment.warnings),
-            ),
+            registration=(*registered.warnings, *(() if adjustment is None else adjustment.warnings)),
             calibrated=calibration is not None,
         )
         surface_map = self.cache.surface_map(registered.scene, expected, threads=threads)
@@ -194,7 +191,7 @@ class Inspector:
         return InspectionResult(
             defects=merge_detections([detection for p in postures for detection in p.detections]),
             postures=tuple(postures),
-            placement=registered.placement if options.register else None,
+            placement=None if found is None else registered.placement,
             registration=found,
             adjustment=adjustment,
             warnings=warnings,

@@ -37,10 +37,10 @@ def table_lobes(path: Path) -> tuple[tuple[float, float], ...]:
         raise InputError(f"{path}: {failed.args[0]}") from None
     if found.error > LARGEST_ERROR:
         raise InputError(
-            f"{path}: the lobes that model measured adds up follow the table only to {100.0 * found.error:.0f} %, at δ = "
-            f"{math.degrees(found.worst):.2g} degrees (most {100.0 * LARGEST_ERROR:.0f} %): expected a lobe that falls "
-            "steadily, without an edge or a second peak; check the rows there, end the table before them, or use model "
-            "ggx or two-lobe"
+            f"{path}: the lobes that model measured adds up follow the table only to {100.0 * found.error:.0f} %, at "
+            f"δ = {math.degrees(found.worst):.2g} degrees (most {100.0 * LARGEST_ERROR:.0f} %): expected a lobe that "
+            "falls steadily, without an edge or a second peak; check the rows there, end the table before them, or use "
+            "model ggx or two-lobe"
         )
     return found.lobes
 

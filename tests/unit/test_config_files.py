@@ -453,7 +453,9 @@ def test_missing_keys_are_described(folder: Path) -> None:
     assert len(found) == 4
     assert [f.partition(":")[0] for f in found] == ["2", "2", "3", "3"]
     assert any(f.startswith('2: missing key "mesh": The part') for f in found)
-    assert any(f.startswith('3: reflectance: missing key "sigma_rad": torrance-sparrow, two-lobe: width') for f in found)
+    assert any(
+        f.startswith('3: reflectance: missing key "sigma_rad": torrance-sparrow, two-lobe: width') for f in found
+    )
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,15 @@
 Entry: ``register(scene, observations, caster=...) -> Registration``, with observations from ``read_observations``.
 """
 
-from ._image_checks import FLIPS, LEVEL_CAP, Agreement, agreement, refuse_mismatch, refuse_useless_images
+from ._image_checks import (
+    FLIPS,
+    LEVEL_CAP,
+    Agreement,
+    agreement,
+    dark_as_predicted,
+    refuse_mismatch,
+    refuse_useless_images,
+)
 from ._observations import Observation, observed_postures, read_observations
 from ._placement import (
     LEAST_R_D,

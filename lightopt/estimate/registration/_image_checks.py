@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Index
 from lightopt.core.errors import InputError, counted
+from lightopt.core.transforms import Posture
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._placement import PixelSet, Placement, light_at, view_of_placed
+from lightopt.estimate.registration._placement import PixelSet, Placement, light_at, sensor_scale, view_of_placed
 from lightopt.geometry import RayCaster
 from lightopt.scene import Scene, screen_window, view_from_part
 
@@ -34,6 +35,8 @@ BETTER_SHARE = 0.5  # … and are where that leaves less than this share of the 
 LEVEL_CAP = 0.15
 """Residuals count as at most this share of the camera's range where models are compared: a defect or dust decides
 nothing."""
+DARK_MARGIN = 2.0  # black images are predicted where no level is brighter than so many times what is clearly not black
+MOST_OF_DEFECTS = 0.05  # share of pixels whose light does not count where black is predicted
 BLACK_SHARE = 0.02  # images with less than this share of the light that is predicted are black
 MOST_SATURATED = 0.5  # images of which more pixels than this share are saturated are refused for that
 _ALL, _REVERSED = slice(None), slice(None, None, -1)
@@ -53,27 +56,63 @@ def refuse_useless_images(
 
     Raises InputError: the part is outside the view, or all images are saturated or black where it is expected.
     """
-    sets = _coarse_pixels(scene, observations)
     where = observations[0].source.parent
     images = counted(len(observations), "image")
-    shown: list[Bool] = []
-    for pixels in sets:
-        view = view_of_placed(scene, pixels.posture, Placement())
-        light, *_ = light_at(scene, pixels, view, caster, threads=threads)
-        shown.append(~np.isfinite(light) | (light > 0.0))
-    if not any(lit.any() for lit in shown):
+    sets = _coarse_pixels(scene, observations)
+    lit, _ = _coarse_prediction(scene, sets, caster, (), threads)
+    if not any(pixels.any() for pixels in lit.values()):
         raise InputError(f"{where}: no pixel of the {images} shows the part lit; check placement, postures and lights")
-    lit = {p.posture: np.any(s, axis=0) for p, s in zip(sets, shown, strict=True)}
     at = {p.posture: (p.row[lit[p.posture]], p.column[lit[p.posture]]) for p in sets}
     expected = [o for o in observations if o.posture in at]
     if all(bool(o.saturated[at[o.posture]].all()) for o in expected):
         raise InputError(f"{where}: every pixel of the part is saturated in each of {images}; expose shorter")
-    sensor = scene.sensor
-    above = sensor.black_level + CLEAR * math.sqrt(sensor.noise_variance(0.0)) + 0.5
-    seen = [o.levels[at[o.posture]] for o in expected]
-    if max(float(np.mean(levels > above)) if levels.size else 0.0 for levels in seen) < LEAST_BRIGHT_SHARE:
+    seen = [o.levels[at[o.posture]] - scene.sensor.black_level for o in expected]
+    if _all_black(seen, _least_bright(scene)):
         raise InputError(f"{where}: the {images} are black where the part is expected; check lens cap and lights")
     return sets
+
+
+def dark_as_predicted(
+    scene: Scene, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
+) -> bool:
+    """Whether all images are black where the part is, and are predicted to be, as in dark field on a polished part.
+
+    Such images show defects, but not where the part is.
+    """
+    bright, black = _least_bright(scene), scene.sensor.black_level
+    if not _all_black([o.levels - black for o in observations], bright):
+        return False
+    sets = _coarse_pixels(scene, observations)
+    lit, predicted = _coarse_prediction(scene, sets, caster, (scene.reflectance.sigma,), threads)
+    there = [posture for posture, pixels in lit.items() if pixels.any()]
+    return bool(there) and _all_black([predicted[own][:, lit[own]] for own in there], DARK_MARGIN * bright)
+
+
+def _least_bright(scene: Scene) -> float:
+    # level above black from which a pixel is clearly not black
+    return CLEAR * math.sqrt(scene.sensor.noise_variance(0.0)) + 0.5
+
+
+def _all_black(levels: Sequence[Array], bright: float) -> bool:
+    return all(not own.size or float(np.mean(own > bright)) < LEAST_BRIGHT_SHARE for own in levels)
+
+
+def _coarse_prediction(
+    scene: Scene, sets: Sequence[PixelSet], caster: RayCaster, sigmas: Sequence[float], threads: int | None
+) -> tuple[dict[Posture, Bool], dict[Posture, Array]]:
+    # by posture which pixels show the part lit at its nominal place, and their levels above black under each light,
+    # shape (images, n): diffuse light, and lobes of these widths
+    reflectance = scene.reflectance
+    lit: dict[Posture, Bool] = {}
+    levels: dict[Posture, Array] = {}
+    for pixels in sets:
+        view = view_of_placed(scene, pixels.posture, Placement())
+        diffuse, specular, _ = light_at(scene, pixels, view, caster, sigmas=sigmas, threads=threads)
+        lit[pixels.posture] = np.any(~np.isfinite(diffuse) | (diffuse > 0.0), axis=0)
+        scales = np.array([[sensor_scale(scene, image)] for image in pixels.images])
+        level = reflectance.R_d * diffuse + reflectance.R_s * specular.sum(axis=0)
+        levels[pixels.posture] = scales * np.nan_to_num(level)
+    return lit, levels
 
 
 def _coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[PixelSet]:
@@ -153,6 +192,12 @@ def refuse_mismatch(level: Array, predicted: Array, limit: Array, deviation: Arr
     own = agreement(seen, model, noise)
     if own.share < SUSPICIOUS:
         return
+    if own.level < CLEAR * own.noise:
+        # in dark field, defects and dust are all the light that there is
+        off = np.abs(seen - model)
+        most = off <= np.quantile(off, 1.0 - MOST_OF_DEFECTS)
+        if agreement(seen[most], model[most], noise[most]).share < SUSPICIOUS:
+            return
     flipped = {name: agreement(measured(flip), model, noise) for name, (flip, _) in FLIPS.items()}
     best = min(flipped, key=lambda name: flipped[name].residual)
     if not flipped[best].mismatch and flipped[best].excess < BETTER_SHARE * own.excess:

@@ -17,6 +17,7 @@ from lightopt.estimate.registration import (
     Observation,
     Placement,
     Registration,
+    dark_as_predicted,
     observed_postures,
     place_part,
     read_observations,
@@ -34,6 +35,12 @@ from lightopt.scene import Scene, build_catalogue, build_scene, project, view_fr
 ExposuresByLight = dict[str, tuple[tuple[float, int], ...]]
 
 
+DARK = (
+    "the images of a good part are predicted to be black, and these are: they cannot say where the part is, so it is "
+    "taken to lie where its file has it; defects are placed as exactly as the part"
+)
+
+
 @dataclass(frozen=True)
 class RegisteredSet:
     """A set of images with its part registered."""
@@ -43,8 +50,9 @@ class RegisteredSet:
     scene: Scene  # the predicted scene: the part lies where it was found, or nearly there
     # of each posture, in the set's order, made one at a time; with the exposures of its images
     views: Iterator[tuple[PostureView, ExposuresByLight]]
-    # that found the part, or the part that it lies near; None for a part that is not searched for
+    # that found the part, or the part that it lies near; None for a part that is not searched for, or cannot be found
     registration: Registration | None = None
+    warnings: tuple[str, ...] = ()
     # width of the neighbourhood that a place is compared with where that is the reference
     neighbourhood_px: float = LEAST_PX
 
@@ -64,6 +72,8 @@ def register_set(
     nominal, observations = nominal_scene(rig, part, image_set, scenes=cache.nominal_scenes, threads=threads)
     if reference == "model":
         nominal = cache.adjusted(rig, nominal, observations, register=register, run=run)
+    dark = register and dark_as_predicted(nominal, observations, caster=cast_rays_at(nominal), threads=threads)
+    register = register and not dark
     scene, placement, offset = _find(nominal, observations, cache, run, register=register)
 
     def views() -> Iterator[tuple[PostureView, ExposuresByLight]]:
@@ -83,8 +93,16 @@ def register_set(
         if register and offset is None:
             cache.measure_misfit(scene, observations, threads=threads)
 
-    width = neighbourhood_px(nominal, build_catalogue(part))
-    return RegisteredSet(nominal, placement, scene, views(), cache.registration if register else None, width)
+    registration = cache.registration if register else None
+    return RegisteredSet(
+        nominal=nominal,
+        placement=placement,
+        scene=scene,
+        views=views(),
+        registration=registration,
+        warnings=(DARK,) if dark else () if registration is None else registration.warnings,
+        neighbourhood_px=neighbourhood_px(nominal, build_catalogue(part)),
+    )
 
 
 def nominal_scene(
