@@ -11,7 +11,10 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -40,6 +43,7 @@ LIGHTS = {
     "low-angle ring": "kind: low_angle_ring, radius_mm: 90, height_mm: 15, distance_mm: 22, segments: 4",
 }
 SIGMA, R_S = 0.0475, 12_500.0
+SIGMAS = (0.003, 0.01, SIGMA)  # of the lobe under panels
 LOBES = {
     "Torrance–Sparrow": SpecularModel(),
     "GGX": SpecularModel(name="ggx"),
@@ -69,6 +73,11 @@ def seconds(scene: Scene, repeats: int) -> float:
     return best
 
 
+def _panels(points: int | Literal["auto"]) -> Scene:
+    # the knob under the four panels of the sample rig
+    return build_scene(load_rig(RIG), load_part(CONFIGS / "parts" / "cover-knob.yaml"), points=points)
+
+
 def seconds_of_lobes(scene: Scene, repeats: int) -> list[float]:
     """Processor time of the light of each of :data:`LOBES` [s]."""
     pixels = trace_pixels(scene, scene.postures[0], cast_rays_at(scene), threads=1)
@@ -79,6 +88,18 @@ def seconds_of_lobes(scene: Scene, repeats: int) -> list[float]:
             reflectance = Reflectance(R_d=45.0, R_s=R_S, sigma=SIGMA, model=model)
             begun = time.process_time()
             shade_surface_lights(surface, lights, reflectance=reflectance, caster=None)
+            best[number] = min(best[number], time.process_time() - begun)
+    return best
+
+
+def seconds_of_panels(scene: Scene, sigma: float, repeats: int) -> list[float]:
+    """Processor time of images of a posture under panels, shadows included, with each of :data:`LOBES` [s]."""
+    best, caster = [float("inf")] * len(LOBES), cast_rays_at(scene)
+    for _ in range(repeats + 1):
+        for number, model in enumerate(LOBES.values()):
+            own = replace(scene, reflectance=Reflectance(R_d=45.0, R_s=R_S, sigma=sigma, model=model))
+            begun = time.process_time()
+            render_posture(own, own.postures[0], caster=caster, threads=1)
             best[number] = min(best[number], time.process_time() - begun)
     return best
 
@@ -99,6 +120,11 @@ def main(arguments: list[str] | None = None) -> None:
         for light, words in LIGHTS.items():
             first, *others = seconds_of_lobes(_scene(folder, words), repeats)
             print(f"| {light} | {first:.3f} s | {' | '.join(f'{one / first:.2f}' for one in others)} |", flush=True)
+        print(f"\n| panels | σ | {' | '.join(LOBES)} |\n|---|---|{'---|' * len(LOBES)}")
+        for points, sigma in product((4, "auto"), SIGMAS):
+            first, *others = seconds_of_panels(_panels(points), sigma, repeats)
+            ratios = " | ".join(f"{one / first:.2f}" for one in others)
+            print(f"| {points} | {sigma} | {first:.3f} s | {ratios} |", flush=True)
 
 
 if __name__ == "__main__":

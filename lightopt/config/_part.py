@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import PurePath
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
+from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator, model_validator
 
 from lightopt.config import _fields as fields
 from lightopt.config._defects import DefectConfig, PlannedDefectConfig
@@ -331,13 +331,44 @@ class RegionConfig(Frozen):
         return own
 
 
+_Waviness = Annotated[float, Field(gt=0, le=5), expecting("a number above 0, up to 5 (degrees)")]
+_WaveLength = Annotated[float, Field(ge=0.01, le=100), expecting("a number from 0.01 to 100 (mm)")]
+
+
+class WavinessConfig(Frozen):
+    """Waves of one length on the surface of good parts."""
+
+    waviness_deg: _Waviness
+    """Root mean square slope of the surface against the mesh [deg]."""
+    waviness_mm: _WaveLength
+    """Correlation length of its height [mm]: about a sixth of the distance of its waves."""
+
+
 class SurfaceConfig(Frozen):
     """Waviness of good parts (orange peel): by how much their surface departs from the mesh."""
 
-    waviness_deg: Annotated[float, Field(gt=0, le=5), expecting("a number above 0, up to 5 (degrees)")]
-    """Root mean square slope of the surface against the mesh [deg]."""
-    waviness_mm: Annotated[float, Field(ge=0.01, le=100), expecting("a number from 0.01 to 100 (mm)")]
+    waviness_deg: _Waviness | None = None
+    """Root mean square slope of the surface against the mesh [deg]; absent where there are bands."""
+    waviness_mm: _WaveLength | None = None
     """Correlation length of its height [mm]: about a sixth of the distance of its waves."""
+    bands: Annotated[tuple[WavinessConfig, ...], Field(strict=False, max_length=10)] = ()
+    """Waves of several lengths, in place of the two keys above: the power spectrum of the surface, band by band."""
+
+    @model_validator(mode="after")
+    def _one_form(self) -> "SurfaceConfig":
+        given = self.waviness_deg is not None, self.waviness_mm is not None
+        if self.bands and any(given):
+            raise complaint("bands are given in place of waviness_deg and waviness_mm; remove one or the other")
+        if not self.bands and not all(given):
+            raise complaint("expected waviness_deg and waviness_mm, or bands, each with both")
+        return self
+
+    @property
+    def waves(self) -> tuple[tuple[float, float], ...]:
+        """Slope [deg] and correlation length [mm] of each band."""
+        if self.waviness_deg is not None and self.waviness_mm is not None:
+            return ((self.waviness_deg, self.waviness_mm),)
+        return tuple((band.waviness_deg, band.waviness_mm) for band in self.bands)
 
 
 class PartConfig(fields.FileConfig):

@@ -133,7 +133,8 @@ def datasheet(setup: Setup, samples: Sequence[Record], omitted: int) -> str:
     tilt = f", tilt ± {reach.tilt_deg:g}°, height ± {reach.lift_mm:g} mm" if reach.tilt_deg or reach.lift_mm else ""
     gains = "; ".join(f"{name} {limits(pair)}" for name, pair in factors.gains.items())
     surface, sensor = part.surface, rig.camera.sensor
-    waviness = "none" if surface is None else f"{surface.waviness_deg:g}°, {surface.waviness_mm:g} mm"
+    waves = () if surface is None else surface.waves
+    waviness = "; ".join(f"{slope:g}°, {length:g} mm" for slope, length in waves) or "none"
     electrons = f", {sensor.electrons_per_level:g} electrons per level" if sensor.electrons_per_level else ""
     particles = f"{dust.particles[0]} to {dust.particles[1]} particles of {limits(dust.size_mm)} mm"
     randomised = [

@@ -1,7 +1,8 @@
 """Waviness of good surfaces (orange peel): slopes that images show, and the noise that they are to an inspection.
 
-The height over the CAD model is a normal random field with the covariance A²·exp(−d²/(2ℓ²)) at a distance d. Its slope
-along each axis of the surface has the standard deviation A/ℓ.
+The height over the CAD model is a normal random field with the covariance A²·exp(−d²/(2ℓ²)) at a distance d, or the sum
+of several of them, the bands of its power spectrum. The slope of each along each axis of the surface has the standard
+deviation A/ℓ.
 """
 
 import math
@@ -14,24 +15,31 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 
-_WAVES = 96  # plane waves in space that the field is the sum of
+_WAVES = 96  # plane waves in space that the field of a band is the sum of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Waviness:
     """Random slopes of a good surface."""
 
-    slope: float  # root mean square [rad]
-    length: float  # correlation length ℓ of the height [mm]
+    bands: tuple[tuple[float, float], ...]  # root mean square slope [rad] and correlation length ℓ of the height [mm]
     seed: int | None = None  # of the surface that images show; None for the smooth one
 
     @cached_property
-    def _waves(self) -> tuple[Float64, Float64, float]:
+    def slope(self) -> float:
+        """Root mean square slope [rad]."""
+        return math.hypot(*(slope for slope, _ in self.bands))
+
+    @cached_property
+    def _waves(self) -> tuple[Float64, Float64, Float64]:
         rng = np.random.default_rng(self.seed)
-        vectors = rng.standard_normal((_WAVES, 3))
-        vectors *= math.sqrt(3.0 * _WAVES / np.sum(vectors**2)) / self.length
-        phases = rng.uniform(0.0, 2.0 * math.pi, _WAVES)
-        return vectors, phases, self.slope * self.length / math.sqrt(_WAVES)
+        vectors, phases, amplitudes = list[Float64](), list[Float64](), list[Float64]()
+        for slope, length in self.bands:
+            own = rng.standard_normal((_WAVES, 3))
+            vectors.append(own * (math.sqrt(3.0 * _WAVES / np.sum(own**2)) / length))
+            phases.append(rng.uniform(0.0, 2.0 * math.pi, _WAVES))
+            amplitudes.append(np.full(_WAVES, slope * length / math.sqrt(_WAVES)))
+        return np.concatenate(vectors), np.concatenate(phases), np.concatenate(amplitudes)
 
     @property
     def leans(self) -> tuple[Float64, Float64]:
@@ -58,36 +66,43 @@ class Waviness:
 
         The sum is over a Gaussian of the width s [px] that is worst. With the covariance of the slope and q = ℓ²/(2s²),
         ℓ in pixels, it is 2πℓ²·q/(1 + q)². Where the sum is over the slope of a Gaussian hill of that width, as walls
-        of a defect have it, it is 6πℓ²·q/(1 + q)³. At least 1.
+        of a defect have it, it is 6πℓ²·q/(1 + q)³. At least 1. Bands count by the squares of their slopes.
 
         footprint: Side of a pixel on the surface [mm]
         scales: Widths s
         walls: Whether sums are over slopes, too
         """
-        square = (self.length / footprint) ** 2
-        ratios = [square / (2.0 * scale * scale) for scale in scales]
-        factors = [1.0, *(2.0 * math.pi * square * q / (1.0 + q) ** 2 for q in ratios)]
-        if walls:
-            factors += [6.0 * math.pi * square * q / (1.0 + q) ** 3 for q in ratios]
-        return max(factors)
+        kinds = [False, True] if walls else [False]
+        return max(self._correlated(scale * footprint, footprint, kind) for scale in scales for kind in kinds)
+
+    def _correlated(self, width: float, footprint: float, walls: bool) -> float:
+        # of the sum over a Gaussian of a width [mm], or over its slope
+        total = 0.0
+        for slope, length in self.bands:
+            q = 0.5 * (length / width) ** 2
+            factor = (
+                (3.0 / (1.0 + q) if walls else 1.0) * 2.0 * math.pi * (length / footprint) ** 2 * q / (1.0 + q) ** 2
+            )
+            total += (slope / self.slope) ** 2 * max(1.0, factor)
+        return total
 
 
 @kernel
 def _lean(
-    points: Float64, normals: Float64, vectors: Float64, phases: Float64, amplitude: float, result: Float64
+    points: Float64, normals: Float64, vectors: Float64, phases: Float64, amplitudes: Float64, result: Float64
 ) -> None:
     # n − ∇h, of unit length, with the gradient in the tangent plane
     for i in range(len(points)):
         x = y = z = 0.0
         for w in range(len(vectors)):
             a, b, c = vectors[w]
-            sine = math.sin(a * points[i, 0] + b * points[i, 1] + c * points[i, 2] + phases[w])
-            x -= sine * a
-            y -= sine * b
-            z -= sine * c
+            rise = amplitudes[w] * math.sin(a * points[i, 0] + b * points[i, 1] + c * points[i, 2] + phases[w])
+            x -= rise * a
+            y -= rise * b
+            z -= rise * c
         along = x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]
         for k, part in enumerate((x, y, z)):
-            result[i, k] = normals[i, k] - amplitude * (part - along * normals[i, k])
+            result[i, k] = normals[i, k] - (part - along * normals[i, k])
         length = math.sqrt(result[i, 0] ** 2 + result[i, 1] ** 2 + result[i, 2] ** 2)
         for k in range(3):
             result[i, k] /= length

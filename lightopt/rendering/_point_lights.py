@@ -16,11 +16,13 @@ from lightopt.optics import (
     Lobe,
     Reflectance,
     diffuse_term,
+    fresnel_factor,
     is_lambert,
     lambert,
     light_factor,
     lobe_at,
     narrow_gaussian,
+    round_ggx,
     specular_divisor,
     specular_lobe,
     square_across,
@@ -83,6 +85,28 @@ def lobe_towards(n: Vector, v: Vector, light: Vector, lobe: Lobe) -> float:
         return specular_lobe(dot(chord, chord), 0.0, lobe)
     factor = light_factor(dot(n, light), square_across(light, lobe), size, lobe)
     return specular_lobe(dot(chord, chord), square_across(chord, lobe), lobe) * factor
+
+
+@kernel
+def round_lobes(values: Float64, chord: Float64, n_dot_l: Float64, half_size: Float64, count: int, lobe: Lobe) -> None:
+    """Set what :func:`lobe_towards` returns, for several directions of light and a lobe that is alike all round.
+
+    The processor works on several of them at once. Far from Gaussian lobes, where only wide ones are not negligible,
+    they are off by up to 3e-4 at the horizon.
+
+    values, chord, n_dot_l, half_size: Results; |N − H|², N·L and |L + V|, of which the first `count` count
+    """
+    if lobe.ggx:
+        for i in range(count):
+            values[i] = round_ggx(chord[i], n_dot_l[i], lobe.inverse)
+    else:
+        for i in range(count):
+            values[i] = lobe.share * narrow_gaussian(chord[i], lobe.inverse)
+        for k in range(lobe.wider):
+            for i in range(count):
+                values[i] += lobe.shares[k] * narrow_gaussian(chord[i], lobe.inverses[k])
+    for i in range(count if lobe.n > 0.0 else 0):
+        values[i] *= fresnel_factor(half_size[i], lobe.n, lobe.k, lobe.normal_reflectance)
 
 
 @kernel

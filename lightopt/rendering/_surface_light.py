@@ -71,7 +71,7 @@ from lightopt.rendering._panel_quadrature import (
     tail_nodes,
 )
 from lightopt.rendering._pattern_weights import pattern_weights, picture_weights
-from lightopt.rendering._point_lights import facing_targets
+from lightopt.rendering._point_lights import facing_targets, round_lobes
 from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at, surface_point
 
 DIFFUSE_NODES = 3  # a side of an element
@@ -745,21 +745,11 @@ def _set_light_of_node(work: Float64, number: int, q: Vector, shining: Vector, l
         half = plus(scaled(towards, 1.0 / r), column_at(work, i, 6))
         size = math.sqrt(dot(half, half))
         chord = minus(normal, scaled(half, 1.0 / size))
-        work[9, i], work[10, i], work[11, i] = 0.0, dot(chord, chord), size
+        work[10, i], work[11, i] = dot(chord, chord), size
         n_dot_l = max(0.0, dot(normal, towards)) / r
         work[12, i] = n_dot_l
         work[13, i] = max(0.0, -dot(shining, towards)) / (r2 * r) if n_dot_l > 0.0 else 0.0
-    if lobe.ggx:
-        for i in range(number):
-            work[9, i] = round_ggx(work[10, i], work[12, i], lobe.inverse)
-    for k in range(0 if lobe.ggx else lobe.wider + 1):
-        share = lobe.share if k == 0 else lobe.shares[k - 1]
-        inverse = lobe.inverse if k == 0 else lobe.inverses[k - 1]
-        # also beyond its range, where only wide lobes are not negligible: to 3e-4 at the horizon
-        for i in range(number):
-            work[9, i] += share * narrow_gaussian(work[10, i], inverse)
-    for i in range(number if lobe.n > 0.0 else 0):
-        work[9, i] *= fresnel_factor(work[11, i], lobe.n, lobe.k, lobe.normal_reflectance)
+    round_lobes(work[9], work[10], work[12], work[11], number, lobe)
     for i in range(number):
         work[9, i] *= work[13, i]
 

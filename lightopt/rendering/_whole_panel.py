@@ -6,10 +6,11 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import column_at, dot, length, minus, scaled
+from lightopt.core.vectors import column_at, dot, length, minus, plus, scaled
 from lightopt.lights import attenuated, half_diagonal, panel_point
-from lightopt.optics import MAX_LOBE_EXPONENT, is_lambert, lambert, lobe_at, specular_divisor, square_across
+from lightopt.optics import MAX_LOBE_EXPONENT, Lobe, is_lambert, lambert, lobe_at, specular_divisor, square_across
 from lightopt.rendering._panel_quadrature import (
+    NEGLIGIBLE_EXPONENT,
     NODES,
     TAIL_ERROR,
     WEIGHTS,
@@ -18,15 +19,18 @@ from lightopt.rendering._panel_quadrature import (
     out_of_reach,
     rectangle_diffuse,
     rectangle_specular,
-    smooth_nodes,
+    smooth_nodes_within,
 )
 from lightopt.rendering._penumbra import ConvergedLight
-from lightopt.rendering._point_lights import diffuse_only, lobe_towards, point_terms
+from lightopt.rendering._point_lights import diffuse_only, lobe_towards, point_terms, round_lobes
 from lightopt.rendering._surface import PointRows, point_at, surface_point
 
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
 _STEP_S, _STEP_T = 0.6287067210378087, 0.5385972572236101  # 1/g³ and 1/g⁴ of g⁵ = g + 1
 FAR_SHARE = 20.0 / MAX_LOBE_EXPONENT  # of the farthest exponent, e⁻²⁰ of the lobe, beyond which it is left out there
+# of tails: what they may be off by in R_s, of which they are a tenth in fact, 0.02 level of chrome with R_s = 10⁶; the
+# same as a share of their light; and the share from which on few nodes do for fall-off and emission
+_PEAK_ERROR, _MOST_TAIL_ERROR, _FEW_NODES_ERROR = 2e-7, 1e-2, 1e-3
 _MOST_EVEN = 6  # nodes a side up to which a lobe is smooth all over the panel
 
 
@@ -43,7 +47,7 @@ def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Flo
     # the processor works on several points at once in loops without branches over numbers that lie side by side
     p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
     diffuse, above, near = np.empty(_AT_ONCE), np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE, np.bool_)
-    specular, work = np.empty(_AT_ONCE), np.empty((10, _AT_ONCE))
+    specular, work = np.empty(_AT_ONCE), np.empty((15, _AT_ONCE))
     for first in range(0, len(index), _AT_ONCE):
         count = min(_AT_ONCE, len(index) - first)
         for j in range(count):
@@ -81,6 +85,16 @@ def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Flo
 
 
 @kernel
+def _tail_error(nearest: float, lobe: Lobe) -> float:
+    # by which share of a lobe's light a rule may be off where its peak is so far away (chord): light that is nothing
+    # beside the peak needs no digits
+    if not lobe.ggx:
+        return TAIL_ERROR
+    value = 1.0 / (1.0 + 0.5 * nearest * nearest * lobe.inverse) ** 2
+    return min(max(_PEAK_ERROR / value, TAIL_ERROR), _MOST_TAIL_ERROR)
+
+
+@kernel
 def _add_smooth(
     columns: tuple[Float64, Float64, Float64],
     frames: Float64,
@@ -99,7 +113,12 @@ def _add_smooth(
         at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
         if near[j] and above[j] and at.n_dot_v > 0.0:
             turned = lobe_at(lobe, frames, index[j])
-            wanted[j] = max(smooth_nodes(at, panel.centre, half_diagonal(panel), turned, TAIL_ERROR), light.nodes)
+            half, spread = half_vector_cone(at, panel.centre, half_diagonal(panel))
+            off = minus(at.n, half)
+            away = math.sqrt(max(0.0, dot(off, off) - square_across(off, turned)))
+            error = _tail_error(max(0.0, away - spread), lobe)
+            least = light.nodes if error < _FEW_NODES_ERROR else 2
+            wanted[j] = max(smooth_nodes_within(away, spread, turned, error, NEGLIGIBLE_EXPONENT), least)
     for few in range(2, _MOST_EVEN + 1):
         number = 0
         for j in range(len(above)):
@@ -121,8 +140,18 @@ def _add_smooth(
                     towards = minus(q, column_at(work, k))
                     r2 = dot(towards, towards)
                     towards = scaled(towards, 1.0 / math.sqrt(r2))
-                    value = lobe_towards(normal, view, towards, lobe_at(lobe, frames, index[place[k]]))
-                    work[9, k] += value * attenuated(weight, panel, r2, dot(panel.outward, towards))
+                    half = plus(towards, view)
+                    size = math.sqrt(dot(half, half))
+                    chord = minus(normal, scaled(half, 1.0 / size))
+                    work[10, k], work[11, k], work[12, k] = dot(chord, chord), dot(normal, towards), size
+                    work[13, k] = attenuated(weight, panel, r2, dot(panel.outward, towards))
+                    if lobe.widening > 1.0:
+                        value = lobe_towards(normal, view, towards, lobe_at(lobe, frames, index[place[k]]))
+                        work[9, k] += value * work[13, k]
+                if lobe.widening == 1.0:
+                    round_lobes(work[14], work[10], work[11], work[12], number, lobe)
+                    for k in range(number):
+                        work[9, k] += work[14, k] * work[13, k]
         for k in range(number):
             j = place[k]
             view = column_at(v, j)

@@ -88,9 +88,8 @@ def build_scene(
     warnings += _check_view(scene, rig, part)
     waviness = None
     if part.surface is not None:
-        waviness = Waviness(
-            slope=math.radians(part.surface.waviness_deg), length=part.surface.waviness_mm, seed=0 if defects else None
-        )
+        bands = tuple((math.radians(slope), length) for slope, length in part.surface.waves)
+        waviness = Waviness(bands=bands, seed=0 if defects else None)
     placed_defects = place_defects(scene, rig, part) if defects else ()
     return replace(scene, warnings=warnings, defects=placed_defects, waviness=waviness)
 

@@ -20,7 +20,9 @@ from lightopt.rig.capture._wiring import start_bench
 from lightopt.rig.simulated import BenchTruth
 from lightopt.scene import build_scene
 
-LENGTH_MM, SLOPE = 1.5, math.radians(0.1)
+SLOPE = math.radians(0.1)
+BAND = ((SLOPE, 1.5),)
+BANDS = ((0.8 * SLOPE, 0.6), (0.6 * SLOPE, 3.0))  # with the same slope
 
 
 def plane(side_mm, step_mm):
@@ -29,17 +31,18 @@ def plane(side_mm, step_mm):
     return points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), x.shape
 
 
-def test_slopes_have_their_root_mean_square_and_sums_over_gaussians_their_variance():
+@pytest.mark.parametrize("bands", [BAND, BANDS])
+def test_slopes_have_their_root_mean_square_and_sums_over_gaussians_their_variance(bands):
     points, normals, shape = plane(50.0, 0.25)
     ratios = []
     for seed in range(6):
-        leant = Waviness(slope=SLOPE, length=LENGTH_MM, seed=seed).normals(points, normals)
+        leant = Waviness(bands=bands, seed=seed).normals(points, normals)
         np.testing.assert_allclose(np.linalg.norm(leant, axis=1), 1.0, atol=1e-12)
         assert math.sqrt(np.mean(np.sum(leant[:, :2] ** 2, axis=1))) == pytest.approx(SLOPE, rel=0.12)
         slopes = leant[:, 0].reshape(shape) / (SLOPE / math.sqrt(2.0))
         sums = [ndimage.gaussian_filter(slopes, s, mode="reflect") * math.sqrt(4.0 * math.pi) * s for s in SCALES_PX]
         ratios.append([np.var(one) for one in sums])
-    waviness = Waviness(slope=SLOPE, length=LENGTH_MM)
+    waviness = Waviness(bands=bands)
     expected = [waviness.correlated_pixels(0.25, (scale,)) for scale in SCALES_PX]
     np.testing.assert_allclose(np.mean(ratios, axis=0), expected, rtol=0.25)
     assert waviness.correlated_pixels(0.25, SCALES_PX) == max(expected)
@@ -53,21 +56,21 @@ def test_sums_over_the_walls_of_a_hill_have_their_variance():
     points, normals, shape = plane(50.0, step)
     sums = []
     for seed in range(6):
-        leant = Waviness(slope=SLOPE, length=LENGTH_MM, seed=seed).normals(points, normals)
+        leant = Waviness(bands=BAND, seed=seed).normals(points, normals)
         slopes = leant[:, 0].reshape(shape) / (SLOPE / math.sqrt(2.0))
         sums.append(np.var(ndimage.correlate(slopes, walls)[15:-15, 15:-15]))
-    waviness = Waviness(slope=SLOPE, length=LENGTH_MM)
+    waviness = Waviness(bands=BAND)
     assert np.mean(sums) == pytest.approx(waviness.correlated_pixels(step, (scale,), walls=True), rel=0.25)
     assert waviness.correlated_pixels(step, (6.0,), walls=True) > waviness.correlated_pixels(step, (6.0,))
 
 
 def test_waves_much_finer_than_a_pixel_are_independent_from_pixel_to_pixel():
-    assert Waviness(slope=SLOPE, length=0.01).correlated_pixels(0.25, SCALES_PX) == 1.0
+    assert Waviness(bands=((SLOPE, 0.01),)).correlated_pixels(0.25, SCALES_PX) == 1.0
 
 
 def test_a_surface_without_a_seed_is_the_smooth_one():
     points, normals, _ = plane(2.0, 0.5)
-    np.testing.assert_array_equal(Waviness(slope=SLOPE, length=LENGTH_MM).normals(points, normals), normals)
+    np.testing.assert_array_equal(Waviness(bands=BAND).normals(points, normals), normals)
 
 
 @pytest.mark.parametrize(("level", "spread", "limit"), [(100, 20, 120), (130, 20, 120), (100, 20, 900), (135, 10, 120)])
@@ -158,6 +161,27 @@ def test_every_part_on_the_simulated_rig_has_a_surface_of_its_own(wavy):
     np.testing.assert_array_equal(frames[0], frames[1])
     # on the flank of the highlight, far beyond noise
     assert np.abs(frames[2].astype(float) - frames[0]).max() > 20.0
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ("waviness_deg: 0.1", "expected waviness_deg and waviness_mm, or bands"),
+        ("waviness_deg: 0.1, bands: [{waviness_deg: 0.1, waviness_mm: 1}]", "remove one or the other"),
+        ("bands: [{waviness_deg: 0.1}]", 'bands\\[0\\]: missing key "waviness_mm"'),
+    ],
+)
+def test_bands_take_the_place_of_one_slope_and_length(wavy, keys, words):
+    wavy.edit("part.yaml", "waviness_deg: 0.1, waviness_mm: 1.5", keys)
+    with pytest.raises(InputError, match=words):
+        load_part(wavy.part)
+
+
+def test_a_part_file_has_several_bands(wavy):
+    bands = "bands: [{waviness_deg: 0.05, waviness_mm: 0.3}, {waviness_deg: 0.1, waviness_mm: 3}]"
+    wavy.edit("part.yaml", "waviness_deg: 0.1, waviness_mm: 1.5", bands)
+    scene = build_scene(wavy.rig, wavy.part)
+    assert np.allclose(scene.waviness.bands, [(math.radians(0.05), 0.3), (math.radians(0.1), 3.0)])
 
 
 @pytest.mark.parametrize("line", ["waviness_deg: 9", "waviness_deg: 0", "waviness_mm: 0"])
