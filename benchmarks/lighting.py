@@ -168,10 +168,15 @@ def table(rows: list[Row]) -> str:
                 f"{100 * row.at_places:.0f} % | {found} of {row.placed} | {100 * low:.0f} to {100 * high:.0f} % | "
                 f"{row.false_alarms} in {row.postures} |"
             )
-    near = sum(abs(row.planned - row.found / row.placed) <= 0.05 for row in rows)
+    near = [
+        sum(abs(getattr(row, key) - row.found / row.placed) <= 0.05 for row in rows) for key in ("planned", "at_places")
+    ]
     lines += [
         "",
-        f"The predicted winner wins in {right} of {len(cases)}; {near} of {len(rows)} shares are within 5 points.",
+        (
+            f"The predicted winner wins in {right} of {len(cases)}. Of {len(rows)} shares predicted at these places, "
+            f"{near[1]} are within 5 points of those found; of those predicted of all places, {near[0]} are."
+        ),
     ]
     return "\n".join(lines)
 

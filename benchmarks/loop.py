@@ -36,6 +36,7 @@ from benchmarks.inspection import FIRST, replace_block
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool
+from lightopt.core.errors import InputError
 from lightopt.defects import DEFAULT_FALSE_ALARMS, PlacedDefect, tangent_references
 from lightopt.design import DetectionModel, planned_catalogue
 from lightopt.design._problem import images_that_decide
@@ -274,12 +275,17 @@ def count_found(
             register = place is None
             inspection = InspectOptions(fusion=None, min_images=k, false_alarms=options.false_alarms, register=register)
             known_good = (calibrations or {}).get(k)
-            result = inspect_set(rig, part, image_set, options=inspection, cache=cache, calibration=known_good)
+            try:
+                result = inspect_set(rig, part, image_set, options=inspection, cache=cache, calibration=known_good)
+            except InputError as refused:
+                print(f"{name}, seed {seed}: {refused}", flush=True)
+                own.miss(place_defects(build_scene(rig, part, defects=False), rig, part))
+                continue
             known = place_defects(result.nominal, rig, part)
             own.add(known, evaluate_set(image_set, result, known=known))
-        if fixture and place is None and result.placement is not None:
-            place = part_file_placement(result.nominal, result.placement, part.placement)
-            cache = PredictionCache()
+            if fixture and place is None and result.placement is not None:
+                place = part_file_placement(result.nominal, result.placement, part.placement)
+                cache = PredictionCache()
         print(f"{name}, seed {seed}: done", flush=True)
     for k, own in counts.items():
         yield from own.tallies(name, "", k)
@@ -302,6 +308,13 @@ class _Counts:
                 self.hits.setdefault(kind, []).append(hit)
         self.false_alarms += known.false_alarms
         self.postures += known.postures
+
+    def miss(self, placed: tuple[PlacedDefect, ...]) -> None:
+        """Of images that the inspection refuses."""
+        for defect in placed:
+            kind = defect.name.rsplit("-", 1)[0]
+            self.hits.setdefault(kind, []).append((self.prediction.at(defect, kind), False))
+        self.postures += 1
 
     def tallies(self, part: str, objective: str, min_images: int) -> Iterator[Tally]:
         planned = {kind: self.prediction.planned(kind) for kind in self.hits}

@@ -552,7 +552,7 @@ def whole_element(e: Element) -> Rectangle:
 
 
 @kernel
-def _piece(e: Element, number: int) -> Rectangle:
+def element_piece(e: Element, number: int) -> Rectangle:
     i, j = number // PIECES, number % PIECES
     du, dv = (e.u1 - e.u0) / PIECES, (e.v1 - e.v0) / PIECES
     return Rectangle(e.u0 + i * du, e.u0 + (i + 1) * du, e.v0 + j * dv, e.v0 + (j + 1) * dv)
@@ -810,7 +810,7 @@ def _piece_targets(elements: Float64) -> Float64:
     for m in range(len(elements)):
         e = element_at(elements, m)
         for k in range(PIECES * PIECES):
-            area = _piece(e, k)
+            area = element_piece(e, k)
             # no two pieces in line, so that an edge along a side is met at PIECES² places, not at PIECES
             s, t = (k % PIECES + 0.5) / PIECES, (k // PIECES + 0.5) / PIECES
             q, _, _ = element_place(e, area.s0 + s * (area.s1 - area.s0), area.t0 + t * (area.t1 - area.t0))
@@ -839,7 +839,7 @@ def _replace_pieces(
             found[b] = 0.0
         for number in range(PIECES * PIECES):
             if free[k, number]:
-                specular_of_element(at, e, _piece(e, number), pattern, turned, limits[i], found)
+                specular_of_element(at, e, element_piece(e, number), pattern, turned, limits[i], found)
         for b in range(len(found)):
             specular[m, b, i] = found[b]
 
@@ -937,7 +937,7 @@ def _shade_chunk(
         level = np.einsum("mb,mbi->mi", largest, np.abs(specular)) * (weight * reflectance.R_s)
         element, point = map(np.ascontiguousarray, np.nonzero((level > NEGLIGIBLE_LEVEL) & hidden.any(axis=0)))
         specular *= clear[:, None]
-        free = _free_pieces(surface, elements, caster, element, point)
+        free = free_pieces(surface, elements, caster, element, point)
         _replace_pieces(rows, elements, pattern, (element, point), free, lobe, most, specular)
     levels = np.zeros((2, len(shares), size))
     _add_channels(diffuse, channels.group_shares, levels[0])
@@ -957,7 +957,7 @@ def elements_seen(surface: SurfacePoints, elements: Float64, caster: RayCaster |
     return surface.front & ~hidden, hidden
 
 
-def _free_pieces(surface: SurfacePoints, elements: Float64, caster: RayCaster, element: Index, point: Index) -> Bool:
+def free_pieces(surface: SurfacePoints, elements: Float64, caster: RayCaster, element: Index, point: Index) -> Bool:
     # which pieces of an element a point sees, shape (pairs, PIECES²)
     number = PIECES * PIECES
     targets = _piece_targets(elements)

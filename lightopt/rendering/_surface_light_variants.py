@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Index
+from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped, in_threads
 from lightopt.core.vectors import Vector, column_at, cross, dot, length, minus, plus, scaled, vector_at
@@ -45,11 +45,14 @@ from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, 
 from lightopt.rendering._surface_light import (
     AT_ONCE,
     LEAST_LEVEL,
+    PIECES,
     all_diffuse_nodes,
     channels_of,
     diffuse_of_element,
+    element_piece,
     element_weights,
     elements_seen,
+    free_pieces,
     points_at_once,
     specular_of_element,
     whole_element,
@@ -58,6 +61,8 @@ from lightopt.rendering._surface_light import (
 NEGLIGIBLE_CHANGE = 0.05  # what all of a light adds at most where its lobes are left out [grey level]
 MOST_SHARED = 12  # nodes a side of an element that all variants share
 LEAST_SHARED = 3
+# of each element and point a row, −1 for none, and which pieces of the element are not hidden, shape (rows, PIECES²)
+_Pieces = tuple[Int32, Bool]
 # rows of the variants of a point: normal, N·V, 1/(2σ²), number, what specular light is divided by, and the vector that
 # the lobe has across the brushing
 _N_DOT_V, _INVERSE, _NUMBER, _DIVISOR, _ACROSS, _ROWS = 3, 4, 5, 6, 7, 10
@@ -282,25 +287,50 @@ def _slopes(lean: Float64) -> tuple[Float64, Index]:
 
 
 @kernel
+def _reaches(variants: VariantNumbers) -> Float64:
+    # how far from the normal half vectors see something of the lobe of each variant (chord)
+    reach = np.empty(len(variants.inverse))
+    for t in range(len(reach)):
+        inverse = variants.inverse[t]
+        farthest = farthest_exponent(variants.most[t], lobe_of_width(variants.lobe, inverse))
+        reach[t] = math.sqrt(max(0.0, farthest) / inverse)
+    return reach
+
+
+@kernel
+def _in_reach(rows: PointRows, elements: Float64, hidden: Bool, variants: VariantNumbers) -> Bool:
+    # of which hidden elements the lobe of some variant sees something, if all of them is not in the way
+    points, frames, views, _, _ = rows
+    widest, found = _reaches(variants).max() + _slopes(variants.lean)[0][-1], np.zeros(hidden.shape, np.bool_)
+    for m in range(len(elements)):
+        e = element_at(elements, m)
+        for i in range(len(points)):
+            if hidden[m, i]:
+                at = point_at(points, frames, views, i)
+                half, spread = half_vector_cone(at, e.centre, e.reach)
+                found[m, i] = spread >= math.pi or length(minus(at.n, half)) - spread <= widest
+    return found
+
+
+@kernel
 def _variant_sums(
     rows: PointRows,
     references: Float64,
     elements: Float64,
     pattern: Pattern,
     group: Index,
-    clear: Bool,
+    seen: tuple[Bool, _Pieces],
     variants: VariantNumbers,
     shares: Float64,
     levels: Float64,
 ) -> None:
     # levels of the variants of each point under each channel, shape (channels, t, k). The light of the elements of a
-    # group is summed, of which a channel has `shares`, shape (channels, groups, b). Steeper variants follow
+    # group is summed, of which a channel has `shares`, shape (channels, groups, b). Steeper variants follow. Of an
+    # element that is not clear, lobes see the free pieces
     lean, R_d, R_s, inverse, most, form, diffuse = variants
     points, frames, views, _, _ = rows
     terms, groups, count, most_nodes = len(pattern.terms), shares.shape[1], len(lean), MOST_SHARED**2
-    reach = np.empty(count)
-    for t in range(count):
-        reach[t] = math.sqrt(max(0.0, farthest_exponent(most[t], lobe_of_width(form, inverse[t]))) / inverse[t])
+    reach, (clear, (number_of, free)) = _reaches(variants), seen
     away, first = _slopes(lean)
     farthest, linear, widest = away[-1], is_lambert(diffuse), reach.max()
     found, one, values = np.empty((terms, count)), np.empty(terms), np.empty(count)
@@ -313,13 +343,16 @@ def _variant_sums(
         _set_variants(plain, vector_at(references, i), own, lean, inverse, turned)
         vectors[:], sums[:] = 0.0, 0.0
         for m in range(len(elements)):
-            if not clear[m, i]:
+            row = -1 if clear[m, i] else number_of[m, i]
+            if not clear[m, i] and row < 0:
                 continue
             e, g = element_at(elements, m), group[m]
             middle = minus(e.centre, plain.p)
             if dot(plain.n, middle) + farthest * length(middle) <= -e.reach:
                 continue
-            if linear:
+            if row >= 0:
+                pass  # diffuse light counts as a whole
+            elif linear:
                 diffuse_nodes = places[m], light[m], weights[m]
                 _add_diffuse(plain, diffuse_nodes, turned, R_d, (away, first), vectors[g], sums[g])
             else:
@@ -334,7 +367,7 @@ def _variant_sums(
             for j in range(number):
                 sharpest = max(sharpest, near[_INVERSE, j])
             counts = _shared_counts(plain, e, lobe_of_width(own, sharpest))
-            if max(counts) <= MOST_SHARED:
+            if max(counts) <= MOST_SHARED and row < 0:
                 _set_shared_nodes(plain, e, pattern, counts, nodes, shared, work)
                 of_all = counts[0] * counts[1], number
                 _set_specular(plain.v, nodes, shared, own, turned, near, of_all, values, found)
@@ -347,7 +380,12 @@ def _variant_sums(
                 t, at = int(near[_NUMBER, j]), surface_point(plain.p, column_at(near, j), plain.v)
                 for b in range(terms):
                     one[b] = 0.0
-                specular_of_element(at, e, whole_element(e), pattern, _lobe_of(own, turned, near, j), most[t], one)
+                lobe = _lobe_of(own, turned, near, j)
+                if row < 0:
+                    specular_of_element(at, e, whole_element(e), pattern, lobe, most[t], one)
+                for k in range(PIECES * PIECES if row >= 0 else 0):
+                    if free[row, k]:
+                        specular_of_element(at, e, element_piece(e, k), pattern, lobe, most[t], one)
                 for b in range(terms):
                     sums[g, b, t] += R_s[t] * one[b]
         for g in range(groups):
@@ -370,6 +408,25 @@ def _whole_lobes(variants: VariantNumbers, radiance: float) -> Float64:
     return np.clip(radiance * 4.0 * math.pi * math.sqrt(lobe.widening) / widest, 1e-30, 1.0)
 
 
+def _pieces(
+    surface: SurfacePoints,
+    shadowed: SurfacePoints,
+    elements: Float64,
+    hidden: Bool,
+    variants: VariantNumbers,
+    caster: RayCaster | None,
+) -> _Pieces:
+    # of the hidden elements that lobes may see pieces of
+    number_of = np.full(hidden.shape, -1, np.int32)
+    if caster is None or not hidden.any():
+        return number_of, np.zeros((0, PIECES * PIECES), np.bool_)
+    element, point = map(np.ascontiguousarray, np.nonzero(_in_reach(surface.rows, elements, hidden, variants)))
+    free = free_pieces(shadowed, elements, caster, element, point)
+    some = free.any(axis=1)
+    number_of[element[some], point[some]] = np.arange(int(some.sum()), dtype=np.int32)
+    return number_of, np.ascontiguousarray(free[some])
+
+
 def surface_light_variants(
     surface: SurfacePoints,
     references: Float64,
@@ -380,7 +437,7 @@ def surface_light_variants(
 ) -> Float64:
     """Levels of variants of a surface under channels of a light, shape (channels, t, k).
 
-    Elements are seen or hidden as wholes.
+    Elements are seen or hidden as wholes; lobes see the pieces of those whose middles are hidden.
 
     surface, references: As :func:`lightopt.rendering._surface_variants.shade_variants` takes them
     lights: The channels, of the same gain
@@ -402,8 +459,11 @@ def surface_light_variants(
         part = slice(start, start + step)
         some = surface.take(part)
         own = np.zeros((len(lights), len(variants.lean), len(some)))
-        clear, _ = elements_seen(replace(some, normals=some.facets), elements, caster)
-        _variant_sums(some.rows, references[part], elements, channels.pattern, group, clear, ordered, shares, own)
+        shadowed = replace(some, normals=some.facets)
+        clear, hidden = elements_seen(shadowed, elements, caster)
+        pieces = _pieces(some, shadowed, elements, hidden, ordered, caster)
+        seen = clear, pieces
+        _variant_sums(some.rows, references[part], elements, channels.pattern, group, seen, ordered, shares, own)
         levels[:, order, part] = own
 
     step = min(max(1, AT_ONCE // len(elements)), points_at_once(len(surface), threads))

@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from reference import diffuse, specular
 
 from lightopt.config import RigConfig
+from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
 from lightopt.optics import LAMBERT, DiffuseForm, Reflectance, SpecularModel
 from lightopt.rendering import SurfacePoints, shade_variants, surface_variants
@@ -179,6 +181,40 @@ def quadrants():
     dome |= {"segments": 4, "leak": 0.2}
     rig = {"format": "lightopt-rig/1", "name": "x", "camera": camera, "lights": [dome]}
     return build_lights(RigConfig.model_validate(rig))
+
+
+@pytest.mark.parametrize("name", ["torrance-sparrow", "ggx"])
+def test_lobes_of_variants_see_lights_that_the_part_half_hides(name):
+    """A torus under a low ring shades itself: its highlights are in what is left of the ring's elements."""
+    mesh = trimesh.creation.torus(17.0, 10.0, major_sections=96, minor_sections=48)
+    caster = RayCaster(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
+    rng = np.random.default_rng(2)
+    around, about = rng.uniform(0.0, 2.0 * math.pi, 1500), rng.uniform(0.0, math.pi, 1500)
+    out = np.stack([np.cos(around), np.sin(around), np.zeros(1500)], axis=1)
+    normals = np.cos(about)[:, None] * out + np.sin(about)[:, None] * [0.0, 0.0, 1.0]
+    points = 17.0 * out + 10.0 * normals
+    front = normals[:, 2] > 0.2
+    views = unit(np.array([0.0, 0.0, 500.0]) - points)
+    references = unit(np.cross(normals, [0.3, -0.8, 0.1]))
+    surface = SurfacePoints(points, normals, normals, views, front)
+    camera = {"distance_mm": 500, "elevation_deg": 90, "resolution_px": [32, 24], "pixel_size_um": 220}
+    camera |= {"image_distance_mm": 50, "sensor": {"bit_depth": 8}}
+    ring = {"name": "low", "kind": "low_angle_ring", "distance_mm": 10, "radius_mm": 90, "height_mm": 15, "segments": 4}
+    rig = {"format": "lightopt-rig/1", "name": "x", "camera": camera, "lights": [ring]}
+    lights = build_lights(RigConfig.model_validate(rig))
+    reflectance = Reflectance(R_d=45.0, R_s=4000.0, sigma=0.05, model=MODELS[name][0])
+    one, wider = np.ones(1), np.full(1, 1.5)
+    variants = surface_variants(
+        slope=0.0 * one, direction=0.0 * one, R_d_factor=one, sigma_factor=wider, reflectances=[reflectance]
+    )
+    found = shade_variants(surface, references, lights, variants, caster=caster)
+    own = reflectance.changed(R_d_factor=1.0, sigma_factor=1.5)
+    diffuse_light, specular_light = shade_surface_lights(surface, lights, reflectance=own, caster=caster)
+    for variant, diffuse_level, lobe in zip(found, diffuse_light, own.R_s * specular_light, strict=True):
+        shows = front & (lobe > 5.0)
+        assert shows.sum() > 50
+        off = np.abs(variant.varied[0] - own.R_d * diffuse_level - lobe)
+        assert np.mean(off[shows] > 0.2 * lobe[shows] + 1.0) < 0.01
 
 
 def test_threads_do_not_matter():
