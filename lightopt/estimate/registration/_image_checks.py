@@ -88,6 +88,15 @@ def dark_as_predicted(
     return bool(there) and _all_black([predicted[own][:, lit[own]] for own in there], DARK_MARGIN * bright)
 
 
+def shows_diffuse_light(
+    scene: Scene, sets: Sequence[PixelSet], *, caster: RayCaster, threads: int | None = None
+) -> bool:
+    """Whether most of what is lit would be clearly brighter than black by its diffuse light alone."""
+    lit, levels = _coarse_prediction(scene, sets, caster, (), threads)
+    own = [levels[posture][:, pixels].ravel() for posture, pixels in lit.items()]
+    return bool(np.median(np.concatenate(own)) > _least_bright(scene)) if any(map(len, own)) else False
+
+
 def _least_bright(scene: Scene) -> float:
     # level above black from which a pixel is clearly not black
     return CLEAR * math.sqrt(scene.sensor.noise_variance(0.0)) + 0.5

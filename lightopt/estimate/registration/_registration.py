@@ -25,7 +25,7 @@ from lightopt.core.least_squares import Solution, solve
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration import _placement, _refinement
-from lightopt.estimate.registration._image_checks import refuse_useless_images
+from lightopt.estimate.registration._image_checks import refuse_useless_images, shows_diffuse_light
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import PixelSet, Placement, PoseFrame
 from lightopt.geometry import RayCaster
@@ -224,6 +224,9 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
     # height and tilt are left to the refinement
     frame, progress = replace(PoseFrame.of(scene), freedoms=3), run.stage("registering the part")
     sets = [pixels.some(max(LEAST_SEARCH_PIXELS, SEARCH_PIXELS // len(sets))) for pixels in sets]
+    if not shows_diffuse_light(scene, sets, caster=caster, threads=run.threads):
+        # polished: highlights would be taken for diffuse light, and the part for lying elsewhere
+        return Placement()
     done = 0
 
     def misfit(pose: Float64) -> float:
