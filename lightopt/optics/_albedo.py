@@ -29,28 +29,30 @@ def specular_sum(reflectance: Reflectance) -> float:
     """∫ exp(−δ²/(2σ²)) · 4 cosδ dω_H / π of a lobe seen along the normal: albedo times W per unit of R_s."""
     lobe = reflectance.lobe
     if lobe.widening == 1.0:
-        return _sum_along(lobe, lobe.inverse, 0.0)
-    # in each direction from the normal, by its angle to that across the brushing, the lobe is one of another width
+        return _sum_along(lobe, 0.0)
+    # in each direction from the normal, by its angle to that across the brushing
     turn = 0.5 * math.pi / _TURNS * (np.arange(_TURNS) + 0.5)
     across = ((1.0 - 1.0 / lobe.widening) * np.cos(turn) ** 2).tolist()
-    return float(np.mean([_sum_along(lobe, lobe.inverse * (1.0 - share), share) for share in across]))
+    return float(np.mean([_sum_along(lobe, share) for share in across]))
 
 
-def _sum_along(lobe: Lobe, inverse: float, across: float) -> float:
-    # of directions in which 1/(2σ²) is `inverse`; across: as `square_across` has it, of a unit tangent
+def _sum_along(lobe: Lobe, across: float) -> float:
+    # of a direction from the normal; across: as `square_across` has it, of a unit tangent in this direction
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     if lobe.ggx:
         # δ whose shares of 4 cosδ dω_H below the lobe are even
-        alpha, end = math.sqrt(2.0 / inverse), math.tan(_MOST_DELTA)
+        alpha, end = math.sqrt(2.0 / (lobe.inverse * (1.0 - across))), math.tan(_MOST_DELTA)
         share = 0.5 * end**2 / (alpha**2 + end**2) * (nodes + 1.0)
         delta, step = np.arctan(alpha * np.sqrt(share / (1.0 - share))), 2.0 * alpha**2 * end**2 / (alpha**2 + end**2)
         return float(step * np.sum(weights * _factors(delta, lobe, across)))
     total = 0.0
-    wider = zip(lobe.shares[: lobe.wider], lobe.inverses, strict=False)
-    for height, own in ((lobe.share, inverse), *((share, one * (inverse / lobe.inverse)) for share, one in wider)):
-        end = min(_MOST_DELTA, _REACH * math.sqrt(0.5 / own))
+    for height, inverse in ((lobe.share, lobe.inverse), *zip(lobe.shares[: lobe.wider], lobe.inverses, strict=False)):
+        end = min(_MOST_DELTA, _REACH * math.sqrt(0.5 / (inverse * (1.0 - across))))
         delta = 0.5 * end * (nodes + 1.0)
-        values = np.exp(-own * delta**2) * np.cos(delta) * np.sin(delta) * _factors(delta, lobe, across)
+        # the part of N − H across the brushing is sinδ
+        chord = np.sqrt(4.0 * np.sin(0.5 * delta) ** 2 - across * np.sin(delta) ** 2)
+        values = np.exp(-inverse * (2.0 * np.arcsin(0.5 * chord)) ** 2)
+        values *= np.cos(delta) * np.sin(delta) * _factors(delta, lobe, across)
         total += height * float(8.0 * 0.5 * end * np.sum(weights * values))
     return total
 

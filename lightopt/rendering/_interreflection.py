@@ -56,6 +56,7 @@ LEAST_POINTS, MOST_POINTS = 2, 6  # a side, that stand for panels; those of more
 _RAYS_AT_ONCE = 1 << 16
 _SHIFT = 0.6180339887498949  # of one row of cells against the next, in cells
 _STEP_U, _STEP_V = 0.7548776662466927, 0.5698402909980532  # 1/g and 1/g² of g³ = g + 1
+_MOST_STEPS = 50  # of Newton's method
 _SCATTER = 1e3  # by which places are multiplied for starts of the sequence [1/mm]
 
 # directions of rays from some of the points, shape (rays, 3), and weights, 0 where nothing is gathered
@@ -365,7 +366,7 @@ def lobe_rays(rows: PointRows, lobe: Lobe, point: Index, u: Float64, turn: Float
 
     The mean of weight times light is ∫ lobe/cosθ_o · light dω. Views are mirrored by half vectors as dense as a lobe of
     SPREAD times the width, whose rays meet highlights in its tail, as many by each of several lobes; dω of light
-    is 4 (V·H) dω of H. In each direction from the normal, the lobe of a brushed surface is one of another width.
+    is 4 (V·H) dω of H. In each direction from the normal, they are as dense as a brushed surface's lobe is wide there.
 
     point: Of each ray, shape (k,)
     u, turn: Place of each ray in the unit square, shape (k,)
@@ -385,10 +386,9 @@ def lobe_rays(rows: PointRows, lobe: Lobe, point: Index, u: Float64, turn: Float
         directions[k, 0], directions[k, 1], directions[k, 2] = way
         above = dot(n, way) > 0.0 and dot(vector_at(facets, i), way) > 0.0
         if n_dot_v > 0.0 and across > 0.0 and delta < math.pi and above:
-            chord = 2.0 * math.sin(0.5 * delta)
-            turned = lobe_at(lobe, frames, i)
+            turned, away = lobe_at(lobe, frames, i), minus(n, half)
             factor = light_factor(dot(n, way), square_across(way, turned), 2.0 * across, lobe)
-            value = specular_lobe(chord * chord, 0.0, own) * factor
+            value = specular_lobe(dot(away, away), square_across(away, turned), turned) * factor
             divisor = specular_divisor(n_dot_v, square_across(v, turned), lobe)
             weights[k] = 8.0 * math.pi * value * across * _solid_angle(delta, own) / divisor
     return directions, weights
@@ -399,14 +399,29 @@ def _leaning(u: float, lobe: Lobe) -> float:
     # δ of a half vector [rad], below which is a share u of all
     if lobe.ggx:
         return math.atan(SPREAD * math.sqrt(2.0 / lobe.inverse * u / (1.0 - u)))
-    inverse = lobe.inverse
+    squared = -math.log(1.0 - u) / lobe.inverse
     if lobe.wider > 0:
-        u *= lobe.wider + 1
-        number = min(math.floor(u), lobe.wider)
-        u -= number
-        if number > 0:
-            inverse = lobe.inverses[number - 1]
-    return SPREAD * math.sqrt(-math.log(1.0 - u) / inverse)
+        # of several lobes, evenly from their common middle outwards: neighbouring shares are neighbouring directions
+        low, high = squared, squared * lobe.inverse / lobe.inverses[lobe.wider - 1]
+        for _ in range(_MOST_STEPS):
+            outside = math.exp(-squared * lobe.inverse)
+            slope = lobe.inverse * outside
+            for k in range(lobe.wider):
+                tail = math.exp(-squared * lobe.inverses[k])
+                outside += tail
+                slope += lobe.inverses[k] * tail
+            off = outside - (lobe.wider + 1) * (1.0 - u)
+            if off > 0.0:
+                low = squared
+            else:
+                high = squared
+            step = off / slope if slope > 0.0 else 0.0
+            if abs(step) <= 1e-9 * squared:
+                break
+            squared += step
+            if not low < squared < high:
+                squared = 0.5 * (low + high)
+    return SPREAD * math.sqrt(squared)
 
 
 @kernel

@@ -11,7 +11,7 @@ from ._emitters import Emitter, emitter
 from ._frames import Camera, Light, posed, posed_normals
 from ._lobes import diffuse, fresnel, specular
 from ._matched_filter import matched_filter, summed_blocks
-from ._panel import equally_spaced, panel_radiance, product_rule, subtract_convex
+from ._panel import equally_spaced, hidden_share, panel_radiance, product_rule, subtract_convex
 from ._shading import LayerImage, in_shadow, lambert, point_terms, render
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "emitter",
     "equally_spaced",
     "fresnel",
+    "hidden_share",
     "in_shadow",
     "lambert",
     "matched_filter",

@@ -31,7 +31,7 @@ def equally_spaced(n):
     return u.ravel(), v.ravel(), np.full(n * n, 1 / n**2)
 
 
-def panel_radiance(hits, light, *, R_d, R_s, sigma, form=lambert, triangles=None, rule=None):
+def panel_radiance(hits, light, *, R_d, R_s, sigma=None, form=lambert, lobe=None, triangles=None, rule=None):
     """I_d and I_s (N,) of a panel with its output spread evenly, at front-facing hits.
 
     `triangles` cast shadows, tested by a ray to every node; without them only the horizons do. Where a shadow's
@@ -50,7 +50,7 @@ def panel_radiance(hits, light, *, R_d, R_s, sigma, form=lambert, triangles=None
             for i in range(len(ends)):  # from the surface point, which all its rays share, to the nodes
                 near = may_hide(light, ends[i], triangles)
                 visible[i] &= ~blocked(ends[i], sources, triangles[near])
-        I_d, I_s = point_terms(seen, light, sources, R_d=R_d, R_s=R_s, sigma=sigma, form=form)
+        I_d, I_s = point_terms(seen, light, sources, R_d=R_d, R_s=R_s, sigma=sigma, form=form, lobe=lobe)
         sum_d[part] = light.gain * (np.where(visible, I_d, 0) @ weights)
         sum_s[part] = light.gain * (np.where(visible, I_s, 0) @ weights)
     return sum_d, sum_s
@@ -129,6 +129,18 @@ def hidden_polygon(light, point, corners):
     return clip_to_square(convex_hull(panel_coordinates(light, projected)))
 
 
+def polygon_area(polygon):
+    """Of a polygon (N, 2); 0 of an empty one."""
+    x, y = polygon.T
+    return abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / 2
+
+
+def hidden_share(light, point, corners):
+    """Share of the panel that a convex body hides from a surface point; 0 and 1 are exact."""
+    area = polygon_area(hidden_polygon(light, point, corners))
+    return 1.0 if area > 1 - 1e-9 else area
+
+
 def triangle_rule(a, b, c, n):
     """Nodes and weights (sum: the triangle's area) of a collapsed n × n Gauss–Legendre rule."""
     x, w = gauss_legendre(n)
@@ -149,9 +161,7 @@ def subtract_convex(hits, light, diffuse, specular, corners, *, n=64, **reflecti
         polygon = hidden_polygon(light, hits.point[i], corners)
         if len(polygon) == 0:
             continue
-        x, y = polygon.T
-        area = abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / 2
-        if area > 1 - 1e-9:
+        if polygon_area(polygon) > 1 - 1e-9:
             diffuse[i] = specular[i] = 0
             continue
         penumbra[i] = True

@@ -42,10 +42,11 @@ def lambert(normal, view, to_light):
     return np.maximum(0, dot(normal, to_light))  # (2)
 
 
-def point_terms(hits, light, source, *, R_d, R_s, sigma, form=lambert):
+def point_terms(hits, light, source, *, R_d, R_s, sigma=None, form=lambert, lobe=None):
     """I_d and I_s of one unit point light at `source` (..., 3), without shadows, gain and weights.
 
-    `form` is diffuse light per unit of R_d of unit normals, views and directions to the light.
+    `form` is diffuse light per unit of R_d of unit normals, views and directions to the light. `lobe` is specular light
+    per unit of R_s likewise; without it, that of equation (3).
     `hits` are broadcast against `source`: pass `hits.point[:, None]`-like views for many sources at once.
     """
     point, normal, view = hits.point, hits.normal, hits.view
@@ -55,6 +56,8 @@ def point_terms(hits, light, source, *, R_d, R_s, sigma, form=lambert):
     to_light = unit(r)
     cos_i, cos_o = dot(normal, to_light), dot(normal, view)
     strength = emission(light, source, r)
+    if lobe is not None:
+        return strength * R_d * form(normal, view, to_light), strength * R_s * lobe(normal, view, to_light)
     delta = angle(normal, unit(to_light + view))
     specular = R_s / np.maximum(cos_o, SMALLEST_COS_VIEW) * np.exp(-(delta**2) / (2 * sigma**2))  # (3)
     specular = np.where((cos_i > 0) & (cos_o > 0), specular, 0)

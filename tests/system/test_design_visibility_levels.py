@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -68,14 +69,30 @@ def evidence_of(scene, posture, caster, good, clean):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", ["cover-knob", pytest.param("spout", marks=pytest.mark.nightly)])
-def test_evidence_on_patches_is_that_of_rendered_images(tmp_path, part):
+@pytest.mark.parametrize(
+    ("part", "lobe"),
+    [
+        ("cover-knob", None),
+        *(
+            pytest.param(*case, marks=pytest.mark.nightly)
+            for case in (
+                ("spout", None),
+                ("cover-knob", "model: ggx, R_s: 9000, alpha: 0.08"),
+                ("cover-knob", "model: two-lobe, R_s: 12500, sigma_rad: 0.0475, R_s_wide: 600, sigma_wide_rad: 0.15"),
+            )
+        ),
+    ],
+)
+def test_evidence_on_patches_is_that_of_rendered_images(tmp_path, part, lobe):
     """Images of the good part and of the part with a defect at a patch, against what is expected at the patch."""
     text = (CONFIGS / "rigs" / "four-panel.yaml").read_text(encoding="utf-8")
     text = text.replace("[1600, 1200]", "[400, 300]").replace("pixel_size_um: 4.4 ", "pixel_size_um: 17.6 ")
     (tmp_path / "rig.yaml").write_text(text, encoding="utf-8")
     source = (CONFIGS / "parts" / f"{part}.yaml").read_text(encoding="utf-8")
     source = source.replace(f"file: {part}", f"file: {CONFIGS / 'parts' / part}")
+    if lobe is not None:
+        source, replaced = re.subn(r"R_s: .*\n *sigma_rad: .*\n", lobe.replace(", ", "\n  ") + "\n", source)
+        assert replaced == 1
     own = tmp_path / "part.yaml"
     own.write_text(source, encoding="utf-8")
     scene = build_scene(tmp_path / "rig.yaml", own, points=4)

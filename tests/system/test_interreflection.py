@@ -17,7 +17,7 @@ from lightopt.config._rig import VirtualBenchConfig
 from lightopt.core.errors import InputError
 from lightopt.geometry import StraightBrushing, TriangleMesh
 from lightopt.lights import panel_grid
-from lightopt.optics import MIN_COS_VIEW, Reflectance, SpecularModel, white_level
+from lightopt.optics import Reflectance, SpecularModel, white_level
 from lightopt.optics._albedo import DEFAULT_ALBEDO
 from lightopt.rendering import SurfacePoints, cast_rays_at, render_posture
 from lightopt.rendering._caustics import caustic_levels, footprints, landed_light
@@ -133,12 +133,7 @@ def area_sum(scene, surface, *, height, half, step, white=None):
     lamps, normal, up = panel_grid(light, light.points), np.array([1.0, 0, 0]), np.array([0.0, 0, 1.0])
 
     def level(n, n_dot_l, to_light, view):
-        half_vector = to_light + view
-        half_vector /= np.linalg.norm(half_vector, axis=1)[:, None]
-        delta = np.arccos(np.clip(half_vector @ n, -1, 1))
-        cosine = np.maximum(view @ n, MIN_COS_VIEW)
-        lobe = r.R_s / cosine * np.exp(-0.5 * (delta / r.sigma) ** 2)
-        return r.R_d * n_dot_l, np.where((n_dot_l > 0) & (view @ n > 0), lobe, 0.0)
+        return r.R_d * n_dot_l, r.R_s * ref.specular(n, view, to_light, r)
 
     found = []
     for point, view in zip(surface.points, surface.views, strict=True):

@@ -165,8 +165,8 @@ def _stl(corners):
 
 @pytest.mark.parametrize(("name", "tolerance"), [("torrance-sparrow", 0.01), ("ggx", 0.05)])
 def test_it_reflects_as_many_times_more_light_as_it_is_wider_across(name, tolerance):
-    own = Reflectance(R_d=0.0, R_s=100.0, sigma=0.01, model=SpecularModel(name=name))
-    brushed = Reflectance(R_d=0.0, R_s=100.0, sigma=0.01, model=SpecularModel(name=name, across_ratio=6.0))
+    own = Reflectance(R_d=0.0, R_s=100.0, sigma=0.003, model=SpecularModel(name=name))
+    brushed = Reflectance(R_d=0.0, R_s=100.0, sigma=0.003, model=SpecularModel(name=name, across_ratio=6.0))
     assert least_white_level(brushed) / least_white_level(own) == pytest.approx(6.0, rel=tolerance)
 
 
