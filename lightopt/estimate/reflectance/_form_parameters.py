@@ -5,8 +5,9 @@ brushed surface is across the brushing; of two lobes the logarithms of height an
 narrow one.
 
 The criterion's maximum over all other parameters is a function of these. It is searched on the scan's pixels, first by
-least squares, then by the likelihood where that describes the images, and bent there: its curvature gives the
-covariance, and the maxima on both sides how the other parameters follow.
+least squares, then by the likelihood where the best of that describes the images, and bent there: its curvature gives
+the covariance, and the maxima on both sides how the other parameters follow. The curvature of least squares is no
+covariance where the noise differs between pixels.
 """
 
 import math
@@ -51,9 +52,18 @@ UNDETERMINED = 0.3  # standard error of a parameter that the images do not deter
 WIDE_STARTS = tuple((math.log(share), math.log(ratio)) for share in (0.1, 0.01, 0.001) for ratio in (2.5, 6.0))
 WIDE_RANGES = np.log([[1e-6, 1.0], [1.05, 100.0]])  # as part files allow, in logarithms
 AT_END = 0.01  # of a range of logarithms: the search ended at its end
-WIDE_STEP = 0.02  # of both logarithms, over which the criterion is bent
-MOST_STEPS = 120
-WIDE_FINE = 3e-4  # of both logarithms: the simplex that ends the search
+MOST_STEPS = 60
+WIDE_FINE = 0.01  # of both logarithms: the simplex that ends the search by least squares; bends go on from there
+# The criterion is bent over one standard deviation along each axis of the covariance: two lobes share the light between
+# them, so that one axis has several times the deviation of the other, and no steps of the logarithms suit both. No step
+# is longer than this, over which the first bend is.
+WIDE_STEP = 0.02
+# A bend is the last where the top of the parabola is within this share of a step, and the curvature within this share
+# of what the steps were chosen for. From one bend to the next the search moves no farther than so many steps.
+AT_TOP, AS_EXPECTED, MOST_BENDS, LONGEST_MOVE = 0.1, 0.2, 10, 4.0
+OPPOSITE = ((1, 0), (-1, 0)), ((0, 1), (0, -1))
+AROUND = (*OPPOSITE[0], *OPPOSITE[1], (1, 1), (-1, -1))
+FOLLOWERS = [R_D, LOG_R_S, LOG_SIGMA]
 MOST_DEVIATION = 10.0  # standard deviation of a logarithm that bends nothing
 WIDE_UNDETERMINED = 0.5  # standard deviation of a logarithm that the images do not determine
 
@@ -195,13 +205,18 @@ class _Profile:
 class WideLobe:
     model: SpecularModel  # with its share and its ratio
     covariance: Float64  # of their logarithms, shape (2, 2)
-    slopes: Float64  # how ln R_s and ln σ follow these, shape (2, 2)
+    slopes: Float64  # how R_d, ln R_s and ln σ follow these, shape (3, 2)
 
     def values(self, found: Estimate, others: Sequence[FittedValue], model: SpecularModel) -> tuple[FittedValue, ...]:
-        """R_d as fitted with the wide lobe held, and height and width of both lobes, whose logarithms are normal.
+        """R_d, and height and width of both lobes, whose logarithms are normal.
 
         others, model: As of :class:`FittedParameter`
         """
+
+        def variance(outer: Float64) -> float:
+            # by the wide lobe, of what follows its logarithms like this, shape (2,)
+            return inflation * float(outer @ self.covariance @ outer)
+
         places = [found.free.index(place) for place in (LOG_R_S, LOG_SIGMA)]
         inner = np.diag(found.covariance)[places] * found.inflation[places]
         inflation = float(np.mean(found.inflation[places])) * found.critical / CHI2_95
@@ -211,12 +226,12 @@ class WideLobe:
         for number, (name, factor) in enumerate(zip(names, factors, strict=True)):
             own = number % 2
             value = narrow[own] * factor
-            outer = self.slopes[own] + (np.eye(2)[own] if number > 1 else 0.0)
-            error = math.sqrt(float(inner[own]) + inflation * float(outer @ self.covariance @ outer))
+            outer = self.slopes[1 + own] + (np.eye(2)[own] if number > 1 else 0.0)
+            error = math.sqrt(float(inner[own]) + variance(outer))
             reach = math.sqrt(CHI2_95) * error
             ends = value * math.exp(-reach), value * math.exp(reach)
             values.append(FittedValue(name, value, value * error, ends))
-        return others[0], *values
+        return _widened(others[0], math.sqrt(variance(self.slopes[0]))), *values
 
 
 def fit_wide_lobe(samples: Samples, *, freed: FreeParameters, held: Float64 | None, run: RunContext) -> WideLobe:
@@ -227,7 +242,7 @@ def fit_wide_lobe(samples: Samples, *, freed: FreeParameters, held: Float64 | No
     few = subsample(samples, scan_budget(samples))
     report = run.stage("wide lobe")
     scan = scan_sigma(_with_wide(few, None), freed, held)
-    starts, describes = _wide_starts(few, scan)
+    describes = False
 
     def maximum(at: Float64, x: Float64) -> Maximum | None:
         if np.any((at < WIDE_RANGES[:, 0]) | (at > WIDE_RANGES[:, 1])):
@@ -237,7 +252,7 @@ def fit_wide_lobe(samples: Samples, *, freed: FreeParameters, held: Float64 | No
             return climb(some, x, scan.free, USUAL_TABLE).maximum
         return maximise(LeastSquares(some, SpecularTable(some)), x, scan.free[:-2])
 
-    tops = [(at, found) for at, x in starts if (found := maximum(at, x)) is not None]
+    tops = [(at, found) for at, x in _wide_starts(few, scan) if (found := maximum(at, x)) is not None]
     best, top = max(tops, key=lambda one: one[1].value)
     report(0.3)
 
@@ -253,17 +268,33 @@ def fit_wide_lobe(samples: Samples, *, freed: FreeParameters, held: Float64 | No
     simplex = best + np.array([[0.0, 0.0], [0.3, 0.0], [0.0, 0.2]])
     options = {"initial_simplex": simplex, "xatol": WIDE_FINE, "fatol": 1e-3, "maxfev": MOST_STEPS}
     minimize(fall, best, method="Nelder-Mead", options=options)
-    report(0.8)
-    around: dict[tuple[int, int], Maximum] = {}
-    for place in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)):
+    report(0.5)
+    # which criterion is bent is decided where the search ended: no start describes the images
+    some = _with_wide(few, best)
+    describes = clipped.measure_misfit(LeastSquares(some, SpecularTable(some)), top.x) <= clipped.MOST_MISFIT
+    if describes:
+        top = maximum(best, top.x) or top
+    # columns are the steps of the bend, and minus the second derivatives that are expected over them
+    axes, expected = WIDE_STEP * np.eye(2), np.full((2, 2), np.inf)
+    covariance, slopes = np.zeros((2, 2)), np.zeros((3, 2))
+    for _ in range(MOST_BENDS):
+        back = np.linalg.inv(axes)
         # beside a bound the place itself stands for the one beyond
-        around[place] = maximum(best + WIDE_STEP * np.array(place), top.x) or top
-    # minus the second derivatives of the maximum
-    falls = {place: 2.0 * top.value - around[place].value - around[-place[0], -place[1]].value for place in around}
-    cross = 0.5 * (falls[1, 1] - falls[1, 0] - falls[0, 1])
-    hessian = np.array([[falls[1, 0], cross], [cross, falls[0, 1]]]) / WIDE_STEP**2
-    values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
-    covariance = (vectors / np.maximum(values, MOST_DEVIATION**-2)) @ vectors.T
+        around = {place: maximum(best + axes @ place, top.x) or top for place in AROUND}
+        followed = [0.5 * (around[ahead].x - around[behind].x)[FOLLOWERS] for ahead, behind in OPPOSITE]
+        slopes = np.stack(followed, axis=1) @ back
+        gradient = np.array([0.5 * (around[ahead].value - around[behind].value) for ahead, behind in OPPOSITE])
+        hessian = _bend(top, around)
+        values, vectors = np.linalg.eigh(back.T @ hessian @ back)
+        deviations = np.maximum(values, MOST_DEVIATION**-2) ** -0.5
+        covariance = (vectors * deviations**2) @ vectors.T
+        move = covariance @ back.T @ gradient
+        far = float(np.max(np.abs(back @ move)))
+        fall(best + min(1.0, LONGEST_MOVE / max(far, 1e-300)) * move)
+        if far < AT_TOP and np.allclose(hessian, expected, rtol=0.0, atol=AS_EXPECTED):
+            break
+        steps = np.minimum(deviations, WIDE_STEP)
+        axes, expected = vectors * steps, np.diag((steps / deviations) ** 2)
     report(1.0)
     ends = (best <= WIDE_RANGES[:, 0] + AT_END) | (best >= WIDE_RANGES[:, 1] - AT_END)
     if ends.any() or float(np.max(np.diag(covariance))) > WIDE_UNDETERMINED**2:
@@ -272,10 +303,14 @@ def fit_wide_lobe(samples: Samples, *, freed: FreeParameters, held: Float64 | No
             f"{math.exp(best[0]):.3g} of that of the narrow one, its best width {math.exp(best[1]):.3g} times as much. "
             "Fit torrance-sparrow or ggx, or add images at other exposures and under further lights"
         )
-    inner = [LOG_R_S, LOG_SIGMA]
-    both = around[1, 0].x[inner] - around[-1, 0].x[inner], around[0, 1].x[inner] - around[0, -1].x[inner]
-    slopes = np.stack(both, axis=1) / (2.0 * WIDE_STEP)
     return WideLobe(model=_with_wide(few, best).model, covariance=covariance, slopes=slopes)
+
+
+def _bend(top: Maximum, around: dict[tuple[int, int], Maximum]) -> Float64:
+    # minus the second derivatives of the maximum by two steps, shape (2, 2)
+    falls = {place: 2.0 * top.value - around[place].value - around[-place[0], -place[1]].value for place in around}
+    cross = 0.5 * (falls[1, 1] - falls[1, 0] - falls[0, 1])
+    return np.array([[falls[1, 0], cross], [cross, falls[0, 1]]])
 
 
 def _with_wide(few: Samples, at: Float64 | None) -> Samples:
@@ -284,11 +319,9 @@ def _with_wide(few: Samples, at: Float64 | None) -> Samples:
     return replace(few, model=replace(few.model, wide_share=share, wide_ratio=ratio))
 
 
-def _wide_starts(few: Samples, scan: SigmaScan) -> tuple[list[tuple[Float64, Float64]], bool]:
-    # the three best by least squares, as the wide lobe's and all parameters, and whether the best describes the images,
-    # which decides by which criterion the search goes on
+def _wide_starts(few: Samples, scan: SigmaScan) -> list[tuple[Float64, Float64]]:
+    # the three best by least squares, as the wide lobe's and all parameters
     found: list[tuple[Float64, Maximum]] = []
-    describes = False
     for start in WIDE_STARTS:
         at = np.array(start)
         some = _with_wide(few, at)
@@ -298,8 +331,5 @@ def _wide_starts(few: Samples, scan: SigmaScan) -> tuple[list[tuple[Float64, Flo
             x[LOG_SIGMA] += math.log(narrower)
             x[LOG_R_S] -= math.log(narrower)
             found.append((at, maximise(criterion, x, scan.free[:-2])))
-        last = found[-1][1]
-        if last.value >= max(top.value for _, top in found):
-            describes = clipped.measure_misfit(criterion, last.x) <= clipped.MOST_MISFIT
     found.sort(key=lambda one: -one[1].value)
-    return [(at, top.x) for at, top in found[:3]], describes
+    return [(at, top.x) for at, top in found[:3]]
