@@ -303,18 +303,19 @@ class _Counts:
         found = {defect.name: defect.found for defect in known.defects}
         for defect in placed:
             if defect.name in found:
-                kind = defect.name.rsplit("-", 1)[0]
-                hit = self.prediction.at(defect, kind), found[defect.name]
-                self.hits.setdefault(kind, []).append(hit)
+                self._count(defect, found=found[defect.name])
         self.false_alarms += known.false_alarms
         self.postures += known.postures
 
     def miss(self, placed: tuple[PlacedDefect, ...]) -> None:
         """Of images that the inspection refuses."""
         for defect in placed:
-            kind = defect.name.rsplit("-", 1)[0]
-            self.hits.setdefault(kind, []).append((self.prediction.at(defect, kind), False))
+            self._count(defect, found=False)
         self.postures += 1
+
+    def _count(self, defect: PlacedDefect, *, found: bool) -> None:
+        kind = defect.name.rsplit("-", 1)[0]
+        self.hits.setdefault(kind, []).append((self.prediction.at(defect, kind), found))
 
     def tallies(self, part: str, objective: str, min_images: int) -> Iterator[Tally]:
         planned = {kind: self.prediction.planned(kind) for kind in self.hits}

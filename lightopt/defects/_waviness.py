@@ -80,9 +80,9 @@ class Waviness:
         total = 0.0
         for slope, length in self.bands:
             q = 0.5 * (length / width) ** 2
-            factor = (
-                (3.0 / (1.0 + q) if walls else 1.0) * 2.0 * math.pi * (length / footprint) ** 2 * q / (1.0 + q) ** 2
-            )
+            factor = 2.0 * math.pi * (length / footprint) ** 2 * q / (1.0 + q) ** 2
+            if walls:
+                factor *= 3.0 / (1.0 + q)
             total += (slope / self.slope) ** 2 * max(1.0, factor)
         return total
 

@@ -71,7 +71,7 @@ def _gauss_legendre() -> tuple[Float64, Float64]:
 
 
 NO_LOBE = Reflectance(R_d=1.0, R_s=0.0, sigma=1.0).lobe
-TAIL_ERROR = 3e-5  # share of the lobe's light by which a rule may be off
+TAIL_ERROR, MOST_TAIL_ERROR = 3e-5, 1e-2  # share of the lobe's light by which a rule may be off, and by which at most
 _EVEN = 1e3  # width, in sides, from which a lobe is the same all along one
 
 # of the Gauss–Legendre rules on [0, 1]; row n has the rule of n nodes, shape (MAX_NODES + 1, MAX_NODES)
@@ -381,6 +381,17 @@ def peak(curvature: float, gradient: float, least: float, at: float, low: float,
 
 
 @kernel
+def tail_error(exponent: float, negligible: float) -> float:
+    """By which share of its light a rule for a lobe with tails may be off: light that is little needs few digits.
+
+    exponent: Of the lobe where it is greatest
+    negligible: What it may be off by, as a share of the lobe's peak
+    """
+    value = 1.0 / (1.0 + 0.5 * exponent) ** 2
+    return min(max(negligible / value, TAIL_ERROR), MOST_TAIL_ERROR)
+
+
+@kernel
 def tail_nodes(low: float, high: float, singular: float, error: float) -> int:
     """Nodes of a Gauss–Legendre rule from low to high for a function that is singular at ±i·singular.
 
@@ -464,12 +475,22 @@ def smooth_nodes(
     error: Of tails, as a share of the light
     negligible: Exponent from which a Gaussian lobe is
     """
+    away, spread = lobe_cone(at, centre, reach, lobe)
+    return smooth_nodes_within(away, spread, lobe, error, negligible)
+
+
+@kernel
+def lobe_cone(at: SurfacePoint, centre: Vector, reach: float, lobe: Lobe) -> tuple[float, float]:
+    """How far a light's half vector is from the lobe's middle, as the lobe counts it, and how its points spread.
+
+    centre, reach: As :func:`half_vector_cone` takes them, which has the second
+    """
     half, spread = half_vector_cone(at, centre, reach)
     off = minus(at.n, half)
     away = length(off)
     if lobe.widening > 1.0:
         away = math.sqrt(max(0.0, away * away - square_across(off, lobe)))
-    return smooth_nodes_within(away, spread, lobe, error, negligible)
+    return away, spread
 
 
 @kernel

@@ -54,7 +54,6 @@ from lightopt.optics import (
 from lightopt.rendering._panel_quadrature import (
     MAX_NODES,
     NODES,
-    TAIL_ERROR,
     WEIGHTS,
     Exponent,
     Rectangle,
@@ -68,6 +67,7 @@ from lightopt.rendering._panel_quadrature import (
     ridge_nodes,
     smooth_nodes,
     smooth_nodes_within,
+    tail_error,
     tail_nodes,
 )
 from lightopt.rendering._pattern_weights import pattern_weights, picture_weights
@@ -85,8 +85,8 @@ FAINT_LEVEL, FAINT_NODES = 0.1, 2  # what an element adds at most where so few n
 FAINT_AT_HORIZON = 0.4  # and where those of diffuse light do, although the horizon may cross it [grey level]
 LEAST_TAIL_NODES, BENT = 4, 0.75
 MANY_NODES = 6  # a side of elements all over which a lobe varies more
-FULL_ANGLE, MOST_TAIL_ERROR = 0.05, 1e-2  # solid angle of an element that it is for [sr], and the most error, a share
 ELEMENT_ERROR = 0.005  # of what an element adds, which others add to [grey level]
+FULL_ANGLE = 0.05  # solid angle of an element that it is for [sr]
 MOST_R_S_SIGMA_2 = 1e3  # R_s·σ² of fits, where R_s is not known [grey level]
 NEGLIGIBLE_LEVEL = 0.02  # elements whose highlight is less are not divided [grey level]
 STEPS = 6  # Newton steps to where the lobe is brightest
@@ -395,8 +395,7 @@ def _add_tailed(to: _Sum, area: Rectangle, lobe: Lobe, most: float) -> None:
     if least > farthest_exponent(most, lobe):
         return
     # of its light, which is less than e^most times LEAST_LEVEL
-    value = 1.0 / (1.0 + 0.5 * least) ** 2
-    error = min(max(ELEMENT_ERROR / LEAST_LEVEL * math.exp(-most) / (value * FULL_ANGLE), TAIL_ERROR), MOST_TAIL_ERROR)
+    error = tail_error(least, ELEMENT_ERROR / LEAST_LEVEL * math.exp(-most) / FULL_ANGLE)
     if lobe.widening > 1.0:
         _add_ridge(to, area, lobe, 1.0)
         return

@@ -61,8 +61,9 @@ from lightopt.rendering._surface_light import (
 NEGLIGIBLE_CHANGE = 0.05  # what all of a light adds at most where its lobes are left out [grey level]
 MOST_SHARED = 12  # nodes a side of an element that all variants share
 LEAST_SHARED = 3
-# of each element and point a row, −1 for none, and which pieces of the element are not hidden, shape (rows, PIECES²)
-_Pieces = tuple[Int32, Bool]
+WHOLE, HIDDEN = -1, -2  # what a point sees of an element, in place of a row of pieces
+# of each element and point such a number, and of each row which pieces of the element are free, shape (rows, PIECES²)
+_Seen = tuple[Int32, Bool]
 # rows of the variants of a point: normal, N·V, 1/(2σ²), number, what specular light is divided by, and the vector that
 # the lobe has across the brushing
 _N_DOT_V, _INVERSE, _NUMBER, _DIVISOR, _ACROSS, _ROWS = 3, 4, 5, 6, 7, 10
@@ -118,6 +119,23 @@ def _set_shared_nodes(
         element_weights(e, pattern, b, weights.reshape(count_u, count_v))
         for k in range(len(weights)):
             light[b, k] *= weights[k]
+
+
+@kernel
+def _even_count(count: int) -> int:
+    # Gauss–Legendre rules that give each of PIECES = 4 pieces of a side its share, to 3.5 and 6 %
+    return 6 if count <= 6 else 12
+
+
+@kernel
+def _hide_nodes(counts: tuple[int, int], free: Bool, light: Float64) -> None:
+    # takes the light of nodes in pieces that are hidden
+    count_u, count_v = counts
+    for i in range(count_u):
+        first = int(NODES[count_u, i] * PIECES) * PIECES
+        for j in range(count_v):
+            if not free[first + int(NODES[count_v, j] * PIECES)]:
+                light[:, i * count_v + j] = 0.0
 
 
 @kernel
@@ -319,18 +337,18 @@ def _variant_sums(
     elements: Float64,
     pattern: Pattern,
     group: Index,
-    seen: tuple[Bool, _Pieces],
+    seen: _Seen,
     variants: VariantNumbers,
     shares: Float64,
     levels: Float64,
 ) -> None:
     # levels of the variants of each point under each channel, shape (channels, t, k). The light of the elements of a
     # group is summed, of which a channel has `shares`, shape (channels, groups, b). Steeper variants follow. Of an
-    # element that is not clear, lobes see the free pieces
+    # element that is not whole, lobes see the free pieces, and diffuse light nothing
     lean, R_d, R_s, inverse, most, form, diffuse = variants
     points, frames, views, _, _ = rows
     terms, groups, count, most_nodes = len(pattern.terms), shares.shape[1], len(lean), MOST_SHARED**2
-    reach, (clear, (number_of, free)) = _reaches(variants), seen
+    reach, (row_of, free) = _reaches(variants), seen
     away, first = _slopes(lean)
     farthest, linear, widest = away[-1], is_lambert(diffuse), reach.max()
     found, one, values = np.empty((terms, count)), np.empty(terms), np.empty(count)
@@ -343,19 +361,17 @@ def _variant_sums(
         _set_variants(plain, vector_at(references, i), own, lean, inverse, turned)
         vectors[:], sums[:] = 0.0, 0.0
         for m in range(len(elements)):
-            row = -1 if clear[m, i] else number_of[m, i]
-            if not clear[m, i] and row < 0:
+            row = row_of[m, i]
+            if row == HIDDEN:
                 continue
             e, g = element_at(elements, m), group[m]
             middle = minus(e.centre, plain.p)
             if dot(plain.n, middle) + farthest * length(middle) <= -e.reach:
                 continue
-            if row >= 0:
-                pass  # diffuse light counts as a whole
-            elif linear:
+            if row == WHOLE and linear:
                 diffuse_nodes = places[m], light[m], weights[m]
                 _add_diffuse(plain, diffuse_nodes, turned, R_d, (away, first), vectors[g], sums[g])
-            else:
+            elif row == WHOLE:
                 _add_other_diffuse(plain, (places[m], light[m], weights[m]), turned, R_d, diffuse, one, sums[g])
             half, spread = half_vector_cone(plain, e.centre, e.reach)
             if spread < math.pi and length(minus(plain.n, half)) - spread - farthest > widest:
@@ -367,8 +383,12 @@ def _variant_sums(
             for j in range(number):
                 sharpest = max(sharpest, near[_INVERSE, j])
             counts = _shared_counts(plain, e, lobe_of_width(own, sharpest))
-            if max(counts) <= MOST_SHARED and row < 0:
+            if max(counts) <= MOST_SHARED:
+                if row != WHOLE:
+                    counts = _even_count(counts[0]), _even_count(counts[1])
                 _set_shared_nodes(plain, e, pattern, counts, nodes, shared, work)
+                if row != WHOLE:
+                    _hide_nodes(counts, free[row], shared)
                 of_all = counts[0] * counts[1], number
                 _set_specular(plain.v, nodes, shared, own, turned, near, of_all, values, found)
                 for j in range(number):
@@ -381,9 +401,9 @@ def _variant_sums(
                 for b in range(terms):
                     one[b] = 0.0
                 lobe = _lobe_of(own, turned, near, j)
-                if row < 0:
+                if row == WHOLE:
                     specular_of_element(at, e, whole_element(e), pattern, lobe, most[t], one)
-                for k in range(PIECES * PIECES if row >= 0 else 0):
+                for k in range(0 if row == WHOLE else PIECES * PIECES):
                     if free[row, k]:
                         specular_of_element(at, e, element_piece(e, k), pattern, lobe, most[t], one)
                 for b in range(terms):
@@ -408,23 +428,18 @@ def _whole_lobes(variants: VariantNumbers, radiance: float) -> Float64:
     return np.clip(radiance * 4.0 * math.pi * math.sqrt(lobe.widening) / widest, 1e-30, 1.0)
 
 
-def _pieces(
-    surface: SurfacePoints,
-    shadowed: SurfacePoints,
-    elements: Float64,
-    hidden: Bool,
-    variants: VariantNumbers,
-    caster: RayCaster | None,
-) -> _Pieces:
-    # of the hidden elements that lobes may see pieces of
-    number_of = np.full(hidden.shape, -1, np.int32)
+def _seen(surface: SurfacePoints, elements: Float64, variants: VariantNumbers, caster: RayCaster | None) -> _Seen:
+    # as whole what nothing is in the way of the middle of; of others in reach of lobes, pieces
+    shadowed = replace(surface, normals=surface.facets)
+    clear, hidden = elements_seen(shadowed, elements, caster)
+    row_of = np.where(clear, np.int32(WHOLE), np.int32(HIDDEN))
     if caster is None or not hidden.any():
-        return number_of, np.zeros((0, PIECES * PIECES), np.bool_)
+        return row_of, np.zeros((0, PIECES * PIECES), np.bool_)
     element, point = map(np.ascontiguousarray, np.nonzero(_in_reach(surface.rows, elements, hidden, variants)))
     free = free_pieces(shadowed, elements, caster, element, point)
     some = free.any(axis=1)
-    number_of[element[some], point[some]] = np.arange(int(some.sum()), dtype=np.int32)
-    return number_of, np.ascontiguousarray(free[some])
+    row_of[element[some], point[some]] = np.arange(int(some.sum()), dtype=np.int32)
+    return row_of, np.ascontiguousarray(free[some])
 
 
 def surface_light_variants(
@@ -459,10 +474,7 @@ def surface_light_variants(
         part = slice(start, start + step)
         some = surface.take(part)
         own = np.zeros((len(lights), len(variants.lean), len(some)))
-        shadowed = replace(some, normals=some.facets)
-        clear, hidden = elements_seen(shadowed, elements, caster)
-        pieces = _pieces(some, shadowed, elements, hidden, ordered, caster)
-        seen = clear, pieces
+        seen = _seen(some, elements, ordered, caster)
         _variant_sums(some.rows, references[part], elements, channels.pattern, group, seen, ordered, shares, own)
         levels[:, order, part] = own
 

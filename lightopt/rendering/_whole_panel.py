@@ -8,7 +8,7 @@ from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import column_at, dot, length, minus, plus, scaled
 from lightopt.lights import attenuated, half_diagonal, panel_point
-from lightopt.optics import MAX_LOBE_EXPONENT, Lobe, is_lambert, lambert, lobe_at, specular_divisor, square_across
+from lightopt.optics import MAX_LOBE_EXPONENT, is_lambert, lambert, lobe_at, specular_divisor, square_across
 from lightopt.rendering._panel_quadrature import (
     NEGLIGIBLE_EXPONENT,
     NODES,
@@ -16,10 +16,12 @@ from lightopt.rendering._panel_quadrature import (
     WEIGHTS,
     WHOLE_PANEL,
     half_vector_cone,
+    lobe_cone,
     out_of_reach,
     rectangle_diffuse,
     rectangle_specular,
     smooth_nodes_within,
+    tail_error,
 )
 from lightopt.rendering._penumbra import ConvergedLight
 from lightopt.rendering._point_lights import diffuse_only, lobe_towards, point_terms, round_lobes
@@ -28,9 +30,9 @@ from lightopt.rendering._surface import PointRows, point_at, surface_point
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
 _STEP_S, _STEP_T = 0.6287067210378087, 0.5385972572236101  # 1/g³ and 1/g⁴ of g⁵ = g + 1
 FAR_SHARE = 20.0 / MAX_LOBE_EXPONENT  # of the farthest exponent, e⁻²⁰ of the lobe, beyond which it is left out there
-# of tails: what they may be off by in R_s, of which they are a tenth in fact, 0.02 level of chrome with R_s = 10⁶; the
-# same as a share of their light; and the share from which on few nodes do for fall-off and emission
-_PEAK_ERROR, _MOST_TAIL_ERROR, _FEW_NODES_ERROR = 2e-7, 1e-2, 1e-3
+# of tails: what they may be off by in R_s, of which they are a tenth in fact, 0.02 level of chrome with R_s = 10⁶; and
+# the share of their light from which on few nodes do for fall-off and emission
+_PEAK_ERROR, _FEW_NODES_ERROR = 2e-7, 1e-3
 _MOST_EVEN = 6  # nodes a side up to which a lobe is smooth all over the panel
 
 
@@ -85,16 +87,6 @@ def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Flo
 
 
 @kernel
-def _tail_error(nearest: float, lobe: Lobe) -> float:
-    # by which share of a lobe's light a rule may be off where its peak is so far away (chord): light that is nothing
-    # beside the peak needs no digits
-    if not lobe.ggx:
-        return TAIL_ERROR
-    value = 1.0 / (1.0 + 0.5 * nearest * nearest * lobe.inverse) ** 2
-    return min(max(_PEAK_ERROR / value, TAIL_ERROR), _MOST_TAIL_ERROR)
-
-
-@kernel
 def _add_smooth(
     columns: tuple[Float64, Float64, Float64],
     frames: Float64,
@@ -113,10 +105,9 @@ def _add_smooth(
         at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
         if near[j] and above[j] and at.n_dot_v > 0.0:
             turned = lobe_at(lobe, frames, index[j])
-            half, spread = half_vector_cone(at, panel.centre, half_diagonal(panel))
-            off = minus(at.n, half)
-            away = math.sqrt(max(0.0, dot(off, off) - square_across(off, turned)))
-            error = _tail_error(max(0.0, away - spread), lobe)
+            away, spread = lobe_cone(at, panel.centre, half_diagonal(panel), turned)
+            nearest = max(0.0, away - spread)
+            error = tail_error(nearest * nearest * lobe.inverse, _PEAK_ERROR) if lobe.ggx else TAIL_ERROR
             least = light.nodes if error < _FEW_NODES_ERROR else 2
             wanted[j] = max(smooth_nodes_within(away, spread, turned, error, NEGLIGIBLE_EXPONENT), least)
     for few in range(2, _MOST_EVEN + 1):
@@ -140,18 +131,18 @@ def _add_smooth(
                     towards = minus(q, column_at(work, k))
                     r2 = dot(towards, towards)
                     towards = scaled(towards, 1.0 / math.sqrt(r2))
-                    half = plus(towards, view)
-                    size = math.sqrt(dot(half, half))
-                    chord = minus(normal, scaled(half, 1.0 / size))
-                    work[10, k], work[11, k], work[12, k] = dot(chord, chord), dot(normal, towards), size
                     work[13, k] = attenuated(weight, panel, r2, dot(panel.outward, towards))
                     if lobe.widening > 1.0:
-                        value = lobe_towards(normal, view, towards, lobe_at(lobe, frames, index[place[k]]))
-                        work[9, k] += value * work[13, k]
+                        work[14, k] = lobe_towards(normal, view, towards, lobe_at(lobe, frames, index[place[k]]))
+                    else:
+                        half = plus(towards, view)
+                        size = math.sqrt(dot(half, half))
+                        chord = minus(normal, scaled(half, 1.0 / size))
+                        work[10, k], work[11, k], work[12, k] = dot(chord, chord), dot(normal, towards), size
                 if lobe.widening == 1.0:
                     round_lobes(work[14], work[10], work[11], work[12], number, lobe)
-                    for k in range(number):
-                        work[9, k] += work[14, k] * work[13, k]
+                for k in range(number):
+                    work[9, k] += work[14, k] * work[13, k]
         for k in range(number):
             j = place[k]
             view = column_at(v, j)

@@ -6,7 +6,7 @@ there is no variance to explain.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import PixelSet, Placement, light_at, sensor_scale, view_of_placed
 from lightopt.geometry import RayCaster
+from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, screen_window, view_from_part
 
 Array = NDArray[np.floating]
@@ -66,26 +67,24 @@ def refuse_useless_images(
     expected = [o for o in observations if o.posture in at]
     if all(bool(o.saturated[at[o.posture]].all()) for o in expected):
         raise InputError(f"{where}: every pixel of the part is saturated in each of {images}; expose shorter")
-    seen = [o.levels[at[o.posture]] - scene.sensor.black_level for o in expected]
-    if _all_black(seen, _least_bright(scene)):
+    seen = (o.levels[at[o.posture]] for o in expected)
+    if _all_black(seen, scene.sensor.black_level + _least_bright(scene)):
         raise InputError(f"{where}: the {images} are black where the part is expected; check lens cap and lights")
     return sets
 
 
-def dark_as_predicted(
-    scene: Scene, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
-) -> bool:
+def dark_as_predicted(scene: Scene, observations: Sequence[Observation], *, threads: int | None = None) -> bool:
     """Whether all images are black where the part is, and are predicted to be, as in dark field on a polished part.
 
     Such images show defects, but not where the part is.
     """
-    bright, black = _least_bright(scene), scene.sensor.black_level
-    if not _all_black([o.levels - black for o in observations], bright):
+    bright = _least_bright(scene)
+    if not _all_black((o.levels for o in observations), scene.sensor.black_level + bright):
         return False
-    sets = _coarse_pixels(scene, observations)
+    sets, caster = _coarse_pixels(scene, observations), cast_rays_at(scene)
     lit, predicted = _coarse_prediction(scene, sets, caster, (scene.reflectance.sigma,), threads)
     there = [posture for posture, pixels in lit.items() if pixels.any()]
-    return bool(there) and _all_black([predicted[own][:, lit[own]] for own in there], DARK_MARGIN * bright)
+    return bool(there) and _all_black((predicted[own][:, lit[own]] for own in there), DARK_MARGIN * bright)
 
 
 def shows_diffuse_light(
@@ -102,7 +101,7 @@ def _least_bright(scene: Scene) -> float:
     return CLEAR * math.sqrt(scene.sensor.noise_variance(0.0)) + 0.5
 
 
-def _all_black(levels: Sequence[Array], bright: float) -> bool:
+def _all_black(levels: Iterable[Array], bright: float) -> bool:
     return all(not own.size or float(np.mean(own > bright)) < LEAST_BRIGHT_SHARE for own in levels)
 
 

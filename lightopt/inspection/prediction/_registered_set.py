@@ -72,7 +72,7 @@ def register_set(
     nominal, observations = nominal_scene(rig, part, image_set, scenes=cache.nominal_scenes, threads=threads)
     if reference == "model":
         nominal = cache.adjusted(rig, nominal, observations, register=register, run=run)
-    dark = register and dark_as_predicted(nominal, observations, caster=cast_rays_at(nominal), threads=threads)
+    dark = register and dark_as_predicted(nominal, observations, threads=threads)
     register = register and not dark
     scene, placement, offset = _find(nominal, observations, cache, run, register=register)
 
