@@ -38,7 +38,7 @@ _CHUNK = 8192
 
 @dataclass(frozen=True, kw_only=True)
 class LightLayer:
-    """Light of one panel at n surface points that see all of it."""
+    """Light of one light at n surface points that see all of it, or some of one that is no panel."""
 
     surface: SurfacePoints  # the points, part frame
     light: PanelLight
@@ -50,6 +50,7 @@ class LightLayer:
     grid: Float64  # the panel's point lights [mm], shape (m, 3); none of them for the converged panel
     # Gauss–Legendre nodes a side that the converged panel needs for its fall-off and emission; 0 with point lights
     nodes: int
+    caster: RayCaster | None = None  # of the part where it hides some of the light
 
     def take(self, index: Index) -> LightLayer:
         """The points at `index`, shape (j,)."""
@@ -60,7 +61,7 @@ class LightLayer:
     def specular(self, reflectance: Reflectance, *, threads: int | None = None) -> Float64:
         """Specular light per unit of R_s, whatever R_s is, shape (n,) (paper, equations 3 and 4)."""
         if isinstance(self.light, SurfaceLight):
-            return light_of_channels(self.surface, [self.light], reflectance, diffuse=False, threads=threads)[1][0]
+            return specular_of_layers([self], reflectance, threads=threads)[0]
         light = ConvergedLight(panel_numbers(self.light), 0.0, 0.0, reflectance.lobe, LAMBERT, self.nodes)
         rows, count = self.surface.rows, len(self.surface)
         result = np.zeros(count)
@@ -85,7 +86,9 @@ def specular_of_layers(
             same = [i for i in left if np.array_equal(layers[i].surface.points, first.surface.points)]
             lights = [light for i in same if isinstance(light := layers[i].light, SurfaceLight)]
             if lights:
-                levels = light_of_channels(first.surface, lights, reflectance, diffuse=False, threads=threads)[1]
+                _, levels = light_of_channels(
+                    first.surface, lights, reflectance, diffuse=False, caster=first.caster, threads=threads
+                )
                 found |= dict(zip(same, levels, strict=True))
             else:
                 found[left[0]] = first.specular(reflectance, threads=threads)
@@ -94,22 +97,30 @@ def specular_of_layers(
 
 
 def light_layer(
-    surface: SurfacePoints, light: PanelLight, caster: RayCaster, *, form: DiffuseForm, threads: int | None = None
+    surface: SurfacePoints,
+    light: PanelLight,
+    caster: RayCaster,
+    *,
+    form: DiffuseForm,
+    shadows: bool = False,
+    threads: int | None = None,
 ) -> LightLayer:
-    """The diffuse layer of a panel, and what its specular layers need.
+    """The diffuse layer of a light, and what its specular layers need.
 
-    surface: Points that see the whole panel, part frame
+    surface: Points that see the whole light, part frame
     light: Part frame; with its own number of points
     caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for
     form: Of the diffuse light
+    shadows: Whether points see only some of the light, which is no panel
     """
     grid, nodes, (diffuse, deflection) = np.zeros((0, 3)), 0, np.zeros((2, len(surface)))
     layer = LightLayer(
         surface=surface, light=light, diffuse=diffuse, form=form, deflection=deflection, grid=grid, nodes=nodes
     )
     if isinstance(light, SurfaceLight):
-        (diffuse,), _ = light_of_channels(surface, [light], form, threads=threads)
-        return replace(layer, diffuse=diffuse, deflection=least_deflection(surface, light))
+        hiding = caster if shadows else None
+        (diffuse,), _ = light_of_channels(surface, [light], form, caster=hiding, threads=threads)
+        return replace(layer, diffuse=diffuse, deflection=least_deflection(surface, light), caster=hiding)
     if light.points == "auto":
         nodes = converged_panel(light, centre=caster.centre, radius=caster.radius).nodes
     else:

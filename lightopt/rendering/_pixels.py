@@ -19,8 +19,9 @@ from lightopt.rendering._point_lights import visible_counts
 from lightopt.rendering._surface import GRAZING_COSINE, PointRows, SurfacePoints, trace_samples
 from lightopt.scene import PartView, Scene, pixel_directions, screen_window, view_from_part
 
-UNLIT, WHOLE, LEFT_OUT = 0, 1, 2
-"""What a pixel sees of a panel: nothing, all of it, or (penumbrae) something that is not predicted here."""
+UNLIT, WHOLE, LEFT_OUT, PARTLY = 0, 1, 2, 3
+"""What a pixel sees of a light: nothing, all of it, (penumbrae) something that is not predicted here, or, of a light that
+is no panel, about as much as its neighbours see of it."""
 
 # a neighbouring point further from the tangent plane than this share of its distance lies across a silhouette
 STEEPEST_STEP = 0.6
@@ -31,6 +32,7 @@ CREASE_COSINE = 0.985
 # pixels next to those that are left out are left out, too: the part never lies exactly where the model has it
 MARGIN_PX = 2
 
+STEADY = 0.1  # neighbours' shares of a light that differ by no more than this share of the greater are about the same
 _LEAST_COSINE = 0.02  # no pixel is taken to see more than fifty times the surface that faces it
 _BLOCK_ROWS = 64
 _CHUNK = 32_768
@@ -162,10 +164,16 @@ def _panel_visibility(
     for seen, facing, where in in_threads(chunk, range(0, len(front), _CHUNK), threads):
         clear[where], above[where] = seen, facing
     # below the horizon of the interpolated normal there is no light, whatever is in the way
+    if isinstance(light, SurfaceLight):
+        # a large light reaches below most horizons, and is hidden in part at most places of most parts
+        share = clear / np.maximum(above, 1)
+        least, most = _range_nearby(share, pixels.row, pixels.column)
+        steady = most - least <= STEADY * most
+        return np.select(
+            [above == 0, ~steady, share == 0.0, share < 1.0], [UNLIT, LEFT_OUT, UNLIT, PARTLY], WHOLE
+        ).astype(np.uint8)
     # the terminator, where that horizon runs across the panel, moves with the least error of a normal
-    mixed = (clear > 0) & (clear < above)
-    if not isinstance(light, SurfaceLight):  # a large light reaches below most horizons
-        mixed |= (above > 0) & (above < len(targets))
+    mixed = (clear > 0) & (clear < above) | (above > 0) & (above < len(targets))
     hidden = (clear == 0) & (above > 0) & ~mixed
     lit = (clear > 0) & ~mixed
     visibility = np.select([mixed, lit], [LEFT_OUT, WHOLE], UNLIT).astype(np.uint8)
@@ -184,7 +192,7 @@ def visibility_of_lights(
     moving: bool = False,
     threads: int | None = None,
 ) -> UInt8:
-    """What each pixel sees of each light: :data:`UNLIT`, :data:`WHOLE` or :data:`LEFT_OUT`, shape (lights, k).
+    """What each pixel sees of each light: :data:`UNLIT`, :data:`WHOLE`, :data:`LEFT_OUT` or :data:`PARTLY`, (lights, k).
 
     lights: Part frame
     moving: Whether it will be asked again with the lights nearby, as of a part that is moved
@@ -265,6 +273,30 @@ def _widened(flags: Bool) -> Bool:
     for dy in range(1, 2 * m + 1):
         near |= wide[dy : dy + rows]
     return near
+
+
+def _range_nearby(values: Float64, row: Int32, column: Int32) -> tuple[Float64, Float64]:
+    # least and greatest of the values of pixels within MARGIN_PX rows and columns
+    least, most = values.copy(), values.copy()
+    if len(row):
+        row, column = row - row.min(), column - column.min()
+        grid = np.full((int(row.max()) + 1 + 2 * MARGIN_PX, int(column.max()) + 1 + 2 * MARGIN_PX), np.nan)
+        grid[row + MARGIN_PX, column + MARGIN_PX] = values
+        _find_range(grid, row, column, least, most)
+    return least, most
+
+
+@kernel
+def _find_range(grid: Float64, row: Int32, column: Int32, least: Float64, most: Float64) -> None:
+    # comparisons with NaN are false
+    for i in range(len(row)):
+        for down in range(2 * MARGIN_PX + 1):
+            for along in range(2 * MARGIN_PX + 1):
+                value = grid[row[i] + down, column[i] + along]
+                if value < least[i]:
+                    least[i] = value
+                if value > most[i]:
+                    most[i] = value
 
 
 @kernel

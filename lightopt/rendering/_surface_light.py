@@ -819,7 +819,7 @@ def _piece_targets(elements: Float64) -> Float64:
 
 
 @kernel
-def _replace_pieces(
+def _replace_by_pieces(
     rows: PointRows,
     elements: Float64,
     pattern: Pattern,
@@ -935,9 +935,13 @@ def _shade_chunk(
         largest = np.abs(shares).max(axis=0)
         level = np.einsum("mb,mbi->mi", largest, np.abs(specular)) * (weight * reflectance.R_s)
         element, point = map(np.ascontiguousarray, np.nonzero((level > NEGLIGIBLE_LEVEL) & hidden.any(axis=0)))
-        specular *= clear[:, None]
         free = free_pieces(surface, elements, caster, element, point)
-        _replace_pieces(rows, elements, pattern, (element, point), free, lobe, most, specular)
+        clear[element, point] = free.any(axis=1)
+        specular *= clear[:, None]
+        partly = clear[element, point] & ~free.all(axis=1)
+        _replace_by_pieces(
+            rows, elements, pattern, (element[partly], point[partly]), free[partly], lobe, most, specular
+        )
     levels = np.zeros((2, len(shares), size))
     _add_channels(diffuse, channels.group_shares, levels[0])
     _add_channels(specular, shares, levels[1])
@@ -974,13 +978,15 @@ def light_of_channels(
     reflectance: Reflectance | DiffuseForm,
     *,
     diffuse: bool = True,
+    caster: RayCaster | None = None,
     threads: int | None = None,
 ) -> tuple[Float64, Float64]:
-    """Diffuse and specular light at points that see all of a light, per unit of R_d and R_s; shapes (channels, k).
+    """Diffuse and specular light of a surface light, per unit of R_d and R_s; two arrays, shape (channels, k).
 
     lights: The channels, of the same gain
     reflectance: With the lobe; a form for diffuse light alone
     diffuse: Whether diffuse light is wanted; it is 0 otherwise
+    caster: Of the part that hides some of the light; None where the points see all of it
     """
     if isinstance(reflectance, DiffuseForm):
         reflectance = Reflectance(R_d=float(diffuse), R_s=0.0, sigma=1e-3, diffuse=reflectance)
@@ -988,7 +994,7 @@ def light_of_channels(
         reflectance = replace(reflectance, R_d=float(diffuse), R_s=MOST_R_S_SIGMA_2 / reflectance.sigma**2)
     # light is per unit of R_s: only where it is negligible depends on R_s
     threads = threads or available_processors()
-    return shade_surface_lights(surface, lights, reflectance=reflectance, caster=None, threads=threads)
+    return shade_surface_lights(surface, lights, reflectance=reflectance, caster=caster, threads=threads)
 
 
 @kernel

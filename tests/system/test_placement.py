@@ -15,7 +15,7 @@ from lightopt import build_scene, render
 from lightopt.config import PlacementConfig
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, PoseFrame, part_file_placement, place_part, register
-from lightopt.estimate.registration._placement import NAMES, PixelSet, light_at, view_of_placed
+from lightopt.estimate.registration._placement import NAMES, PixelSet, light_at, shares_seen, view_of_placed
 from lightopt.estimate.registration._refinement import RefinementProblem, choose_pixels, start_parameters
 from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at, render_posture
@@ -121,9 +121,10 @@ def test_pixels_keep_what_they_see_of_the_lights_while_the_part_moves(tmp_path, 
         # what is seen of the lights is searched for, or known: the same light where neither sees less
         view = view_of_placed(scene, inner[0].posture, frame.placement(moved[:3]))
         there = view_of_placed(scene, inner[0].posture, Placement())
-        nominal, _, verdicts = light_at(scene, inner[0], there, caster)
-        searched, *_ = light_at(scene, inner[0], view, caster)
-        known, *_ = light_at(scene, inner[0], view, caster, verdicts=verdicts)
+        nominal, _ = light_at(scene, inner[0], there, caster)
+        searched, _ = light_at(scene, inner[0], view, caster)
+        shares = shares_seen(scene, inner[0], there, caster, sigma=None)
+        known, _ = light_at(scene, inner[0], view, caster, shares=shares)
         both = (searched > 0.0) & (nominal > 0.0)
         np.testing.assert_array_equal(known[both], searched[both])
         np.testing.assert_array_equal(np.isnan(known), np.isnan(nominal))
@@ -133,7 +134,7 @@ def test_pixels_keep_what_they_see_of_the_lights_while_the_part_moves(tmp_path, 
     assert changed > 1000
 
 
-def test_verdicts_are_of_lights_and_not_of_levels(scene: Scene) -> None:
+def test_shares_are_of_lights_and_not_of_levels(scene: Scene) -> None:
     """A region without diffuse light is lit where only its highlights show it."""
     dark = replace(scene.reflectance, R_d=0.0)
     regions = np.ones(len(scene.mesh.faces), np.uint8)
@@ -143,8 +144,9 @@ def test_verdicts_are_of_lights_and_not_of_levels(scene: Scene) -> None:
     rows, columns = (a.ravel().astype(np.int32) for a in np.mgrid[20:100:3, 30:130:3])
     pixels = PixelSet.look_up(posture, rows, columns, [captured(scene, exposures=(1.0,))[0]], 0.0)
     view = view_of_placed(mirror, posture, Placement())
-    diffuse, searched, verdicts = light_at(mirror, pixels, view, caster, sigmas=[0.0475])
-    _, known, _ = light_at(mirror, pixels, view, caster, sigmas=[0.0475], verdicts=verdicts)
+    diffuse, searched = light_at(mirror, pixels, view, caster, sigmas=[0.0475])
+    shares = shares_seen(mirror, pixels, view, caster, sigma=0.0475)
+    _, known = light_at(mirror, pixels, view, caster, sigmas=[0.0475], shares=shares)
     assert np.nanmax(diffuse) == 0.0
     assert np.nanmax(searched) > 0.1
     np.testing.assert_array_equal(known, searched)

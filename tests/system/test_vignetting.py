@@ -76,8 +76,8 @@ def test_samples_and_pixels_of_a_registration(scenes):
         light = light_at(scene, pixels, view_of_placed(scene, POSTURE, Placement()), caster, sigmas=[0.05])
         samples = collect_samples(scene, [seen], caster=caster, budget=500)
         found.append((light, samples))
-    (diffuse, specular, _), plain = found[0]
-    (dimmed_diffuse, dimmed_specular, _), dimmed = found[1]
+    (diffuse, specular), plain = found[0]
+    (dimmed_diffuse, dimmed_specular), dimmed = found[1]
     assert np.nansum(diffuse) > 0
     share = factor(columns + 0.5, rows + 0.5)
     np.testing.assert_allclose(dimmed_diffuse, diffuse * share)

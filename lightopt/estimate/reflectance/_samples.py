@@ -135,10 +135,12 @@ def collect_samples(
             verdicts = dict(zip(own, seen, strict=True))
         panel, surface = pixels.view.lights[light], pixels.surface
         own = pixels.clean if surface.material is None else pixels.clean & (surface.material == 0)
-        own = own & np.stack([verdicts[light] == verdict for verdict in (rendering.WHOLE, rendering.UNLIT)])
-        whole, unlit = map(np.flatnonzero, own)
-        layer = light_layer(surface.take(whole), panel, caster, form=scene.reflectance.diffuse, threads=threads)
-        angle = np.zeros(len(whole)) if uniform else layer.deflection
+        partly = own & (verdicts[light] == rendering.PARTLY)
+        seen = np.flatnonzero(partly | own & (verdicts[light] == rendering.WHOLE))
+        unlit = np.flatnonzero(own & (verdicts[light] == rendering.UNLIT))
+        form, shadows = scene.reflectance.diffuse, bool(partly.any())
+        layer = light_layer(surface.take(seen), panel, caster, form=form, shadows=shadows, threads=threads)
+        angle = np.zeros(len(seen)) if uniform else layer.deflection
         draw = posture, draws.setdefault((posture, _entry(panel)), light)
         lit, lit_share = _by_octave(angle, budget, draw)
         few, few_share = _by_octave(np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), draw)
@@ -153,7 +155,7 @@ def collect_samples(
                 weight=1.0 / share,
                 passed=1.0 if passed is None else passed[index],
             )
-            for of_light, index, share in ((layer.take(lit), whole[lit], lit_share), (None, unlit[few], few_share))
+            for of_light, index, share in ((layer.take(lit), seen[lit], lit_share), (None, unlit[few], few_share))
             if len(index)
         ]
         progress((done + 1) / len(wanted))
@@ -209,7 +211,8 @@ def relit(samples: Samples, caster: RayCaster, *, form: DiffuseForm | None = Non
     def again(layer: LightLayer) -> LightLayer:
         light = replace(layer.light, points="auto") if evenly_lit else layer.light
         own = layer.form if form is None else form
-        return light_layer(layer.surface, light, caster, form=own, threads=samples.threads)
+        shadows = layer.caster is not None
+        return light_layer(layer.surface, light, caster, form=own, shadows=shadows, threads=samples.threads)
 
     groups = tuple(g if g.layer is None else replace(g, layer=again(g.layer)) for g in samples.groups)
     return replace(samples, groups=groups, diffuse=np.concatenate([group.diffuse for group in groups]))

@@ -23,6 +23,7 @@ from ._placement import (
     part_file_placement,
     place_part,
     sensor_scale,
+    shares_seen,
     view_of_placed,
 )
 from ._refinement import DARK_SPREAD, GAIN_SPREAD, random_pixels

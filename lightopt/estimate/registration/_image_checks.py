@@ -115,7 +115,7 @@ def _coarse_prediction(
     levels: dict[Posture, Array] = {}
     for pixels in sets:
         view = view_of_placed(scene, pixels.posture, Placement())
-        diffuse, specular, _ = light_at(scene, pixels, view, caster, sigmas=sigmas, threads=threads)
+        diffuse, specular = light_at(scene, pixels, view, caster, sigmas=sigmas, threads=threads)
         lit[pixels.posture] = np.any(~np.isfinite(diffuse) | (diffuse > 0.0), axis=0)
         scales = np.array([[sensor_scale(scene, image)] for image in pixels.images])
         level = reflectance.R_d * diffuse + reflectance.R_s * specular.sum(axis=0)

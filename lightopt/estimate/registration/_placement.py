@@ -1,7 +1,7 @@
 """The placement of a part on the stage, as the part file has it, and light of single pixels under any placement."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -9,13 +9,12 @@ import numpy as np
 
 from lightopt import rendering
 from lightopt.config import PlacementConfig
-from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
+from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.threads import in_threads, threads_each
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_z
 from lightopt.estimate.registration._observations import Observation
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, SurfaceLight
-from lightopt.optics import Reflectance
 from lightopt.rendering import PosturePixels, SurfacePoints
 from lightopt.scene import PartView, Scene, lens_share, move_part, pixel_footprint, view_from_part
 
@@ -251,31 +250,9 @@ def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> Part
     return view.seen_from(back, shift)
 
 
-def _layers(
-    surface: SurfacePoints,
-    group: Sequence[PanelLight],
-    caster: RayCaster,
-    reflectances: Sequence[Reflectance],
-    sigmas: Sequence[float],
-    threads: int,
-) -> Float64:
-    # diffuse light, and specular light for each σ, of channels of a light or of one panel, shape (1 + σ, lights, n)
-    first = reflectances[0]
-    channels = [light for light in group if isinstance(light, SurfaceLight)]
-    layers = np.empty((1 + len(sigmas), len(group), len(surface)))
-    for index, some, own in surface.by_material(reflectances):
-        lobes = [replace(own, sigma=sigma * (own.sigma / first.sigma)) for sigma in sigmas]
-        if channels:
-            parts = [rendering.light_of_channels(some, channels, own.diffuse, threads=threads)[0]]
-            lit = partial(rendering.light_of_channels, some, channels, diffuse=False, threads=threads)
-            parts += [lit(lobe)[1] for lobe in lobes]
-        else:
-            layer = rendering.light_layer(some, group[0], caster, form=own.diffuse, threads=1)
-            parts = [layer.diffuse[None], *(layer.specular(lobe, threads=1)[None] for lobe in lobes)]
-        shares = own.R_d / max(first.R_d, LEAST_R_D), own.R_s / max(first.R_s, LEAST_R_S)
-        for place, part in enumerate(parts):
-            layers[place][:, index] = part if own is first else shares[place > 0] * part
-    return layers
+# what the verdicts of :func:`lightopt.rendering.visibility_of_lights` say of the share of a panel that is seen
+_SHARES = np.array([0.0, 1.0, np.nan])
+assert (rendering.UNLIT, rendering.WHOLE) == (0, 1)
 
 
 def light_at(
@@ -285,19 +262,84 @@ def light_at(
     caster: RayCaster,
     *,
     sigmas: Sequence[float] = (),
-    verdicts: UInt8 | None = None,
+    shares: Float64 | None = None,
     threads: int | None = None,
-) -> tuple[Float64, Float64, UInt8]:
-    """Diffuse and specular light of each pixel under the light of each image, per unit of R_d and R_s; and verdicts.
+) -> tuple[Float64, Float64]:
+    """Diffuse and specular light of each pixel under the light of each image, per unit of R_d and R_s.
 
-    verdicts: What each ray sees of each light, as found at a view that hardly differs: no shadow rays are cast.
+    shares: Of each light that each ray sees, as :func:`shares_seen` of a view that hardly differs has them: no shadow
+        rays are cast.
 
     These, and σ, are those of the scene's first reflectance; where they change, those of regions change with them by
     the same factors. A first R_d or R_s of almost nothing counts as `LEAST_R_D` or `LEAST_R_S`.
 
-    Arrays of shape (images, n), (sigmas, images, n) and (images, n · rays). Light is 0 where a ray misses the part or
-    no light arrives, NaN where only some of a panel is seen.
+    Arrays of shape (images, n) and (sigmas, images, n). Light is 0 where a ray misses the part or no light arrives, NaN
+    where only some of a panel is seen.
     """
+    columns, _ = pixels.positions
+    ray, some = _trace(scene, pixels, view, caster)
+    light = np.zeros((1 + len(sigmas), len(pixels.images), len(columns)))
+
+    def shade(images: Sequence[Sequence[int]], group: Sequence[PanelLight], threads_of_group: int) -> None:
+        if shares is not None:
+            own = shares[:, [numbers[0] for numbers in images]][..., ray]
+        else:
+            own = _panel_shares(some, group, caster)
+        found = np.concatenate([own[:1], *[own[1:]] * len(sigmas)])
+        lit = np.flatnonzero((own > 0.0).any(axis=(0, 1)))
+        seen_by = caster if shares is None else None
+        found[..., lit] *= _layers(scene, some.surface.take(lit), group, sigmas, caster, seen_by, threads_of_group)
+        for numbers, level in zip(images, found.swapaxes(0, 1), strict=True):
+            for number in numbers:
+                light[:, number, ray] = level
+
+    _by_group(pixels, view, shade, threads)
+    passed = lens_share(view.camera, *pixels.positions)
+    if passed is not None:
+        light *= passed
+    if pixels.rays > 1:
+        light = light.reshape(*light.shape[:2], len(pixels.row), -1).mean(axis=3)
+    return light[0], light[1:]
+
+
+def shares_seen(
+    scene: Scene,
+    pixels: PixelSet,
+    view: PartView,
+    caster: RayCaster,
+    *,
+    sigma: float | None,
+    threads: int | None = None,
+) -> Float64:
+    """The share of each light that each ray sees, of its diffuse and of its specular light; shape (2, images, n · rays).
+
+    Of panels 0 or 1, NaN where it sees some; of other lights the share of the light that arrives.
+
+    sigma: Of the lobe; None for panels alone, of other lights the share is 1 then
+    """
+    columns, _ = pixels.positions
+    ray, some = _trace(scene, pixels, view, caster)
+    shares = np.zeros((2, len(pixels.images), len(columns)))
+
+    def find(images: Sequence[Sequence[int]], group: Sequence[PanelLight], threads_of_group: int) -> None:
+        own = _panel_shares(some, group, caster)
+        if sigma is not None and isinstance(group[0], SurfaceLight):
+            whole, seen = (
+                _layers(scene, some.surface, group, (sigma,), caster, seen_by, threads_of_group)
+                for seen_by in (None, caster)
+            )
+            np.divide(seen, whole, out=own, where=whole > 0.0)
+            np.clip(own, 0.0, 1.0, out=own)
+        for numbers, share in zip(images, own.swapaxes(0, 1), strict=True):
+            for number in numbers:
+                shares[:, number, ray] = share
+
+    _by_group(pixels, view, find, threads)
+    return shares
+
+
+def _trace(scene: Scene, pixels: PixelSet, view: PartView, caster: RayCaster) -> tuple[Int32, PosturePixels]:
+    # the rays that meet the part, and where
     columns, rows = pixels.positions
     hits, surface = rendering.trace_samples(caster, scene.mesh, view.camera, columns, rows, neighbours=True)
     some = PosturePixels(
@@ -309,40 +351,67 @@ def light_at(
         clean=surface.front,
         shape=(scene.camera.height, scene.camera.width),
     )
-    light = np.zeros((1 + len(sigmas), len(pixels.images), len(columns)))
-    seen = np.full((len(pixels.images), len(columns)), rendering.UNLIT, np.uint8)
-    names = list(dict.fromkeys(image.light for image in pixels.images))
-    panels = {panel.name: panel for panel in view.lights}
-    number_of = {image.light: i for i, image in enumerate(pixels.images)}
+    return hits.ray, some
 
+
+def _by_group(
+    pixels: PixelSet,
+    view: PartView,
+    work: Callable[[Sequence[Sequence[int]], Sequence[PanelLight], int], None],
+    threads: int | None,
+) -> None:
+    # calls `work` for the channels of each light and for each panel, with the numbers of the images under each, those
+    # lights, and a number of threads
+    panels = {panel.name: panel for panel in view.lights}
+    names = list(dict.fromkeys(image.light for image in pixels.images))
     groups = rendering.channel_groups([panels[name] for name in names])
     threads_of_group = threads_each(len(groups), threads)
 
-    def shade(number: int) -> None:
-        group = [panels[names[i]] for i in groups[number]]
-        if verdicts is None:
-            own = rendering.visibility_of_lights(some, group, caster, moving=True, threads=1)
-        else:
-            own = np.stack([verdicts[number_of[panel.name], hits.ray] for panel in group])
-        whole = own == rendering.WHOLE
-        known = whole | (own == rendering.UNLIT)
-        found = np.stack([np.where(known, 0.0, np.nan)] * (1 + len(sigmas)))
-        lit = np.flatnonzero(whole.any(axis=0))
-        layers = _layers(surface.take(lit), group, caster, scene.reflectances, sigmas, threads_of_group)
-        for place, level in enumerate(layers):
-            found[place][:, lit] = np.where(whole[:, lit], level, found[place][:, lit])
-        for i, image in enumerate(pixels.images):
-            for panel, level, verdict in zip(group, found.swapaxes(0, 1), own, strict=True):
-                if image.light == panel.name:
-                    light[:, i, hits.ray], seen[i, hits.ray] = level, verdict
+    def work_on(number: int) -> None:
+        own = [names[i] for i in groups[number]]
+        images = [[i for i, image in enumerate(pixels.images) if image.light == name] for name in own]
+        work(images, [panels[name] for name in own], threads_of_group)
 
-    in_threads(shade, range(len(groups)), threads)
-    passed = lens_share(view.camera, columns, rows)
-    if passed is not None:
-        light *= passed
-    if pixels.rays > 1:
-        light = light.reshape(*light.shape[:2], len(pixels.row), -1).mean(axis=3)
-    return light[0], light[1:], seen
+    in_threads(work_on, range(len(groups)), threads)
+
+
+def _panel_shares(pixels: PosturePixels, lights: Sequence[PanelLight], caster: RayCaster) -> Float64:
+    # the share of each panel that is seen, and 1 of other lights, of diffuse and specular light, shape (2, lights, k)
+    if isinstance(lights[0], SurfaceLight):
+        return np.ones((2, len(lights), len(pixels.surface)))
+    seen = rendering.visibility_of_lights(pixels, lights, caster, moving=True, threads=1)
+    return np.stack([_SHARES[seen]] * 2)
+
+
+def _layers(
+    scene: Scene,
+    surface: SurfacePoints,
+    lights: Sequence[PanelLight],
+    sigmas: Sequence[float],
+    caster: RayCaster,
+    seen_by: RayCaster | None,
+    threads: int,
+) -> Float64:
+    # diffuse light, and specular light for each σ, of channels of a light or of one panel, shape (1 + σ, lights, n);
+    # without what the part hides of channels, where `seen_by` is given
+    reflectances = scene.reflectances
+    first = reflectances[0]
+    channels = [light for light in lights if isinstance(light, SurfaceLight)]
+    layers = np.empty((1 + len(sigmas), len(lights), len(surface)))
+    for index, some, own in surface.by_material(reflectances):
+        lobes = [replace(own, sigma=sigma * (own.sigma / first.sigma)) for sigma in sigmas]
+        if channels:
+            lit = partial(rendering.light_of_channels, some, channels, caster=seen_by, threads=threads)
+            # the rays of both are cast once
+            first_parts = lit(lobes[0]) if lobes else lit(own.diffuse)[:1]
+            parts = [*first_parts, *(lit(lobe, diffuse=False)[1] for lobe in lobes[1:])]
+        else:
+            layer = rendering.light_layer(some, lights[0], caster, form=own.diffuse, threads=1)
+            parts = [layer.diffuse[None], *(layer.specular(lobe, threads=1)[None] for lobe in lobes)]
+        shares = own.R_d / max(first.R_d, LEAST_R_D), own.R_s / max(first.R_s, LEAST_R_S)
+        for place, part in enumerate(parts):
+            layers[place][:, index] = part if own is first else shares[place > 0] * part
+    return layers
 
 
 def sensor_scale(scene: Scene, image: Observation) -> float:

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, Int32, UInt8
+from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.least_squares import Limits
 from lightopt.estimate.registration import _placement
 from lightopt.estimate.registration._observations import Observation
-from lightopt.estimate.registration._placement import PixelSet, Placement, PoseFrame, light_at
+from lightopt.estimate.registration._placement import PixelSet, Placement, PoseFrame, light_at, shares_seen
 from lightopt.geometry import RayCaster
 from lightopt.rendering import mask_pixels
 from lightopt.scene import Scene
@@ -119,9 +119,12 @@ class RefinementProblem:
         self.correlated = _joined([np.full(p.levels.size, p.rays > 1) for p in self._sets], np.bool_)
         self.weight = np.ones(len(self._measured))
         self._derivative_cache: tuple[Placement, float, list[Float64]] | None = None
-        self._verdicts: list[UInt8 | None] = [None] * len(self._sets)  # what each set sees of the lights in all poses
-        light, verdicts = self._layers_and_verdicts(start)
-        self._light_cache = start.copy(), light
+        # Inner pixels see of the lights what they see at the start: the cost jumps where a pixel is lost on the way.
+        # Those that will see less are few, and outliers.
+        sigma = math.exp(start[self._poses + SIGMA])
+        held = [self._shares_seen(pixels, start, sigma=sigma) for pixels in inner]
+        self._shares: list[Float64 | None] = [*held, *[None] * len(edges)]
+        self._light_cache = start.copy(), self._layers(start)
         self._used = np.ones(len(self._measured), np.bool_)
         self._noise = np.ones(len(self._measured))
         sensor = scene.sensor
@@ -130,16 +133,12 @@ class RefinementProblem:
         noise = np.sqrt(sensor.noise_variance(np.where(np.isfinite(here), here, 0.0), frames=frames))
         full = _joined([p.saturated.ravel() for p in self._sets], np.bool_)
         inside = (here + CLEAR * noise < self._top) & (here + sensor.black_level > CLEAR * noise)
-        # a pixel that half a pixel further has no prediction, beside a shadow, has no slope: it would pull nowhere, and
-        # the cost would jump where it is lost
-        lost = np.isnan(np.concatenate(self._light_derivatives(start)[:-1])).any(axis=0)
+        lost = np.zeros(len(here), np.bool_)
+        lost[: sum(pixels.levels.size for pixels in inner)] = self._beside_shadows(inner, start)
         self._used = np.isfinite(here) & ~full & (self.correlated | (inside & ~lost))
         self._noise = noise
         if len(edges):
             self._weigh_outline(start, here)
-        # Inner pixels see of the lights what they saw at the start: the cost jumps where a pixel is lost on the way.
-        # Those that will see less are few, and outliers.
-        self._verdicts[: len(inner)] = verdicts[: len(inner)]
 
     def residuals(self, x: Float64) -> Float64:
         """Measured minus predicted in standard deviations, shape (n,); NaN where nothing is predicted."""
@@ -193,25 +192,38 @@ class RefinementProblem:
         return self._light_cache[1]
 
     def _layers(self, x: Float64, *, off: Float64 | None = None, wider: Sequence[float] = (0.0,)) -> Float64:
-        return self._layers_and_verdicts(x, off=off, wider=wider)[0]
-
-    def _layers_and_verdicts(
-        self, x: Float64, *, off: Float64 | None = None, wider: Sequence[float] = (0.0,)
-    ) -> tuple[Float64, list[UInt8]]:
-        # per unit of R_d, and of R_s for so much more ln σ each, shape (1 + len(wider), n), moved by `off` pixels; and
-        # what each set sees of the lights there
+        # per unit of R_d, and of R_s for so much more ln σ each, shape (1 + len(wider), n), moved by `off` pixels
         sigmas = [math.exp(x[self._poses + SIGMA] + more) for more in wider]
-        parts, seen = [np.zeros((1 + len(sigmas), 0))], list[UInt8]()
-        for pixels, verdicts in zip(self._sets, self._verdicts, strict=True):
+        parts = [np.zeros((1 + len(sigmas), 0))]
+        for pixels, shares in zip(self._sets, self._shares, strict=True):
             width = _OUTLINE_STEP if pixels.rays > 1 else _INNER_STEP
             place = self._frame.placement(x[: self._poses] + (0.0 if off is None else width * off))
             view = _placement.view_of_placed(self._scene, pixels.posture, place)
-            diffuse, specular, own = light_at(
-                self._scene, pixels, view, self._caster, sigmas=sigmas, verdicts=verdicts, threads=self._threads
+            diffuse, specular = light_at(
+                self._scene, pixels, view, self._caster, sigmas=sigmas, shares=shares, threads=self._threads
             )
-            seen.append(own)
             parts.append(np.concatenate([diffuse[None], specular]).reshape(1 + len(sigmas), -1))
-        return np.concatenate(parts, axis=1), seen
+        return np.concatenate(parts, axis=1)
+
+    def _shares_seen(self, pixels: PixelSet, x: Float64, *, sigma: float | None = None) -> Float64:
+        place = self._frame.placement(x[: self._poses])
+        view = _placement.view_of_placed(self._scene, pixels.posture, place)
+        return shares_seen(self._scene, pixels, view, self._caster, sigma=sigma, threads=self._threads)
+
+    def _beside_shadows(self, inner: Sequence[PixelSet], start: Float64) -> Bool:
+        # whether a pixel that lies half a pixel further sees another share of a panel: shadows of panels have sharp
+        # edges, where a level has no slope
+        found = [np.zeros(0, np.bool_)]
+        for pixels in inner:
+            here = self._shares_seen(pixels, start)[0]
+            differs = np.zeros(here.shape, np.bool_)
+            for step in np.diag(_INNER_STEP * self._frame.pixel_steps):
+                for sign in (1.0, -1.0):
+                    moved = start.copy()
+                    moved[: self._poses] += sign * step
+                    differs |= self._shares_seen(pixels, moved)[0] != here
+            found.append(differs.ravel())
+        return np.concatenate(found)
 
     def _weigh_outline(self, start: Float64, here: Float64) -> None:
         # an outline that the images show counts as much as one that is known to OUTLINE_PX

@@ -238,7 +238,7 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
         seen: list[Float64] = []
         for pixels in sets:
             view = _placement.view_of_placed(scene, pixels.posture, place)
-            diffuse, *_ = _placement.light_at(scene, pixels, view, caster, threads=run.threads)
+            diffuse, _ = _placement.light_at(scene, pixels, view, caster, threads=run.threads)
             scales = np.array([[_placement.sensor_scale(scene, image)] for image in pixels.images])
             known = np.isfinite(diffuse)
             lit.append((diffuse * scales)[known])

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, UInt8
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError
 from lightopt.core.least_squares import weighted_sums
 from lightopt.core.threads import in_threads, threads_each
@@ -24,6 +24,7 @@ from lightopt.estimate import registration
 from lightopt.estimate.registration import Agreement, PixelSet, agreement
 from lightopt.estimate.verification._parameters import CoarseImage, Group, Parameters, Predictions, Work, blurred
 from lightopt.optics import clipped_mean
+from lightopt.scene import PartView
 
 SIGMA_STEP = 0.01
 MISFIT_SHARE = 0.01  # of the predicted level: models are no better than that, even of the right part
@@ -108,7 +109,7 @@ class Model:
         self._correction = np.zeros(len(on))
         self._kept: tuple[Float64, Float64] | None = None  # changes per parameter, and where they were found
         # what blocks see of the lights at each place of `levels`, and where that was found
-        self._seen: tuple[Float64, list[list[UInt8]]] | None = None
+        self._seen: tuple[Float64, list[list[Float64]]] | None = None
 
     def levels(self, theta: Float64) -> Float64:
         """Grey level of each row at exposure 1, shape (n,): means over the blocks.
@@ -120,15 +121,14 @@ class Model:
         places = list(dict.fromkeys(product((-off, off), (-off, off))))
         threads = self._work.run.threads
         light_at = partial(self._light_at, theta, threads=threads_each(len(places), threads))
-        seen = self._seen[1] if self._seen is not None and self._alike(theta, self._seen[0]) else None
+        if self._seen is None or not self._alike(theta, self._seen[0]):
+            self._seen = theta, [self._shares_seen(theta, place, threads=threads) for place in places]
+        seen = self._seen[1]
 
-        def at(number: int) -> tuple[Float64, list[UInt8]]:
-            levels, _, found = light_at(places[number], verdicts=None if seen is None else seen[number])
-            return levels[0], found
+        def at(number: int) -> Float64:
+            return light_at(places[number], shares=seen[number])[0][0]
 
-        some, found = zip(*in_threads(at, range(len(places)), threads), strict=True)
-        if seen is None:
-            self._seen = theta, list(found)
+        some = in_threads(at, range(len(places)), threads)
         return np.mean(some, axis=0) + theta[self.parameters.nuisance[-1]] * self._blur
 
     def _light_at(
@@ -137,28 +137,41 @@ class Model:
         place: tuple[float, float] = (0.0, 0.0),
         *,
         widths: Sequence[float] = (1.0,),
-        verdicts: Sequence[UInt8] | None = None,
+        shares: Sequence[Float64],
         threads: int | None = None,
-    ) -> tuple[Float64, Float64, list[UInt8]]:
+    ) -> tuple[Float64, Float64]:
         # At a point so far off the middle of each block [block]: the grey level without the blur, and its specular
-        # part, of lobes that are so many times as wide, shape (widths, n); of each posture what blocks see of the
-        # lights, which serves as `verdicts` for rigs that hardly differ.
+        # part, of lobes that are so many times as wide, shape (widths, n).
+        # shares: As `_shares_seen` of a rig that hardly differs has them
         own, (factor_s, factor_sigma) = self.scene.reflectance, self.parameters.lobe_factors(theta)
         sigmas = [own.sigma * factor_sigma * width for width in widths]
-        levels, speculars, seen = [np.zeros((len(widths), 0))], [np.zeros((len(widths), 0))], list[UInt8]()
-        for number, pixels in enumerate(self._sets):
-            view = self.parameters.view(self.scene, pixels.posture, theta)
-            column, row = view.camera.axis_px
-            view = replace(view, camera=replace(view.camera, principal_point=(column - place[0], row - place[1])))
-            known = None if verdicts is None else verdicts[number]
-            diffuse, specular, found = registration.light_at(
-                self.scene, pixels, view, self._work.caster, sigmas=sigmas, verdicts=known, threads=threads
+        levels, speculars = [np.zeros((len(widths), 0))], [np.zeros((len(widths), 0))]
+        for pixels, seen in zip(self._sets, shares, strict=True):
+            view = self._view(pixels, theta, place)
+            diffuse, specular = registration.light_at(
+                self.scene, pixels, view, self._work.caster, sigmas=sigmas, shares=seen, threads=threads
             )
-            seen.append(found)
             specular = max(own.R_s, registration.LEAST_R_S) * factor_s * specular.reshape(len(widths), -1)
             levels.append(max(own.R_d, registration.LEAST_R_D) * diffuse.ravel() + specular)
             speculars.append(specular)
-        return np.concatenate(levels, axis=1), np.concatenate(speculars, axis=1), seen
+        return np.concatenate(levels, axis=1), np.concatenate(speculars, axis=1)
+
+    def _shares_seen(
+        self, theta: Float64, place: tuple[float, float] = (0.0, 0.0), *, threads: int | None
+    ) -> list[Float64]:
+        # of each posture what blocks see of the lights, at such a point
+        sigma = self.scene.reflectance.sigma * self.parameters.lobe_factors(theta)[1]
+        return [
+            registration.shares_seen(
+                self.scene, pixels, self._view(pixels, theta, place), self._work.caster, sigma=sigma, threads=threads
+            )
+            for pixels in self._sets
+        ]
+
+    def _view(self, pixels: PixelSet, theta: Float64, place: tuple[float, float]) -> PartView:
+        view = self.parameters.view(self.scene, pixels.posture, theta)
+        column, row = view.camera.axis_px
+        return replace(view, camera=replace(view.camera, principal_point=(column - place[0], row - place[1])))
 
     def _changes(self, theta: Float64) -> Float64:
         # of the grey level per parameter that moves a body or changes the lobe or the blur, shape (n, K)
@@ -168,7 +181,10 @@ class Model:
                 return kept
         p = self.parameters
         threads = self._work.run.threads
-        (level, wider), (specular, _), seen = self._light_at(theta, widths=(1.0, 1.0 + SIGMA_STEP), threads=threads)
+        seen = self._shares_seen(theta, threads=threads)
+        (level, wider), (specular, _) = self._light_at(
+            theta, widths=(1.0, 1.0 + SIGMA_STEP), shares=seen, threads=threads
+        )
         changes = np.zeros((len(level), p.size))
         # panels are moved all at once: each image is of one of them
         moving: dict[str, list[Group]] = {}
@@ -176,7 +192,7 @@ class Model:
             if group.step > 0.0:
                 moving.setdefault(group.kind, []).append(group)
         steps = [(together, axis) for together in moving.values() for axis in range(together[0].size)]
-        light_at = partial(self._light_at, verdicts=seen, threads=threads_each(len(steps), threads))
+        light_at = partial(self._light_at, shares=seen, threads=threads_each(len(steps), threads))
 
         def change(step: tuple[list[Group], int]) -> None:
             together, axis = step
