@@ -311,7 +311,7 @@ def shares_seen(
     sigma: float | None,
     threads: int | None = None,
 ) -> Float64:
-    """The share of each light that each ray sees, of its diffuse and of its specular light; shape (2, images, n · rays).
+    """The share of each light that each ray sees, of diffuse and of specular light, shape (2, images, n · rays).
 
     Of panels 0 or 1, NaN where it sees some; of other lights the share of the light that arrives.
 
