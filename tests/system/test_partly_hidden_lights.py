@@ -1,4 +1,4 @@
-"""Lights that the part itself hides in part, as a dome of nearly every place: where the part lies, and what it is of."""
+"""Lights that the part itself hides in part, as it hides some of a dome: its place and its reflectance from images."""
 
 from __future__ import annotations
 
