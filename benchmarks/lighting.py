@@ -16,7 +16,7 @@ import math
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import get_type_hints
@@ -26,13 +26,14 @@ import trimesh
 
 from benchmarks._case import CONFIGS, write_records
 from benchmarks.inspection import replace_block
-from benchmarks.loop import FINISHES, OFF_MM, Prediction, Tally, count_found, files, interval, run_command
-from lightopt import load_part, load_rig
+from benchmarks.loop import FINISHES, OFF_MM, Counts, Prediction, Tally, count_found, files, interval, run_command
+from lightopt import build_scene, load_part, load_rig
 from lightopt.comparison import PRESETS, preset_files
 from lightopt.config import PartConfig, RigConfig
 from lightopt.defects import BUILT_IN_CATALOGUE, DEFAULT_FALSE_ALARMS
 from lightopt.images import ImageSet, read_image_set
 from lightopt.rendering import RenderOptions, render_image_set
+from lightopt.scene import place_defects
 
 SYSTEMS = ("four-panel", "low-ring", "coaxial", "display", "dome-quadrants")
 MADE = {
@@ -101,17 +102,29 @@ def render_set(rig: RigConfig, part: PartConfig, folder: Path, seed: int, *, ray
     return read_image_set(folder)
 
 
-def compare(folder: Path, name: str, finish: str, options: argparse.Namespace) -> Iterator[tuple[Row, list[Tally]]]:
-    """Predict and inspect all systems on one part of one finish."""
-    rig_file, part_file = files(folder, part_name(folder, name), width=options.width, finish=finish)
-    # a sample's triangles are read sooner than its STEP file
-    text = part_file.read_text(encoding="utf-8").replace(".step", ".stl")
-    part_file.write_text(text + catalogue_text(options.larger), encoding="utf-8")
+def placed_parts(folder: Path, rig_file: Path, part_file: Path, options: argparse.Namespace) -> list[Path]:
+    """Files of the part with random defects, one for each seed."""
     placed: list[Path] = []
     for seed in range(1, options.seeds + 1):
         placed.append(folder / f"{part_file.stem}-{seed}.yaml")
         command = ("defects", rig_file, part_file, "--seed", seed, "--count", options.count, "-o", placed[-1], "-q")
         run_command(*command)
+    return placed
+
+
+def case_files(folder: Path, name: str, finish: str, options: argparse.Namespace) -> tuple[Path, Path]:
+    """The sample rig and a part of a finish, with the catalogue."""
+    rig_file, part_file = files(folder, part_name(folder, name), width=options.width, finish=finish)
+    # a sample's triangles are read sooner than its STEP file
+    text = part_file.read_text(encoding="utf-8").replace(".step", ".stl")
+    part_file.write_text(text + catalogue_text(options.larger), encoding="utf-8")
+    return rig_file, part_file
+
+
+def compare(folder: Path, name: str, finish: str, options: argparse.Namespace) -> Iterator[tuple[Row, list[Tally]]]:
+    """Predict and inspect all systems on one part of one finish."""
+    rig_file, part_file = case_files(folder, name, finish, options)
+    placed = placed_parts(folder, rig_file, part_file, options)
     for path in preset_files(options.systems, folder / "presets", camera_of=load_rig(rig_file)):
         rig, nominal = load_rig(path), load_part(part_file)
         least = min(2, len(rig.lights))
@@ -123,6 +136,25 @@ def compare(folder: Path, name: str, finish: str, options: argparse.Namespace) -
         facts = {key: getattr(whole, key) for key in ("planned", "at_places", "placed", "found")}
         alarms = {"false_alarms": whole.false_alarms, "postures": whole.postures}
         yield Row(name, finish, path.stem, least, **facts, **alarms), tallies
+
+
+def predict_again(name: str, finish: str, rows: list[Row], options: argparse.Namespace) -> list[Row]:
+    """Rows of one part of one finish as they are predicted now; what was found stays."""
+    with tempfile.TemporaryDirectory(prefix="lightopt-lighting-") as folder:
+        rig_file, part_file = case_files(Path(folder), name, finish, options)
+        placed = placed_parts(Path(folder), rig_file, part_file, options)
+        paths = preset_files([row.system for row in rows], Path(folder) / "presets", camera_of=load_rig(rig_file))
+        found: list[Row] = []
+        for row, path in zip(rows, paths, strict=True):
+            rig = load_rig(path)
+            counts = Counts(Prediction(rig, load_part(part_file), row.min_images, options))
+            for part in map(load_part, placed):
+                counts.miss(place_defects(build_scene(rig, part, defects=False), rig, part))
+            (whole,) = [one for one in counts.tallies(name, "", row.min_images) if one.kind == "all"]
+            assert whole.placed == row.placed, "--seeds and --count are not those of the run"
+            found.append(replace(row, planned=whole.planned, at_places=whole.at_places))
+            print(f"{found[-1]}, before {100 * row.planned:.1f} and {100 * row.at_places:.1f} %", flush=True)
+    return found
 
 
 def rows_of(case: tuple[str, str], options: argparse.Namespace) -> list[Row]:
@@ -199,13 +231,24 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--keep", action="store_true", help="do not compare again what --out has, from a run of the same options"
     )
+    parser.add_argument(
+        "--predict-again",
+        action="store_true",
+        help="predict rows of --parts in --out again and keep what was found; with --seeds and --count of their run",
+    )
     parser.add_argument("--out", type=Path, default=Path("out/lighting"), help="folder of lighting.csv")
     parser.add_argument("--page", action="store_true", help="put the table into docs/validation/lighting.md")
     options = parser.parse_args(arguments)
     options.lobe, options.rays = 1.0, 1
     cases = [(name, finish) for name in options.parts for finish in options.finishes]
     results = options.out / "lighting.csv"
-    rows = read_rows(results) if options.keep else []
+    rows = read_rows(results) if options.keep or options.predict_again else []
+    if options.predict_again:
+        for case in cases:
+            own = [row for row in rows if (row.part, row.finish) == case]
+            for row, again in zip(own, predict_again(*case, own, options), strict=True):
+                rows[rows.index(row)] = again
+            write_records(results, rows)
     cases = [case for case in cases if case not in {(row.part, row.finish) for row in rows}]
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
         for some in pool.map(rows_of, cases, [options] * len(cases)):

@@ -264,10 +264,12 @@ def count_found(
 
     fixture: The parts lie in the same place, which the images of the first one show
     """
-    counts = {k: _Counts(prediction) for k, prediction in predictions.items()}
+    counts = {k: Counts(prediction) for k, prediction in predictions.items()}
     cache, place = PredictionCache(), None
     for seed, path in enumerate(placed, 1):
         part = load_part(path)
+        # where the prediction has the part
+        placed_nominally = place_defects(build_scene(rig, part, defects=False), rig, part)
         if place is not None:
             part = part.model_copy(update={"placement": place})
         image_set = take(rig, as_made(path, options.lobe), folder / f"{name}-{seed}", seed, rays=options.rays)
@@ -279,10 +281,10 @@ def count_found(
                 result = inspect_set(rig, part, image_set, options=inspection, cache=cache, calibration=known_good)
             except InputError as refused:
                 print(f"{name}, seed {seed}: {refused}", flush=True)
-                own.miss(place_defects(build_scene(rig, part, defects=False), rig, part))
+                own.miss(placed_nominally)
                 continue
             known = place_defects(result.nominal, rig, part)
-            own.add(known, evaluate_set(image_set, result, known=known))
+            own.add(placed_nominally, evaluate_set(image_set, result, known=known))
             if fixture and place is None and result.placement is not None:
                 place = part_file_placement(result.nominal, result.placement, part.placement)
                 cache = PredictionCache()
@@ -291,7 +293,7 @@ def count_found(
         yield from own.tallies(name, "", k)
 
 
-class _Counts:
+class Counts:
     """Defects counted by kind."""
 
     def __init__(self, prediction: Prediction) -> None:

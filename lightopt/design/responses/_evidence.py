@@ -47,9 +47,9 @@ from lightopt.scene import Scene, project, surface_footprint, surface_share, typ
 UNITS_OF_IMAGE = 3  # most units of evidence that an image counts for
 
 # evidence from which on an image counts for one, two and three units: as shares of T² where one image may decide, and
-# else of what it counts for at most
+# else of T² / (k − 1), such that as much of a part is found as by sums without units (over parts, lights and finishes)
 _ALONE = (1.0 / 6.0, 1.0 / 2.0, 1.0)
-_CONFIRMED = (0.28, 0.61, 0.92)
+_CONFIRMED = (0.22, 0.46, 0.75)
 
 # a defect's width is divided into so many pixels where the camera's are smaller, a scratch's into fewer; of its segment
 # a piece little longer than wide stands for the whole, in so many places within its pixel
@@ -130,8 +130,9 @@ class DetectionModel:
             if self.min_images == 1:
                 found[e] = np.array(_ALONE) * z * z
             else:
-                most = (z * z - defects.CONFIRMED**2) / (self.min_images - 1)
-                found[e] = np.array(_CONFIRMED) * max(most, defects.CONFIRMED**2)
+                # three units are no less than what confirms
+                least = defects.CONFIRMED**2 / _CONFIRMED[-1]
+                found[e] = np.array(_CONFIRMED) * max(z * z / (self.min_images - 1), least)
         return found
 
 
