@@ -224,6 +224,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=7, help="defects per set")
     parser.add_argument("--processes", type=int, default=1, help="cases at once")
     parser.add_argument("--width", type=int, default=320, help="of the images [px]")
+    parser.add_argument("--rays", type=int, default=1, help="along a side of a pixel; a camera's pixels have many")
     parser.add_argument(
         "--larger", type=float, default=2.0, help="size of the defects, as a multiple of that in the built-in catalogue"
     )
@@ -239,7 +240,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("out/lighting"), help="folder of lighting.csv")
     parser.add_argument("--page", action="store_true", help="put the table into docs/validation/lighting.md")
     options = parser.parse_args(arguments)
-    options.lobe, options.rays = 1.0, 1
+    options.lobe = 1.0
     cases = [(name, finish) for name in options.parts for finish in options.finishes]
     results = options.out / "lighting.csv"
     rows = read_rows(results) if options.keep or options.predict_again else []
