@@ -1,7 +1,9 @@
 """Design each lighting system for the part, and sum up what its images show and what they cost."""
 
+import itertools
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -11,7 +13,7 @@ import numpy as np
 
 from lightopt import design
 from lightopt.comparison import _results
-from lightopt.config import PartConfig, RigConfig, load_part, load_rig, with_values
+from lightopt.config import LightConfig, PartConfig, RigConfig, copied_text, load_part, load_rig, with_values
 from lightopt.core.errors import CheckFailed, InputError, collected, counted, refuse
 from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext
@@ -43,6 +45,9 @@ PRESETS: Final[Mapping[str, str]] = {
 
 
 _OWN_CAMERA = "dome-quadrants"  # whose pixels and sensor the presets have where no rig is given
+
+MOST_SIZES = 32  # combinations of the sizes of a rig's lights
+SIZES = "sizes"  # folder of the rig files with other sizes
 
 PICTURES = 4  # images of each system that the report shows
 SIDE = 300  # longest side of an image in the report [px]
@@ -114,8 +119,9 @@ def compare_lighting(
 ) -> _results.LightingComparison:
     """Compare lighting systems on a part: the same catalogue of defects, the same false-alarm rate.
 
-    Each system's design goes to a folder of the name of its file. A system that cannot be used, such as one in the
-    camera's view, is reported and does not end the comparison.
+    Each system's design goes to a folder of the name of its file, those with other sizes of its lights to
+    `NAME-size-2` and so on, the best of which counts. A system that cannot be used, such as one in the camera's view,
+    is reported and does not end the comparison.
 
     options, plan: Of each design; the objective is detectability
     tolerances: Whether the mounting tolerance and the pose tolerance of each system are computed
@@ -132,25 +138,34 @@ def compare_lighting(
     unusable: dict[str, tuple[str, ...]] = {}
     warnings: dict[str, None] = {}
     for name, rig in loaded.items():
-        own = run.apart(name)
         fewer = min(options.min_images, len(rig.lights))
         if fewer < options.min_images:
             warnings[f"{name}: it has {counted(fewer, 'light')}, so that {design.deciding_text(fewer)}"] = None
-        try:
-            request = replace(options, min_images=fewer)
-            result = design.optimize(rig, part, folder / name, options=request, plan=plan, force=force, run=own)
-            output = design.write_design(result, blind_pictures(result), force=force, run=own)
-            design.finish_design(output, design_report(output) if options.report else None)
-        except (CheckFailed, InputError) as error:
-            if any(str(part.source.path) in text for text in error.messages) and isinstance(error, InputError):
-                raise
-            unusable[name] = error.messages
+        request = replace(options, min_images=fewer)
+        best: tuple[str, design.DesignOutput] | None = None
+        tried: list[_results.SizeResult] = []
+        for number, (size, sized) in enumerate(_sized_rigs(rig, folder / SIZES, force=force), start=1):
+            which, what = (name, name) if number == 1 else (f"{name}-size-{number}", f"{name}, {size}")
+            try:
+                output = _design(sized, part, folder / which, request, plan, force=force, run=run.apart(which))
+            except (CheckFailed, InputError) as error:
+                if any(str(part.source.path) in text for text in error.messages) and isinstance(error, InputError):
+                    raise
+                unusable[what] = error.messages
+                continue
+            warnings |= dict.fromkeys(
+                f"{what}: {text}" for text in output.warnings if "no light can be moved" not in text
+            )
+            tried.append(_results.SizeResult(size=size, folder=folder / which, share=_found(output)[0]))
+            if best is None or tried[-1].share > _found(best[1])[0]:
+                best = size, output
+        if best is None:
             continue
-        warnings |= dict.fromkeys(f"{name}: {text}" for text in output.warnings if "no light can be moved" not in text)
-        allowed = design.design_tolerances(result, run=own) if tolerances else None
+        allowed = design.design_tolerances(best[1].result, run=run.apart(name)) if tolerances else None
         if allowed is not None and allowed.lights is None:
             warnings[f"{name}: it has too many lights for its mounting tolerance; channels of a light are one"] = None
-        found.append(_system(name, output, allowed, run.threads))
+        sizes = {"chosen_size": best[0], "sizes": tuple(tried)} if _lights_of_sizes(rig) else {}
+        found.append(replace(_system(name, best[1], allowed, run.threads), **sizes))
     if not found:
         raise InputError(*(f"{name}: {text}" for name, messages in unusable.items() for text in messages))
     footprints = [one.footprint_mm for one in found]
@@ -176,6 +191,48 @@ def compare_lighting(
     return comparison
 
 
+def _design(
+    rig: RigConfig,
+    part: PartConfig,
+    folder: Path,
+    options: design.OptimizeOptions,
+    plan: design.PlanOptions,
+    *,
+    force: bool,
+    run: RunContext,
+) -> design.DesignOutput:
+    result = design.optimize(rig, part, folder, options=options, plan=plan, force=force, run=run)
+    output = design.write_design(result, blind_pictures(result), force=force, run=run)
+    design.finish_design(output, design_report(output) if options.report else None)
+    return output
+
+
+def _lights_of_sizes(rig: RigConfig) -> dict[int, LightConfig]:
+    # lights that have other sizes, by the number of their first channel
+    return {number: light for number, light in enumerate(rig.channels) if light.channel == 0 and light.sizes}
+
+
+def _sized_rigs(rig: RigConfig, folder: Path, *, force: bool) -> Iterator[tuple[str, RigConfig]]:
+    # a rig as it is, and with every combination of other sizes of its lights, whose files are written
+    yield _results.AS_IN_FILE, rig
+    channels = _lights_of_sizes(rig)
+    choices = [[None, *(light.sizes or ())] for light in channels.values()]
+    for number, chosen in enumerate(list(itertools.product(*choices))[1:], start=2):
+        make_folder(folder)
+        values: dict[tuple[str | int, ...], str | None] = {("lights", at, "sizes"): None for at in channels}
+        texts: list[str] = []
+        for at, size in zip(channels, chosen, strict=True):
+            if size is not None:
+                values |= {("lights", at, key): json.dumps(value) for key, value in size.values.items()}
+                texts.append(f"{channels[at].entry_name} {size.text}")
+        path = folder / f"{rig.source.path.stem}-size-{number}.yaml"
+        text = copied_text(rig, folder, values)
+        if path.exists() and path.read_text(encoding="utf-8") != text and not force:
+            raise InputError(f"{path}: differs from this size of {rig.source.path}; use option 'force' to replace it")
+        write_text_atomic(path, text)
+        yield "; ".join(texts), load_rig(path)
+
+
 def _provenance(
     rigs: Mapping[str, RigConfig],
     part: PartConfig,
@@ -199,7 +256,14 @@ def _loaded(paths: Sequence[Path]) -> dict[str, RigConfig]:
             if path.stem in loaded:
                 problems.append(f"{path}: another rig file is named {path.name}, too; give each a name of its own")
             loaded[path.stem] = load_rig(path)
-    if len(paths) < 2:
+    for rig in loaded.values():
+        combinations = math.prod(1 + len(light.sizes or ()) for light in _lights_of_sizes(rig).values())
+        if combinations > MOST_SIZES:
+            problems.append(
+                f"{rig.source.path}: {combinations} combinations of the sizes of its lights; at most {MOST_SIZES} are "
+                "compared: write some of them into rig files of their own"
+            )
+    if len(paths) < 2 and not any(map(_lights_of_sizes, loaded.values())):
         problems.append(f"expected two lighting systems or more to compare, found {len(paths)}")
     refuse(problems)
     return loaded

@@ -11,8 +11,18 @@ from lightopt.core.errors import counted, percent
 from lightopt.images import csv_text
 
 FORMAT = "lightopt-lighting-comparison/1"
+AS_IN_FILE = "as in the file"  # size of the lights of a system
 REASONS = 2  # reasons of each system in the table
 LEAST_REASON = 0.005  # share of the least of them
+
+
+@dataclass(frozen=True, kw_only=True)
+class SizeResult:
+    """What a system of one size of its lights shows."""
+
+    size: str
+    folder: Path  # of its design
+    share: float  # of the surface × the catalogue's defects that are found
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -35,6 +45,9 @@ class SystemResult:
     # how far all lights, and the part, may be off while most of the share is kept; None where that was not computed
     mounting: design.WidestTolerance | None = None
     pose: design.WidestTolerance | None = None
+    # of its lights, the best of those that its rig file offers, and all that were compared; none where it offers none
+    chosen_size: str = ""
+    sizes: tuple[SizeResult, ...] = ()
 
     @property
     def cost(self) -> float:
@@ -95,6 +108,8 @@ def comparison_document(comparison: LightingComparison) -> dict[str, Any]:
             "pose_tolerance": _tolerance_dict(one.pose),
             "size_mm": [round(side, 3) for side in one.size_mm],
             "footprint_mm": round(one.footprint_mm, 6),
+            "chosen_size": one.chosen_size,
+            "sizes": [{"size": s.size, "folder": s.folder.name, "share": round(s.share, 6)} for s in one.sizes],
         }
         for one in comparison.systems
     ]
@@ -114,7 +129,7 @@ def comparison_csv(comparison: LightingComparison) -> str:
     kinds = list(dict.fromkeys(kind for one in comparison.systems for kind in one.defects))
     size = [f"size_{axis}_mm" for axis in "xyz"]
     widest = ["mounting_tolerance_deg", "pose_tolerance_deg"]
-    head = ["system", "share", *kinds, "images", "seconds", *widest, *size, "footprint_mm", "pareto"]
+    head = ["system", "share", *kinds, "images", "seconds", *widest, *size, "footprint_mm", "pareto", "chosen_size"]
     rows: list[list[object]] = [[*head]]
     best = {one.name for one in comparison.best}
     for one in comparison.systems:
@@ -122,7 +137,7 @@ def comparison_csv(comparison: LightingComparison) -> str:
         seconds = "" if one.seconds is None else f"{one.seconds:.3f}"
         sides = [f"{side:.3f}" for side in one.size_mm]
         widest = ["" if tolerance is None else f"{tolerance.degrees:g}" for tolerance in (one.mounting, one.pose)]
-        rest = [*widest, *sides, one.footprint_mm, int(one.name in best)]
+        rest = [*widest, *sides, one.footprint_mm, int(one.name in best), one.chosen_size]
         rows.append([one.name, f"{one.share:.6f}", *shares, one.images, seconds, *rest])
     return csv_text(rows)
 
@@ -151,6 +166,8 @@ def comparison_report(comparison: LightingComparison, folder: Path) -> str:
             )
         ],
     }
+    if any(one.sizes for one in systems):
+        blocks["Sizes of lights"] = [_sizes_table(comparison, folder)]
     if comparison.unusable:
         rows = [[name, " ".join(messages)] for name, messages in comparison.unusable.items()]
         blocks["Systems that cannot be used"] = [report.Table(header=["system", "reason"], rows=rows, numbers_from=2)]
@@ -161,7 +178,8 @@ def comparison_report(comparison: LightingComparison, folder: Path) -> str:
 
 def answer_text(comparison: LightingComparison) -> str:
     first = comparison.systems[0]
-    return f"{first.name} finds most: {first.share_text(first.share)} {_meaning(comparison)}"
+    size = "" if first.chosen_size in ("", AS_IN_FILE) else f" with {first.chosen_size}"
+    return f"{first.name}{size} finds most: {first.share_text(first.share)} {_meaning(comparison)}"
 
 
 def _meaning(comparison: LightingComparison) -> str:
@@ -215,6 +233,19 @@ def _shares_table(
         for one, own in zip(systems, shares, strict=True)
     ]
     return report.Table(header=["system", *names, *(["moved"] if moved else [])], rows=rows, caption=caption)
+
+
+def _sizes_table(comparison: LightingComparison, folder: Path) -> report.Table:
+    every = [(system, size) for system in comparison.systems for size in system.sizes]
+    rows = [
+        [system.name, own.size, system.share_text(own.share), "yes" if own.size == system.chosen_size else ""]
+        for system, own in every
+    ]
+    links = [f"{own.folder.relative_to(folder).as_posix()}/report.html" for _, own in every]
+    caption = "Each size with its lights where they show most. The best size of a system stands for it."
+    return report.Table(
+        header=["system", "size", "found", "best"], rows=rows, numbers_from=2, caption=caption, links=links
+    )
 
 
 def _gallery(comparison: LightingComparison) -> report.Gallery:

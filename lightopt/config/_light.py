@@ -105,6 +105,48 @@ class LightSourceConfig(fields.Frozen):
             yield _AUTO_SUM
 
 
+class LightSizeConfig(fields.Frozen):
+    """Another size of a light, as its maker offers it: values in place of the light's own."""
+
+    distance_mm: fields.Distance | None = None
+    """Distance from the origin [mm]."""
+    size_mm: fields.Size | None = None
+    """Size along azimuth and elevation [mm]."""
+    radius_mm: fields.Length | None = None
+    """Radius [mm]."""
+    inner_radius_mm: fields.Length | None = None
+    """Radius of the inner edge [mm]."""
+    outer_radius_mm: fields.Length | None = None
+    """Radius of the outer edge [mm]."""
+    ring_tilt_deg: _Tilt | None = None
+    """How far the ring's surface leans towards the axis [deg]."""
+    height_mm: fields.Length | None = None
+    """Height of the ring along its axis [mm]."""
+    length_mm: fields.Length | None = None
+    """Length along the azimuth [mm]."""
+    camera_hole_mm: fields.Length | None = None
+    """Diameter of the hole that the camera looks through [mm]."""
+    slot_mm: fields.Length | None = None
+    """Width of the slot that the camera looks through [mm]."""
+    lower_elevation_deg: _Tilt | None = None
+    """Elevation of the dome's lower edge [deg]."""
+    half_angle_deg: _HalfAngle | None = None
+    """Half the angle that the spot's disc takes up, seen from the origin [deg]."""
+    led_mm: fields.Length | None = None
+    """Side of an LED's square [mm]."""
+
+    @property
+    def values(self) -> dict[str, float | tuple[float, float]]:
+        """The values that differ from the light's own, by key."""
+        return self.model_dump(exclude_none=True)
+
+    @property
+    def text(self) -> str:
+        """The same, as ``radius_mm 120``."""
+        pairs = ((key, value if isinstance(value, tuple) else (value,)) for key, value in self.values.items())
+        return ", ".join(f"{key} {' × '.join(f'{side:g}' for side in sides)}" for key, sides in pairs)
+
+
 class LightConfig(fields.Frozen):
     """One light, which faces the origin or has a measured pose; a panel may have any key of light_source, too."""
 
@@ -204,6 +246,8 @@ class LightConfig(fields.Frozen):
     direct_level: fields.Coefficient | None = None
     """backlight: level of a pixel that looks straight at its full radiance, at exposure 1 [grey level]: the part is a
     silhouette before it; black if absent."""
+    sizes: Annotated[tuple[LightSizeConfig, ...], fields.LIST] | None = None
+    """Other sizes that lightopt compare-lighting tries, each with the values that differ; none if absent."""
 
     _channel: int = PrivateAttr(default=0)
     _entry: int = PrivateAttr(default=0)
@@ -225,6 +269,8 @@ class LightConfig(fields.Frozen):
     def _with_mixture(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         # what depends on the image depends on its weights
         own: dict[str, Any] = handler(self)
+        if self.sizes is None:
+            del own["sizes"]
         parts = [{"light": light.model_dump(mode="json"), "weight": weight} for light, weight in self._mixture]
         return own | {"mixture": parts} if parts else own
 
@@ -276,6 +322,13 @@ class LightConfig(fields.Frozen):
         if isinstance(kind, str) and kind in get_args(LightKind):
             yield from _wrong_shapes(kind, raw)
             yield from pattern_misfits(kind, raw)
+        own = {key: value for key, value in raw.items() if key != "sizes"}
+        for number, size in enumerate(fields.entries(raw.get("sizes"))):
+            changed = fields.mapping(size)
+            if isinstance(size, Mapping) and not changed:
+                yield ("sizes", number), "expected a value that differs, such as radius_mm: 120"
+            for keys, fault in cls.misfits({**own, **changed}) if changed else ():
+                yield ("sizes", number, *(keys if keys[0] in changed else ())), fault
 
     @fields.rule("elevation_deg")
     def _above_table(cls, elevation: float, info: ValidationInfo) -> Iterator[fields.Fault]:

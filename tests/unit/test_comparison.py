@@ -170,3 +170,74 @@ def test_help_names_all_presets(cli):
     # names are broken at their hyphens
     words = "".join(cli("compare-lighting", "--help").out.split())
     assert f"{','.join(PRESETS)}." in words
+
+
+SIZED = """
+lights:
+  - name: ring
+    kind: ring
+    inner_radius_mm: 40
+    outer_radius_mm: 60
+    distance_mm: 250
+    segments: 2
+    sizes:                        # of the catalogue
+      - {inner_radius_mm: 50, outer_radius_mm: 80}
+      - {outer_radius_mm: 61, distance_mm: 300}
+"""
+
+
+@pytest.mark.slow
+def test_the_best_size_of_a_light_stands_for_its_system(bench, tmp_path, cli, monkeypatch):
+    monkeypatch.setitem(RIGS, "ring", SIZED)
+    out = tmp_path / "compared"
+    command = ("compare-lighting", bench.part, rig_file(tmp_path, "ring"), "-o", out, "--posture", "0,0")
+    ran = cli(*command, "--patches", 200, "--no-tolerances")
+    assert ran.status == 0, ran.err
+    (found,) = json.loads((out / "comparison.json").read_text(encoding="utf-8"))["systems"]
+    texts = [
+        "as in the file",
+        "ring inner_radius_mm 50, outer_radius_mm 80",
+        "ring distance_mm 300, outer_radius_mm 61",
+    ]
+    assert [one["size"] for one in found["sizes"]] == texts
+    # each is what the same rig file without other sizes finds
+    for number, one in enumerate(found["sizes"], start=1):
+        own = json.loads((out / one["folder"] / "result.json").read_text(encoding="utf-8"))
+        (objective,) = own["results"][0]["objectives"]
+        assert one["share"] == objective["share_of_inspectable_area"]
+        assert one["folder"] == ("ring" if number == 1 else f"ring-size-{number}")
+    best = max(found["sizes"], key=lambda one: one["share"])
+    assert (found["share"], found["chosen_size"], found["folder"]) == (best["share"], best["size"], best["folder"])
+    assert best["size"] == texts[1]
+    assert ran.out.startswith(f"ring with {texts[1]} finds most")
+    light = load_rig(out / "sizes" / "ring-size-3.yaml").lights[0]
+    assert (light.inner_radius_mm, light.outer_radius_mm, light.distance_mm, light.sizes) == (40.0, 61.0, 300.0, None)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    for text in ("Sizes of lights", "ring-size-2/report.html", *texts):
+        assert text in page
+
+
+def test_sizes_that_no_light_can_have(tmp_path, monkeypatch):
+    wrong = (
+        SIZED + "      - {inner_radius_mm: 70}\n      - {radius_mm: 30}\n      - {}\n      - {outer_radius_mm: -3}\n"
+    )
+    monkeypatch.setitem(RIGS, "ring", wrong)
+    with pytest.raises(InputError) as refused:
+        load_rig(rig_file(tmp_path, "ring"))
+    for number, key, text in (
+        (2, ".inner_radius_mm", "expected less than outer_radius_mm"),
+        (3, ".radius_mm", "kind ring has no such key; it belongs to low_angle_ring, dome, tunnel"),
+        (4, "", "expected a value that differs, such as radius_mm: 120"),
+        (5, ".outer_radius_mm", "expected a length between 0.001 and 1000000 (a number), found -3"),
+    ):
+        place = f"ring.yaml:{number + 13}: lights[0].sizes[{number}]{key}: {text}"
+        assert any(place in message for message in refused.value.messages), (place, refused.value.messages)
+
+
+def test_too_many_combinations_of_sizes(bench, tmp_path, cli, monkeypatch):
+    many = "".join(f"      - {{outer_radius_mm: {61 + i}}}\n" for i in range(32))
+    monkeypatch.setitem(RIGS, "ring", SIZED + many)
+    ran = cli("compare-lighting", bench.part, rig_file(tmp_path, "ring"), "-o", tmp_path / "out")
+    assert ran.status == 2
+    assert "35 combinations of the sizes of its lights; at most 32 are compared" in ran.err
+    assert not (tmp_path / "out" / "ring").exists()
