@@ -322,6 +322,14 @@ class RegionConfig(Frozen):
     reflectance: ReflectanceConfig
     """Reflection of its surface; full_scale and white_level are those of the part."""
 
+    @classmethod
+    def misfits(cls, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:
+        """As of every configuration; a colour that is read as a comment."""
+        if "colour" in raw and raw["colour"] is None:
+            yield ("colour",), 'expected a colour such as "#97FFB5", in quotes: without them # begins a comment'
+            return
+        yield from super().misfits(raw)
+
     @field_validator("reflectance")
     @classmethod
     def _scales_of_the_part(cls, own: ReflectanceConfig) -> ReflectanceConfig:

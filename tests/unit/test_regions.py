@@ -261,6 +261,7 @@ PAINT = Reflectance(R_d=80.0, R_s=2000.0, sigma=0.1)
             '    colour: "red"',
             "expected a colour such as",
         ),
+        (f"{BOX}", "    colour: #97FFB5", 'expected a colour such as "#97FFB5", in quotes: without them # begins a'),
         (
             "    box_mm: {low: [-100, -100, -100], high: [100, 0, 100]}",
             "    mask: {file: gone.png, onto: +z, corner_mm: [0, 0], pixel_mm: 0.1}",
