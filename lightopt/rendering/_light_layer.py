@@ -83,7 +83,7 @@ def specular_of_layers(
         left = group
         while left:
             first = layers[left[0]]
-            same = [i for i in left if np.array_equal(layers[i].surface.points, first.surface.points)]
+            same = [i for i in left if _alike(layers[i], first)]
             lights = [light for i in same if isinstance(light := layers[i].light, SurfaceLight)]
             if lights:
                 _, levels = light_of_channels(
@@ -94,6 +94,11 @@ def specular_of_layers(
                 found[left[0]] = first.specular(reflectance, threads=threads)
             left = [i for i in left if i not in found]
     return [found[i] for i in range(len(layers))]
+
+
+def _alike(a: LightLayer, b: LightLayer) -> bool:
+    # the part may hide some of one channel, and nothing of another, from the same points
+    return a.caster is b.caster and np.array_equal(a.surface.points, b.surface.points)
 
 
 def light_layer(

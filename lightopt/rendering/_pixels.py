@@ -20,8 +20,8 @@ from lightopt.rendering._surface import GRAZING_COSINE, PointRows, SurfacePoints
 from lightopt.scene import PartView, Scene, pixel_directions, screen_window, view_from_part
 
 UNLIT, WHOLE, LEFT_OUT, PARTLY = 0, 1, 2, 3
-"""What a pixel sees of a light: nothing, all of it, (penumbrae) something that is not predicted here, or about as much
-as its neighbours see of it, which is said of lights that are no panels."""
+"""What a pixel sees of a light: nothing; all of it; a share that is not predicted here (penumbrae); or, of a light that
+is no panel, about the share that its neighbours see."""
 
 # a neighbouring point further from the tangent plane than this share of its distance lies across a silhouette
 STEEPEST_STEP = 0.6
@@ -192,7 +192,7 @@ def visibility_of_lights(
     moving: bool = False,
     threads: int | None = None,
 ) -> UInt8:
-    """What each pixel sees of each light, as :data:`UNLIT` and the next have it, shape (lights, k).
+    """What each pixel sees of each light: `UNLIT`, `WHOLE`, `LEFT_OUT` or `PARTLY`, shape (lights, k).
 
     lights: Part frame
     moving: Whether it will be asked again with the lights nearby, as of a part that is moved

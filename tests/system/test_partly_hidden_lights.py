@@ -9,15 +9,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from captured import PART, PARTS, RIG, captured
+from captured import PART, PARTS, RIG, captured, expose_all
 
-from lightopt import build_scene
+from lightopt import build_scene, render
 from lightopt.core.transforms import Posture
 from lightopt.estimate.reflectance._fit import fit_reflectance
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.registration import PixelSet, Placement, place_part, register, shares_seen, view_of_placed
-from lightopt.rendering import PARTLY, WHOLE, cast_rays_at, trace_pixels, trace_samples, visibility_of_lights
+from lightopt.estimate.registration import (
+    PixelSet,
+    Placement,
+    light_at,
+    place_part,
+    register,
+    shares_seen,
+    view_of_placed,
+)
+from lightopt.rendering import (
+    PARTLY,
+    WHOLE,
+    cast_rays_at,
+    light_layer,
+    specular_of_layers,
+    trace_pixels,
+    trace_samples,
+    visibility_of_lights,
+)
 from lightopt.scene import Scene, project, view_from_part
+from lightopt.scene._scene import PartRegion
 
 FLAT = Posture(0.0, 0.0)
 TRUTH = Placement(x=0.4, y=-0.3, turn=math.radians(0.4))
@@ -55,6 +73,23 @@ def test_most_of_the_part_sees_some_of_these_lights(spout: Scene) -> None:
     assert np.mean(seen == WHOLE) < 0.3
 
 
+def test_layers_of_segments_keep_what_the_part_hides_of_each(spout: Scene) -> None:
+    """Whether it hides some of one segment or nothing: those at the same points are not worked out alike."""
+    caster, wide = cast_rays_at(spout), replace(spout.reflectance, R_d=0.0, R_s=1.0, sigma=0.2)
+    pixels = trace_pixels(spout, FLAT, caster)
+    surface = pixels.surface.take(np.flatnonzero(pixels.clean)[::7])
+    layers = [
+        light_layer(surface, light, caster, form=wide.diffuse, shadows=shadows)
+        for light, shadows in zip(pixels.view.lights[:2], (False, True), strict=True)
+    ]
+    expected = [layer.specular(wide) for layer in layers]
+    unhidden = replace(layers[1], caster=None).specular(wide)
+    assert np.max(unhidden - expected[1]) > 0.02 * unhidden.max()
+    found = specular_of_layers(layers, wide)
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(specular_of_layers(layers[::-1], wide), expected[::-1])
+
+
 @pytest.mark.usefixtures("few_pixels_for_the_rest")
 def test_the_place_of_the_part_is_found(spout: Scene) -> None:
     found = register(spout, captured(place_part(spout, TRUTH), seed=3), caster=cast_rays_at(spout))
@@ -78,15 +113,59 @@ def test_the_reflectance_is_found(spout: Scene) -> None:
     assert found.sigma == pytest.approx(truth.sigma, rel=0.02)
 
 
+def floor_with_wall(high: float) -> trimesh.Trimesh:
+    floor, wall = trimesh.creation.box([60, 60, 2]), trimesh.creation.box([2, 60, high])
+    floor.apply_translation([0, 0, -1])
+    wall.apply_translation([-1, 0, 0.5 * high])
+    return trimesh.util.concatenate([floor, wall])
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_light_by_shares_is_that_with_shadows(tmp_path, light) -> None:
+    """Of two reflectances, in two postures and exposures, with one ray in a pixel and with three; and as in images."""
+    scene = scene_of(tmp_path, floor_with_wall(6.0), LIGHTS[light])
+    own = replace(scene.reflectance, sigma=0.15)
+    # rough enough for a low ring to be seen in it
+    other = PartRegion(name="other", reflectance=replace(own, R_d=20.0, R_s=4000.0, sigma=0.2))
+    material = (np.arange(len(scene.mesh.faces)) % 2).astype(np.uint8)
+    mesh = replace(scene.mesh, material=material)
+    postures = FLAT, Posture(-10.0, 170.0)
+    scene = replace(scene, mesh=mesh, reflectance=own, regions=(other,), postures=postures)
+    caster, hidden = cast_rays_at(scene), 0.0
+    images = list(render(scene))
+    observations = expose_all(scene, images, exposures=(1.0, 2.0))
+    for rendered in images:
+        mine = [image for image in observations if image.posture == rendered.posture]
+        clean = trace_pixels(scene, rendered.posture, caster)
+        some = np.flatnonzero(clean.clean)[::41]
+        row, column = clean.row[some], clean.column[some]
+        view = view_of_placed(scene, rendered.posture, Placement())
+        for rays in (1, 3):
+            pixels = PixelSet.look_up(rendered.posture, row, column, mine, 0.0, rays=rays)
+            shares = shares_seen(scene, pixels, view, caster, sigma=own.sigma)
+            assert shares.shape == (2, len(mine), rays * len(row))
+            assert shares.min() >= 0.0
+            assert shares.max() <= 1.0
+            hidden = max(hidden, 1.0 - shares.min())
+            searched = light_at(scene, pixels, view, caster, sigmas=[own.sigma])
+            known = light_at(scene, pixels, view, caster, sigmas=[own.sigma], shares=shares)
+            for a, b in zip(known, searched, strict=True):
+                np.testing.assert_allclose(a, b, atol=1e-6 * b.max())
+            if rays == 1:
+                levels = {one.light: one.level[row, column] for one in rendered.lights}
+                expected = np.stack([levels[image.light] for image in mine])
+                found = own.R_d * known[0] + own.R_s * known[1][0]
+                # images leave out what adds less than this [grey level]
+                np.testing.assert_allclose(found, expected, atol=0.05)
+    assert hidden > 0.3
+
+
 @pytest.mark.parametrize("away", [2.0, 4.0, 8.0])
 def test_a_wall_hides_the_share_of_a_dome_that_its_angle_says(tmp_path, away) -> None:
     """A half space of even light, less what a wall of an elevation φ takes of it: (1 − cos φ) / 2."""
     high, radius, hole = 6.0, 150.0, 33.0
-    floor, wall = trimesh.creation.box([60, 60, 2]), trimesh.creation.box([2, 60, high])
-    floor.apply_translation([0, 0, -1])
-    wall.apply_translation([-1, 0, 0.5 * high])
     even = f"{{name: dome, kind: dome, radius_mm: {radius}, camera_hole_mm: {hole}}}"
-    scene = scene_of(tmp_path, trimesh.util.concatenate([floor, wall]), even)
+    scene = scene_of(tmp_path, floor_with_wall(high), even)
     view, caster = view_from_part(scene, FLAT), cast_rays_at(scene)
     vertices = scene.mesh.vertices
     # x is measured from the wall's face; the part stands on the table with the middle of its box on the axis

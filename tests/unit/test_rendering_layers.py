@@ -103,6 +103,19 @@ def test_pixels_near_flagged_ones_are_those_within_two_rows_and_columns():
     assert _spread(flags[:0], row[:0], column[:0]).shape == (0,)
 
 
+def test_the_range_nearby_is_that_of_pixels_within_two_rows_and_columns():
+    from lightopt.rendering._pixels import _range_nearby
+
+    rng = np.random.default_rng(3)
+    row, column = (a.astype(np.int32) + 40 for a in np.nonzero(rng.random((23, 31)) < 0.7))
+    values = rng.random(len(row))
+    near = np.maximum(abs(row[:, None] - row), abs(column[:, None] - column)) <= 2
+    least, most = _range_nearby(values, row, column)
+    assert np.array_equal(least, np.where(near, values, np.inf).min(axis=1))
+    assert np.array_equal(most, np.where(near, values, -np.inf).max(axis=1))
+    assert _range_nearby(values[:0], row[:0], column[:0])[0].shape == (0,)
+
+
 def test_quadrature_rules_are_read_only():
     from lightopt.rendering._panel_quadrature import NODES, WEIGHTS
 

@@ -4,7 +4,7 @@ A defect changes each pixel of an image by m standard deviations of the good par
 (:func:`lightopt.defects.expected_change`), and the image's evidence is E = Σ m² over its pixels: so much the image adds
 to the square of the statistic Z that the inspection computes (:mod:`lightopt.defects`). The defect counts as found
 where the images' evidence adds up to T², with T from the false alarms that are allowed. Where k images must show a
-defect, those but the k − 1 best must add up to 3² still, so that an image counts for (T² − 3²) / (k − 1) at most.
+defect, k − 1 images never count for enough, however much evidence they give.
 
 Pixels around a patch see its neighbours: their levels are looked up in the image, where patches are found by their
 middles. The standard deviation is that of the sensor's noise and of a part that lies a tenth of a pixel off.

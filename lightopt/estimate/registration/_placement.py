@@ -250,11 +250,6 @@ def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> Part
     return view.seen_from(back, shift)
 
 
-# what the verdicts of :func:`lightopt.rendering.visibility_of_lights` say of the share of a panel that is seen
-_SHARES = np.array([0.0, 1.0, np.nan])
-assert (rendering.UNLIT, rendering.WHOLE) == (0, 1)
-
-
 def light_at(
     scene: Scene,
     pixels: PixelSet,
@@ -311,11 +306,12 @@ def shares_seen(
     sigma: float | None,
     threads: int | None = None,
 ) -> Float64:
-    """The share of each light that each ray sees, of diffuse and of specular light, shape (2, images, n · rays).
+    """The shares of each light that reach the point of each ray, of diffuse and of specular light.
 
-    Of panels 0 or 1, NaN where it sees some; of other lights the share of the light that arrives.
+    Shape (2, images, n · rays). Of panels 0 or 1, and NaN where the point sees only some of one. 0 where a ray misses
+    the part.
 
-    sigma: Of the lobe; None for panels alone, of other lights the share is 1 then
+    sigma: Of the lobe [rad]. None if only shares of panels are wanted: those of other lights are 1 then.
     """
     columns, _ = pixels.positions
     ray, some = _trace(scene, pixels, view, caster)
@@ -380,7 +376,8 @@ def _panel_shares(pixels: PosturePixels, lights: Sequence[PanelLight], caster: R
     if isinstance(lights[0], SurfaceLight):
         return np.ones((2, len(lights), len(pixels.surface)))
     seen = rendering.visibility_of_lights(pixels, lights, caster, moving=True, threads=1)
-    return np.stack([_SHARES[seen]] * 2)
+    share = np.select([seen == rendering.UNLIT, seen == rendering.WHOLE], [0.0, 1.0], np.nan)
+    return np.stack([share, share])
 
 
 def _layers(

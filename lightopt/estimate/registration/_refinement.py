@@ -13,6 +13,7 @@ from lightopt.estimate.registration import _placement
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import PixelSet, Placement, PoseFrame, light_at, shares_seen
 from lightopt.geometry import RayCaster
+from lightopt.lights import SurfaceLight
 from lightopt.rendering import mask_pixels
 from lightopt.scene import Scene
 
@@ -134,7 +135,7 @@ class RefinementProblem:
         full = _joined([p.saturated.ravel() for p in self._sets], np.bool_)
         inside = (here + CLEAR * noise < self._top) & (here + sensor.black_level > CLEAR * noise)
         lost = np.zeros(len(here), np.bool_)
-        lost[: sum(pixels.levels.size for pixels in inner)] = self._beside_shadows(inner, start)
+        lost[: sum(pixels.levels.size for pixels in inner)] = self._beside_shadows(inner, held, start)
         self._used = np.isfinite(here) & ~full & (self.correlated | (inside & ~lost))
         self._noise = noise
         if len(edges):
@@ -210,19 +211,20 @@ class RefinementProblem:
         view = _placement.view_of_placed(self._scene, pixels.posture, place)
         return shares_seen(self._scene, pixels, view, self._caster, sigma=sigma, threads=self._threads)
 
-    def _beside_shadows(self, inner: Sequence[PixelSet], start: Float64) -> Bool:
-        # whether a pixel that lies half a pixel further sees another share of a panel: shadows of panels have sharp
-        # edges, where a level has no slope
+    def _beside_shadows(self, inner: Sequence[PixelSet], held: Sequence[Float64], start: Float64) -> Bool:
+        # whether a pixel that lies half a pixel further sees another share of a panel than the one held: shadows of
+        # panels have sharp edges, where a level has no slope
+        panels = {light.name for light in self._scene.lights if not isinstance(light, SurfaceLight)}
         found = [np.zeros(0, np.bool_)]
-        for pixels in inner:
-            here = self._shares_seen(pixels, start)[0]
+        for pixels, (here, _) in zip(inner, held, strict=True):
+            of_panel = np.array([[image.light in panels] for image in pixels.images])
             differs = np.zeros(here.shape, np.bool_)
-            for step in np.diag(_INNER_STEP * self._frame.pixel_steps):
+            for step in np.diag(_INNER_STEP * self._frame.pixel_steps) if of_panel.any() else ():
                 for sign in (1.0, -1.0):
                     moved = start.copy()
                     moved[: self._poses] += sign * step
                     differs |= self._shares_seen(pixels, moved)[0] != here
-            found.append(differs.ravel())
+            found.append((differs & of_panel).ravel())
         return np.concatenate(found)
 
     def _weigh_outline(self, start: Float64, here: Float64) -> None:
