@@ -151,7 +151,8 @@ def predict_again(name: str, finish: str, rows: list[Row], options: argparse.Nam
             for part in map(load_part, placed):
                 counts.miss(place_defects(build_scene(rig, part, defects=False), rig, part))
             (whole,) = [one for one in counts.tallies(name, "", row.min_images) if one.kind == "all"]
-            assert whole.placed == row.placed, "--seeds and --count are not those of the run"
+            if whole.placed != row.placed:
+                raise SystemExit(f"{whole.placed} defects placed, {row.placed} in {options.out}: --seeds, --count?")
             found.append(replace(row, planned=whole.planned, at_places=whole.at_places))
             print(f"{found[-1]}, before {100 * row.planned:.1f} and {100 * row.at_places:.1f} %", flush=True)
     return found

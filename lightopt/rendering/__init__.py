@@ -32,7 +32,19 @@ from ._patches import (
     patches_for_edge,
     visible_points,
 )
-from ._pixels import CREASE_COSINE, PARTLY, UNLIT, WHOLE, PosturePixels, mask_pixels, trace_pixels, visibility_of_lights
+from ._pixels import (
+    CREASE_COSINE,
+    MARGIN_PX,
+    PARTLY,
+    STEADY,
+    UNLIT,
+    WHOLE,
+    PosturePixels,
+    mask_pixels,
+    trace_pixels,
+    visibility_of_lights,
+    visible_shares,
+)
 from ._scene_checks import panels_in_part, refuse_unusable_scene, too_few_pixels
 from ._surface import GRAZING_DEG, SurfacePoints, hidden_by, trace_samples
 from ._surface_light import light_of_channels, mirrored_places

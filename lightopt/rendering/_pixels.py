@@ -1,11 +1,12 @@
 """The pixels of a posture whose light can be predicted: off silhouettes, creases and edges of shadows and regions."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
@@ -147,11 +148,11 @@ def _store_masks(
         area[y, x] = angle * distance[i] ** 2 / max(cosine, _LEAST_COSINE)
 
 
-def _panel_visibility(
-    pixels: PosturePixels, light: PanelLight, caster: RayCaster, moving: bool, threads: int | None
-) -> UInt8:
+def _visible_counts(
+    pixels: PosturePixels, targets: Float64, caster: RayCaster, moving: bool, threads: int | None
+) -> tuple[Index, Index]:
+    # how many targets each pixel sees, and how many are above its horizon
     surface = pixels.surface
-    targets = shadow_targets(light)
     front = np.flatnonzero(surface.front)
     caster.map_blockers(targets, rays=len(front), moving=moving, threads=threads)
 
@@ -163,6 +164,14 @@ def _panel_visibility(
     clear, above = np.zeros((2, len(surface)), np.intp)
     for seen, facing, where in in_threads(chunk, range(0, len(front), _CHUNK), threads):
         clear[where], above[where] = seen, facing
+    return clear, above
+
+
+def _light_visibility(
+    pixels: PosturePixels, light: PanelLight, caster: RayCaster, moving: bool, threads: int | None
+) -> UInt8:
+    targets = shadow_targets(light)
+    clear, above = _visible_counts(pixels, targets, caster, moving, threads)
     # below the horizon of the interpolated normal there is no light, whatever is in the way
     if isinstance(light, SurfaceLight):
         # a large light reaches below most horizons, and is hidden in part at most places of most parts
@@ -197,11 +206,40 @@ def visibility_of_lights(
     lights: Part frame
     moving: Whether it will be asked again with the lights nearby, as of a part that is moved
     """
-    found: dict[bytes, UInt8] = {}
+
+    def of_light(light: PanelLight) -> UInt8:
+        return _light_visibility(pixels, light, caster, moving, threads)
+
+    return _of_places(lights, of_light)
+
+
+def visible_shares(
+    pixels: PosturePixels,
+    lights: Sequence[PanelLight],
+    caster: RayCaster,
+    *,
+    moving: bool = False,
+    threads: int | None = None,
+) -> Float64:
+    """The share of each light's surface above its horizon that each pixel sees, shape (lights, k).
+
+    lights, moving: As :func:`visibility_of_lights` has them
+    """
+
+    def of_light(light: PanelLight) -> Float64:
+        clear, above = _visible_counts(pixels, shadow_targets(light), caster, moving, threads)
+        return clear / np.maximum(above, 1)
+
+    return _of_places(lights, of_light)
+
+
+def _of_places(lights: Sequence[PanelLight], of_light: Callable[[PanelLight], NDArray[Any]]) -> NDArray[Any]:
+    # channels in one place are asked once
+    found: dict[bytes, NDArray[Any]] = {}
     places = [shadow_targets(light).tobytes() for light in lights]
     for place, light in zip(places, lights, strict=True):
         if place not in found:
-            found[place] = _panel_visibility(pixels, light, caster, moving, threads)
+            found[place] = of_light(light)
     return np.stack([found[place] for place in places])
 
 

@@ -90,9 +90,10 @@ def dark_as_predicted(scene: Scene, observations: Sequence[Observation], *, thre
 def shows_diffuse_light(
     scene: Scene, sets: Sequence[PixelSet], *, caster: RayCaster, threads: int | None = None
 ) -> bool:
-    """Whether most of what is lit would be clearly brighter than black by its diffuse light alone."""
+    """Whether most of what is lit would be clearly brighter than black by its diffuse light alone, in some image."""
     lit, levels = _coarse_prediction(scene, sets, caster, (), threads)
-    own = [levels[posture][:, pixels].ravel() for posture, pixels in lit.items()]
+    # a light from one side leaves the other dark
+    own = [levels[posture][:, pixels].max(axis=0) for posture, pixels in lit.items()]
     return bool(np.median(np.concatenate(own)) > _least_bright(scene)) if any(map(len, own)) else False
 
 

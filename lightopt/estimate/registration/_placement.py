@@ -311,7 +311,8 @@ def shares_seen(
     Shape (2, images, n · rays). Of panels 0 or 1, and NaN where the point sees only some of one. 0 where a ray misses
     the part.
 
-    sigma: Of the lobe [rad]. None if only shares of panels are wanted: those of other lights are 1 then.
+    sigma: Of the lobe [rad]. None if no light is to be worked out: of lights that are no panels the share of the
+        surface is given then, for both.
     """
     columns, _ = pixels.positions
     ray, some = _trace(scene, pixels, view, caster)
@@ -319,12 +320,17 @@ def shares_seen(
 
     def find(images: Sequence[Sequence[int]], group: Sequence[PanelLight], threads_of_group: int) -> None:
         own = _panel_shares(some, group, caster)
-        if sigma is not None and isinstance(group[0], SurfaceLight):
+        if not isinstance(group[0], SurfaceLight):
+            pass
+        elif sigma is None:
+            own[:] = rendering.visible_shares(some, group, caster, moving=True, threads=threads_of_group)
+        else:
             whole, seen = (
                 _layers(scene, some.surface, group, (sigma,), caster, seen_by, threads_of_group)
                 for seen_by in (None, caster)
             )
             np.divide(seen, whole, out=own, where=whole > 0.0)
+            # pieces of an element are integrated by other nodes than the element
             np.clip(own, 0.0, 1.0, out=own)
         for numbers, share in zip(images, own.swapaxes(0, 1), strict=True):
             for number in numbers:

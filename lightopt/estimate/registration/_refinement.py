@@ -14,7 +14,7 @@ from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import PixelSet, Placement, PoseFrame, light_at, shares_seen
 from lightopt.geometry import RayCaster
 from lightopt.lights import SurfaceLight
-from lightopt.rendering import mask_pixels
+from lightopt.rendering import MARGIN_PX, STEADY, mask_pixels
 from lightopt.scene import Scene
 
 # pixels per posture: away from silhouettes and creases, also in the first stage, and across silhouettes
@@ -212,19 +212,25 @@ class RefinementProblem:
         return shares_seen(self._scene, pixels, view, self._caster, sigma=sigma, threads=self._threads)
 
     def _beside_shadows(self, inner: Sequence[PixelSet], held: Sequence[Float64], start: Float64) -> Bool:
-        # whether a pixel that lies half a pixel further sees another share of a panel than the one held: shadows of
-        # panels have sharp edges, where a level has no slope
+        # whether a pixel that lies a little further sees another share of a light: beside the edge of a shadow a level
+        # has no slope. Shadows of panels have sharp edges; those of other lights may be wide, and are held all the same
         panels = {light.name for light in self._scene.lights if not isinstance(light, SurfaceLight)}
         found = [np.zeros(0, np.bool_)]
-        for pixels, (here, _) in zip(inner, held, strict=True):
+        for pixels, (seen, _) in zip(inner, held, strict=True):
             of_panel = np.array([[image.light in panels] for image in pixels.images])
-            differs = np.zeros(here.shape, np.bool_)
-            for step in np.diag(_INNER_STEP * self._frame.pixel_steps) if of_panel.any() else ():
-                for sign in (1.0, -1.0):
-                    moved = start.copy()
-                    moved[: self._poses] += sign * step
-                    differs |= self._shares_seen(pixels, moved)[0] != here
-            found.append((differs & of_panel).ravel())
+            differs = np.zeros(seen.shape, np.bool_)
+            for own, reach in ((of_panel, _INNER_STEP), (~of_panel, MARGIN_PX)):
+                if not own.any():
+                    continue
+                here = seen if own is of_panel else self._shares_seen(pixels, start)[0]
+                for step in np.diag(reach * self._frame.pixel_steps):
+                    for sign in (1.0, -1.0):
+                        moved = start.copy()
+                        moved[: self._poses] += sign * step
+                        there = self._shares_seen(pixels, moved)[0]
+                        off = np.abs(there - here) > STEADY * np.maximum(there, here)
+                        differs |= own & (off | np.isnan(there))
+            found.append(differs.ravel())
         return np.concatenate(found)
 
     def _weigh_outline(self, start: Float64, here: Float64) -> None:

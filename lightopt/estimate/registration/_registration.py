@@ -29,6 +29,7 @@ from lightopt.estimate.registration._image_checks import refuse_useless_images, 
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import PixelSet, Placement, PoseFrame
 from lightopt.geometry import RayCaster
+from lightopt.lights import SurfaceLight
 from lightopt.optics import Reflectance
 from lightopt.rendering import trace_samples
 from lightopt.scene import Scene
@@ -151,7 +152,8 @@ TRUNCATED = 0.4
 LEAST_DIFFUSE, LEAST_LIT = 0.2, 50
 FIRST_STEP_MM, FIRST_STEP_RAD = 1.0, math.radians(1.0)
 SEARCH_STEPS = 80
-SEARCH_PIXELS, LEAST_SEARCH_PIXELS = 8000, 1000  # of all postures together, and of each
+# of all postures together, and of each; fewer are enough under lights that are no panels, of which each takes longer
+SEARCH_PIXELS, LEAST_SEARCH_PIXELS, FEW_SEARCH_PIXELS = 8000, 1000, 2000
 # penalty of a rotation by this much: it decides where the images do not, for a body of revolution
 LIKELY_TURN_RAD, TURN_PULL = math.radians(2.0), 1e-4
 STAGES = 4  # pixels are chosen anew where the part moved, so many times at most
@@ -223,7 +225,9 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
 
     # height and tilt are left to the refinement
     frame, progress = replace(PoseFrame.of(scene), freedoms=3), run.stage("registering the part")
-    sets = [pixels.some(max(LEAST_SEARCH_PIXELS, SEARCH_PIXELS // len(sets))) for pixels in sets]
+    panels = not any(isinstance(light, SurfaceLight) for light in scene.lights)
+    most = SEARCH_PIXELS if panels else FEW_SEARCH_PIXELS
+    sets = [pixels.some(max(LEAST_SEARCH_PIXELS, most // len(sets))) for pixels in sets]
     if not shows_diffuse_light(scene, sets, caster=caster, threads=run.threads):
         # polished: highlights would be taken for diffuse light, and the part for lying elsewhere
         return Placement()
