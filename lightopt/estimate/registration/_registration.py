@@ -225,8 +225,7 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
 
     # height and tilt are left to the refinement
     frame, progress = replace(PoseFrame.of(scene), freedoms=3), run.stage("registering the part")
-    panels = not any(isinstance(light, SurfaceLight) for light in scene.lights)
-    most = SEARCH_PIXELS if panels else FEW_SEARCH_PIXELS
+    most = SEARCH_PIXELS if _panels_alone(scene) else FEW_SEARCH_PIXELS
     sets = [pixels.some(max(LEAST_SEARCH_PIXELS, most // len(sets))) for pixels in sets]
     if not shows_diffuse_light(scene, sets, caster=caster, threads=run.threads):
         # polished: highlights would be taken for diffuse light, and the part for lying elsewhere
@@ -271,6 +270,10 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
     return frame.placement(pose)
 
 
+def _panels_alone(scene: Scene) -> bool:
+    return not any(isinstance(light, SurfaceLight) for light in scene.lights)
+
+
 def refine_placement(
     scene: Scene,
     observations: Sequence[Observation],
@@ -292,11 +295,12 @@ def refine_placement(
     x, own = _refinement.start_parameters(scene, frame, start), slice(0, frame.freedoms)
     limits = _refinement.parameter_limits(scene, frame, x)
     solution: Solution | None = None
-    outline = False
+    outline, panels = False, _panels_alone(scene)
     iterations, moved = 0, math.inf
     number, stages = 0, STAGES
     while number < stages:
-        place, few = frame.placement(x[own]), reduced or number == 0
+        # each pixel takes longer under lights that are no panels, of which there are channels, too
+        place, few = frame.placement(x[own]), reduced or number == 0 or not panels
         inner, edges = _refinement.choose_pixels(
             scene, observations, place, outline=outline, reduced=few, threads=run.threads
         )
