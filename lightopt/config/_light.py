@@ -309,10 +309,12 @@ class LightConfig(fields.Frozen):
     def _placed(cls, value: object, handler: fields.Handler) -> Any:
         raw = {key: one for key, one in fields.mapping(value).items() if one is not None}
         kind = raw.get("kind", "panel")
-        if kind == "panel" or not isinstance(kind, str) or kind not in get_args(LightKind):
+        if kind == "panel" or not isinstance(kind, str):
             return with_pose(value, handler, point="centre_mm", what="the panel's centre")
         filled = {"elevation_deg": -90.0 if kind == "backlight" else 90.0, "azimuth_deg": 270.0}
-        return handler(filled | ({"distance_mm": 0.0} if kind == "dome" else {}) | raw)
+        # of a kind that is misspelt nothing is missing that it may not need
+        known = kind in get_args(LightKind)
+        return handler(filled | ({"distance_mm": 0.0} if kind == "dome" or not known else {}) | raw)
 
     @classmethod
     def misfits(cls, raw: Mapping[str, Any]) -> Iterator[fields.Complaint]:

@@ -182,3 +182,14 @@ def test_a_wall_hides_the_share_of_a_dome_that_its_angle_says(tmp_path, away) ->
     # an element is seen or not: half a row of them is about so much
     assert shares[0, 0, 0] == pytest.approx(1.0 - hidden / whole, abs=0.06)
     assert shares[1, 0, 0] == pytest.approx(1.0, abs=0.01)  # the camera is above
+
+
+@pytest.mark.usefixtures("few_pixels_for_the_rest")
+@pytest.mark.parametrize("truth", [Placement(x=1.5, y=1.2, turn=0.014), Placement(x=-2.0, y=0.5, turn=-0.017)])
+def test_a_part_that_lies_far_off_is_found_under_light_from_its_sides(tmp_path, truth) -> None:
+    """Each segment leaves most of the part dark, and shadows end everywhere."""
+    ring = scene_of(tmp_path, trimesh.load_mesh(PARTS / "spout.stl"), LIGHTS["low ring"])
+    found = register(ring, captured(place_part(ring, truth), seed=3), caster=cast_rays_at(ring))
+    assert found.warnings == ()
+    assert np.hypot(found.placement.x - truth.x, found.placement.y - truth.y) < 0.02
+    assert abs(found.placement.turn - truth.turn) < math.radians(0.05)

@@ -64,6 +64,7 @@ def test_channels_are_lights(light: str, names: list[str], tmp_path: Path) -> No
         ("kind: dome, radius_mm: 9, falloff: none", "falloff", "kind dome has no such key"),
         ("kind: spot, half_angle_deg: 3, distance_mm: 9, pose: {}", "pose", "kind spot has no such key"),
         ("kind: lamp, distance_mm: 9", "kind", 'or backlight, found "lamp"'),
+        ("kind: lamp", "kind", 'or backlight, found "lamp"'),
         (
             "distance_mm: 9, elevation_deg: 9, azimuth_deg: 9, segments: 2",
             "segments",

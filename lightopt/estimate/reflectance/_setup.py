@@ -17,13 +17,16 @@ from lightopt.estimate.reflectance._sigma_scan import scan_sigma
 from lightopt.estimate.registration import Observation, Registration
 from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet
+from lightopt.lights import SurfaceLight
 from lightopt.optics import LAMBERT, DiffuseForm, ModelName, Reflectance, SpecularModel
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, at_rest_warnings, build_scene
 
 Points = int | Literal["auto"]
 
-MOST_PER_OCTAVE = 20_000
+# pixels per octave of the deflection, light and posture; under lights that are no panels most pixels are in one octave,
+# and each takes longer
+MOST_PER_OCTAVE, FEW_PER_OCTAVE = 20_000, 4000
 PLACING_PER_OCTAVE = 800
 PAPER_PIXELS = 150_000  # pixels per image that the paper's procedure counts
 
@@ -91,7 +94,9 @@ class FitSetup:
     def collect(self, *, uniform: bool = False) -> Samples:
         """Samples of the images, as many as the options want; `uniform` for the paper's procedure."""
         pairs = len({(o.light, o.posture) for o in self.observations})
-        budget = max(20, min(MOST_PER_OCTAVE, self.options.pixels // (pairs * OCTAVES)))
+        panels = not any(isinstance(light, SurfaceLight) for light in self.scene.lights)
+        most = MOST_PER_OCTAVE if panels else FEW_PER_OCTAVE
+        budget = max(20, min(most, self.options.pixels // (pairs * OCTAVES)))
         return collect_samples(
             self.scene,
             self.observations,
