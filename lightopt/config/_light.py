@@ -60,13 +60,15 @@ def _wrong_shapes(kind: str, raw: Mapping[str, Any]) -> Iterator[fields.Complain
     if numbers.get("rows", 1) * numbers.get("columns", 1) > MOST_CHANNELS:
         key = "rows" if "rows" in numbers else "columns"
         yield (key,), f"expected at most {MOST_CHANNELS} LEDs in all"
-    if "inner_radius_mm" in numbers and numbers["inner_radius_mm"] >= numbers.get("outer_radius_mm", 1e9):
-        yield ("inner_radius_mm",), "expected less than outer_radius_mm"
+    more, found = numbers.get("outer_radius_mm"), numbers.get("inner_radius_mm")
+    if more is not None and found is not None and found >= more:
+        yield ("inner_radius_mm",), f"expected less than outer_radius_mm ({more:g}), found {found:g}"
     size = [side for side in fields.entries(raw.get("size_mm")) if isinstance(side, (int, float))]
     hole = numbers.get("camera_hole_mm", 0.0)
     widest = {"dome": numbers.get("radius_mm"), "flat_dome": min(size, default=None)}.get(kind)
     if widest is not None and "camera_hole_mm" in numbers and hole >= widest:
-        yield ("camera_hole_mm",), f"expected less than {widest:g}"
+        what = "its radius_mm" if kind == "dome" else "the shorter side of size_mm"
+        yield ("camera_hole_mm",), f"expected less than {widest:g}, {what}; found {hole:g}"
     elif kind == "dome" and widest is not None and widest > 0.0:
         upper, lower = math.degrees(math.acos(0.5 * max(0.0, hole) / widest)), numbers.get("lower_elevation_deg", 0.0)
         if lower >= upper:

@@ -50,6 +50,16 @@ def check_camera_hole(checked: CheckedScene) -> Iterator[Finding]:
         light = checked.rig.lights[channels[0]]
         if light.camera_hole_mm is None and light.slot_mm is None:
             continue
+        where = checked.rig.source.at("lights", channels[0])
+        camera = checked.scene.camera.position
+        if light.kind == "dome" and light.radius_mm is not None:
+            away = float(np.linalg.norm(camera - checked.scene.lights[channels[0]].centre))
+            if away < light.radius_mm:
+                text = f"the camera stands inside {name}, {away:.4g} mm from the centre of its sphere of "
+                text += f"{light.radius_mm:g} mm, so that it does not look through the hole: move the camera away, or "
+                text += "take a smaller dome"
+                yield Finding("warning", "camera hole", text, where, {"light": name, "camera_mm": away})
+                continue
         closed = {"camera_hole_mm": None, "slot_mm": None, "segments": None, "leak": None}
         (filled,) = build_lights(checked.rig.model_copy(update={"lights": (light.model_copy(update=closed),)}))
         for sample in checked.samples:
@@ -62,7 +72,6 @@ def check_camera_hole(checked: CheckedScene) -> Iterator[Finding]:
             text = f"posture {sample.posture}: {percent(share)} of the surface in view mirrors the opening of {name} "
             text += "that the camera looks through, which is a dark spot on a glossy part"
             values = {"light": name, "posture": sample.posture.as_dict(), "share": share}
-            where = checked.rig.source.at("lights", channels[0])
             yield Finding("note" if share > _HOLE_SHARE else "ok", "camera hole", text, where, values)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from lightopt.config import RANGE_KEYS, RigConfig
 from lightopt.core.errors import counted
 from lightopt.lights import PanelLight, SurfaceLight, outlines, surface_mesh
+from lightopt.preflight._fields import light_entries
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, percent
 from lightopt.rendering import hidden_by, panels_in_part
 from lightopt.scene import area_in_view, build_lights, housing_corners, image_area, lights_meet
@@ -70,15 +71,15 @@ def _is_backlight(light: PanelLight) -> bool:
 
 
 def check_below_horizon(checked: CheckedRig) -> Iterator[Finding]:
-    """Panels that reach below the table top."""
-    for index, light in enumerate(checked.lights):
+    """Lights that reach below the table top; channels of a light are one."""
+    for name, channels in light_entries(checked.rig.lights):
+        index, light = channels[0], checked.lights[channels[0]]
         if _is_backlight(light):
             continue
-        lowest = _lowest(light)
+        lowest = min(_lowest(checked.lights[channel]) for channel in channels)
         if lowest < -_ROUNDING_MM:
-            text = f"a corner of {light.name} is {-lowest:.3g} mm below the table top; raise it, or take a smaller "
-            text += "panel"
-            values = {"light": light.name, "lowest_mm": lowest}
+            text = f"a corner of {name} is {-lowest:.3g} mm below the table top; raise it, or take a smaller light"
+            values = {"light": name, "lowest_mm": lowest}
             yield Finding("warning", "light below table", text, checked.at("lights", index), values)
             continue
         moved = [p for p in _moved(checked.rig, index, 180.0) if _lowest(p) < -_ROUNDING_MM]

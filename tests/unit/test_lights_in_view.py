@@ -145,3 +145,16 @@ def test_obstructions_move_with_the_camera(tmp_path):
     found = obstructions(camera, lights)
     assert found is not None
     assert found[..., 2] == pytest.approx(np.full(found.shape[:2], 275.0))
+
+
+def test_a_camera_inside_a_dome_does_not_look_through_its_hole(tmp_path):
+    dome = "{name: dome, kind: dome, radius_mm: 600, camera_hole_mm: 100}"
+    (hole,) = [f for f in check_scene(*world(tmp_path, dome)).findings if f.topic == "camera hole"]
+    assert hole.level == "warning"
+    assert hole.text.startswith("the camera stands inside dome, 550 mm from the centre of its sphere of 600 mm")
+
+
+def test_a_light_of_several_channels_reaches_below_the_table_once(tmp_path):
+    low = "{name: low, kind: low_angle_ring, radius_mm: 30, height_mm: 15, distance_mm: 4, segments: 4}"
+    (below,) = [f for f in check_rig(world(tmp_path, SPOT, low)[0]).findings if f.topic == "light below table"]
+    assert below.text == "a corner of low is 3.5 mm below the table top; raise it, or take a smaller light"
