@@ -272,7 +272,7 @@ class LightConfig(fields.Frozen):
         # what depends on the image depends on its weights
         own: dict[str, Any] = handler(self)
         if self.sizes is None:
-            del own["sizes"]
+            own.pop("sizes", None)
         parts = [{"light": light.model_dump(mode="json"), "weight": weight} for light, weight in self._mixture]
         return own | {"mixture": parts} if parts else own
 
