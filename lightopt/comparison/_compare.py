@@ -142,7 +142,7 @@ def compare_lighting(
         if fewer < options.min_images:
             warnings[f"{name}: it has {counted(fewer, 'light')}, so that {design.deciding_text(fewer)}"] = None
         request = replace(options, min_images=fewer)
-        best: tuple[str, design.DesignOutput] | None = None
+        best: tuple[_results.SizeResult, design.DesignOutput] | None = None
         tried: list[_results.SizeResult] = []
         for number, (size, sized) in enumerate(_sized_rigs(rig, folder / SIZES, force=force), start=1):
             which, what = (name, name) if number == 1 else (f"{name}-size-{number}", f"{name}, {size}")
@@ -157,14 +157,14 @@ def compare_lighting(
                 f"{what}: {text}" for text in output.warnings if "no light can be moved" not in text
             )
             tried.append(_results.SizeResult(size=size, folder=folder / which, share=_found(output)[0]))
-            if best is None or tried[-1].share > _found(best[1])[0]:
-                best = size, output
+            if best is None or tried[-1].share > best[0].share:
+                best = tried[-1], output
         if best is None:
             continue
         allowed = design.design_tolerances(best[1].result, run=run.apart(name)) if tolerances else None
         if allowed is not None and allowed.lights is None:
             warnings[f"{name}: it has too many lights for its mounting tolerance; channels of a light are one"] = None
-        sizes = {"chosen_size": best[0], "sizes": tuple(tried)} if _lights_of_sizes(rig) else {}
+        sizes = {"chosen_size": best[0].size, "sizes": tuple(tried)} if _lights_of_sizes(rig) else {}
         found.append(replace(_system(name, best[1], allowed, run.threads), **sizes))
     if not found:
         raise InputError(*(f"{name}: {text}" for name, messages in unusable.items() for text in messages))

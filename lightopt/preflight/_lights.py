@@ -36,7 +36,7 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
         moved = [p for p in _moved(checked.rig, index, STEP_DEG) if area_in_view(checked.camera, p) > 0.0]
         if moved:
             clear = False
-            yield _at_range(checked, index, "light in view", moved, "comes into the camera's view")
+            yield _at_range(checked, index, light.name, "light in view", moved, "comes into the camera's view")
     if clear:
         yield Finding("ok", "light in view", "no light stands in the camera's view, nor moves into it")
 
@@ -82,11 +82,11 @@ def check_below_horizon(checked: CheckedRig) -> Iterator[Finding]:
             values = {"light": name, "lowest_mm": lowest}
             yield Finding("warning", "light below table", text, checked.at("lights", index), values)
             continue
-        moved = [p for p in _moved(checked.rig, index, 180.0) if _lowest(p) < -_ROUNDING_MM]
+        moved = [p for i in channels for p in _moved(checked.rig, i, 180.0) if _lowest(p) < -_ROUNDING_MM]
         if moved:
             depth = -min(_lowest(p) for p in moved)
             text = f"reaches {depth:.3g} mm below the table top"
-            yield _at_range(checked, index, "light below table", moved, text)
+            yield _at_range(checked, index, name, "light below table", moved, text)
 
 
 def check_collisions(checked: CheckedRig) -> Iterator[Finding]:
@@ -155,11 +155,11 @@ def _close_pairs(moved: list[list[PanelLight]]) -> Iterator[tuple[int, int]]:
             yield numbers[i], numbers[j]
 
 
-def _at_range(checked: CheckedRig, index: int, topic: str, moved: list[PanelLight], what: str) -> Finding:
+def _at_range(checked: CheckedRig, index: int, name: str, topic: str, moved: list[PanelLight], what: str) -> Finding:
     elevations = [math.degrees(p.elevation) for p in moved]
     azimuths = [math.degrees(p.azimuth) for p in moved]
     ranges = f"elevation {_span(elevations)}, azimuth {_span(azimuths)}"
-    name, light = checked.lights[index].name, checked.rig.lights[index]
+    light = checked.rig.lights[index]
     if light.distance_range_mm is not None:
         distances = [p.distance for p in moved]
         ranges += f", distance {min(distances):.4g} to {max(distances):.4g} mm"

@@ -13,7 +13,7 @@ from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect, Waviness
 from lightopt.geometry import TriangleMesh, transformed
-from lightopt.lights import PanelLight
+from lightopt.lights import PanelLight, SurfaceLight
 from lightopt.optics import Reflectance, Sensor
 from lightopt.scene._camera import PinholeCamera, project
 from lightopt.scene._stage import Stage
@@ -108,6 +108,11 @@ class Scene:
     def sharpest(self) -> Reflectance:
         """The reflectance with the narrowest specular lobe."""
         return min(self.shown, key=lambda one: one.sigma if one.R_s > 0.0 else math.inf)
+
+    @property
+    def panels_only(self) -> bool:
+        """Whether none of the lights has channels and a surface of another kind, of which each pixel takes longer."""
+        return not any(isinstance(light, SurfaceLight) for light in self.lights)
 
     @property
     def is_surrounded(self) -> bool:

@@ -158,3 +158,15 @@ def test_a_light_of_several_channels_reaches_below_the_table_once(tmp_path):
     low = "{name: low, kind: low_angle_ring, radius_mm: 30, height_mm: 15, distance_mm: 4, segments: 4}"
     (below,) = [f for f in check_rig(world(tmp_path, SPOT, low)[0]).findings if f.topic == "light below table"]
     assert below.text == "a corner of low is 3.5 mm below the table top; raise it, or take a smaller light"
+
+
+def test_a_range_in_which_any_channel_reaches_below_the_table(tmp_path):
+    """As far as the undivided ring, whichever segment is lowest there."""
+    texts = []
+    for segments in (1, 2, 3, 4):
+        ring = "{name: r, kind: ring, inner_radius_mm: 40, outer_radius_mm: 60, distance_mm: 100, elevation_deg: 90, "
+        ring += f"elevation_range_deg: [20, 90], segments: {segments}}}"
+        (below,) = [f for f in check_rig(world(tmp_path, SPOT, ring)[0]).findings if f.topic == "light below table"]
+        texts.append(below.text.partition(" (")[0])
+    assert texts[0].startswith("within its range r reaches ")
+    assert set(texts) == {texts[0]}

@@ -17,7 +17,6 @@ from lightopt.estimate.reflectance._sigma_scan import scan_sigma
 from lightopt.estimate.registration import Observation, Registration
 from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet
-from lightopt.lights import SurfaceLight
 from lightopt.optics import LAMBERT, DiffuseForm, ModelName, Reflectance, SpecularModel
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, at_rest_warnings, build_scene
@@ -94,8 +93,7 @@ class FitSetup:
     def collect(self, *, uniform: bool = False) -> Samples:
         """Samples of the images, as many as the options want; `uniform` for the paper's procedure."""
         pairs = len({(o.light, o.posture) for o in self.observations})
-        panels = not any(isinstance(light, SurfaceLight) for light in self.scene.lights)
-        most = MOST_PER_OCTAVE if panels else FEW_PER_OCTAVE
+        most = MOST_PER_OCTAVE if self.scene.panels_only else FEW_PER_OCTAVE
         budget = max(20, min(most, self.options.pixels // (pairs * OCTAVES)))
         return collect_samples(
             self.scene,

@@ -320,18 +320,17 @@ def shares_seen(
 
     def find(images: Sequence[Sequence[int]], group: Sequence[PanelLight], threads_of_group: int) -> None:
         own = _panel_shares(some, group, caster)
-        if not isinstance(group[0], SurfaceLight):
-            pass
-        elif sigma is None:
-            own[:] = rendering.visible_shares(some, group, caster, moving=True, threads=threads_of_group)
-        else:
-            whole, seen = (
-                _layers(scene, some.surface, group, (sigma,), caster, seen_by, threads_of_group)
-                for seen_by in (None, caster)
-            )
-            np.divide(seen, whole, out=own, where=whole > 0.0)
-            # pieces of an element are integrated by other nodes than the element
-            np.clip(own, 0.0, 1.0, out=own)
+        if isinstance(group[0], SurfaceLight):
+            if sigma is None:
+                own[:] = rendering.visible_shares(some, group, caster, moving=True, threads=threads_of_group)
+            else:
+                whole, seen = (
+                    _layers(scene, some.surface, group, (sigma,), caster, seen_by, threads_of_group)
+                    for seen_by in (None, caster)
+                )
+                np.divide(seen, whole, out=own, where=whole > 0.0)
+                # pieces of an element are integrated by other nodes than the element
+                np.clip(own, 0.0, 1.0, out=own)
         for numbers, share in zip(images, own.swapaxes(0, 1), strict=True):
             for number in numbers:
                 shares[:, number, ray] = share

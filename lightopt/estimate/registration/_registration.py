@@ -29,7 +29,6 @@ from lightopt.estimate.registration._image_checks import refuse_useless_images, 
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import PixelSet, Placement, PoseFrame
 from lightopt.geometry import RayCaster
-from lightopt.lights import SurfaceLight
 from lightopt.optics import Reflectance
 from lightopt.rendering import trace_samples
 from lightopt.scene import Scene
@@ -225,7 +224,7 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
 
     # height and tilt are left to the refinement
     frame, progress = replace(PoseFrame.of(scene), freedoms=3), run.stage("registering the part")
-    most = SEARCH_PIXELS if _panels_alone(scene) else FEW_SEARCH_PIXELS
+    most = SEARCH_PIXELS if scene.panels_only else FEW_SEARCH_PIXELS
     sets = [pixels.some(max(LEAST_SEARCH_PIXELS, most // len(sets))) for pixels in sets]
     if not shows_diffuse_light(scene, sets, caster=caster, threads=run.threads):
         # polished: highlights would be taken for diffuse light, and the part for lying elsewhere
@@ -270,10 +269,6 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
     return frame.placement(pose)
 
 
-def _panels_alone(scene: Scene) -> bool:
-    return not any(isinstance(light, SurfaceLight) for light in scene.lights)
-
-
 def refine_placement(
     scene: Scene,
     observations: Sequence[Observation],
@@ -295,12 +290,12 @@ def refine_placement(
     x, own = _refinement.start_parameters(scene, frame, start), slice(0, frame.freedoms)
     limits = _refinement.parameter_limits(scene, frame, x)
     solution: Solution | None = None
-    outline, panels = False, _panels_alone(scene)
+    outline = False
     iterations, moved = 0, math.inf
     number, stages = 0, STAGES
     while number < stages:
         # each pixel takes longer under lights that are no panels, of which there are channels, too
-        place, few = frame.placement(x[own]), reduced or number == 0 or not panels
+        place, few = frame.placement(x[own]), reduced or number == 0 or not scene.panels_only
         inner, edges = _refinement.choose_pixels(
             scene, observations, place, outline=outline, reduced=few, threads=run.threads
         )
