@@ -265,9 +265,11 @@ def show_design(output: design.DesignOutput) -> None:
         echo(f"shares of {' and '.join(names)}: of {surface}")
     if VERBOSE.get():
         echo(best.caption)
+        if any(one.between_text is not None for one in result.results):
+            echo(f"between the candidates: {design.BETWEEN_MEANING}")
     for one in result.results:
-        if (gain := one.gain_text) is not None:
-            echo(gain if len(result.results) == 1 else f"posture {one.postures[0]}: {gain}")
+        if text := "; ".join(filter(None, [one.gain_text, one.between_text])):
+            echo(text if len(result.results) == 1 else f"posture {one.postures[0]}: {text}")
     if any(one.answers[0].nothing is None for one in result.results):
         echo(f"capture: {capture_text(result)}")
     if VERBOSE.get():

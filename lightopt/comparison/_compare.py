@@ -290,6 +290,7 @@ def _system(
         share=share,
         grain=grain,
         defects=defects,
+        most=_most(output),
         reasons=_reasons(result),
         moved=_moved(result),
         mounting=None if tolerances is None else tolerances.lights,
@@ -316,6 +317,15 @@ def _found(output: design.DesignOutput) -> tuple[float, float, Mapping[str, floa
         return chosen["share"], chosen["patches"]["grain"], kinds
     share = answer.objective.share_of_whole(answer.found.best.score, one.area)
     return share or 0.0, one.grain, kinds
+
+
+def _most(output: design.DesignOutput) -> float | None:
+    # of the same images as the share: exposures that were planned afterwards are not part of the bound
+    result = output.result
+    one, answer = result.results[0], result.results[0].answers[0]
+    if answer.between is None or (result.plan.brackets is not None and result.plan.chosen is None):
+        return None
+    return answer.objective.share_of_whole(answer.between.bound, one.area)
 
 
 def _reasons(result: design.DesignResult) -> dict[str, float]:

@@ -42,6 +42,8 @@ class SystemResult:
     size_mm: tuple[float, float, float]  # of the box around the lights along X, Y, Z
     footprint_mm: float  # side of a pixel at the origin
     pictures: tuple[report.Picture, ...]  # of the first posture
+    # share that no positions between the candidates exceed; None where none lies between, or that was not computed
+    most: float | None = None
     # how far all lights, and the part, may be off while most of the share is kept; None where that was not computed
     mounting: design.WidestTolerance | None = None
     pose: design.WidestTolerance | None = None
@@ -99,6 +101,7 @@ def comparison_document(comparison: LightingComparison) -> dict[str, Any]:
             "folder": one.folder.name,
             "share": round(one.share, 6),
             "grain": round(one.grain, 6),
+            "share_between_candidates": None if one.most is None else round(one.most, 6),
             "pareto": one.name in best,
             "defects": dict(one.defects),
             "not_found": {reason: round(share, 6) for reason, share in one.reasons.items()},
@@ -129,7 +132,19 @@ def comparison_csv(comparison: LightingComparison) -> str:
     kinds = list(dict.fromkeys(kind for one in comparison.systems for kind in one.defects))
     size = [f"size_{axis}_mm" for axis in "xyz"]
     widest = ["mounting_tolerance_deg", "pose_tolerance_deg"]
-    head = ["system", "share", *kinds, "images", "seconds", *widest, *size, "footprint_mm", "pareto", "chosen_size"]
+    head = [
+        "system",
+        "share",
+        "share_between_candidates",
+        *kinds,
+        "images",
+        "seconds",
+        *widest,
+        *size,
+        "footprint_mm",
+        "pareto",
+        "chosen_size",
+    ]
     rows: list[list[object]] = [[*head]]
     best = {one.name for one in comparison.best}
     for one in comparison.systems:
@@ -138,7 +153,8 @@ def comparison_csv(comparison: LightingComparison) -> str:
         sides = [f"{side:.3f}" for side in one.size_mm]
         widest = ["" if tolerance is None else f"{tolerance.degrees:g}" for tolerance in (one.mounting, one.pose)]
         rest = [*widest, *sides, one.footprint_mm, int(one.name in best), one.chosen_size]
-        rows.append([one.name, f"{one.share:.6f}", *shares, one.images, seconds, *rest])
+        most = "" if one.most is None else f"{one.most:.6f}"
+        rows.append([one.name, f"{one.share:.6f}", most, *shares, one.images, seconds, *rest])
     return csv_text(rows)
 
 
@@ -195,7 +211,7 @@ def systems_table(comparison: LightingComparison, folder: Path | None = None) ->
         rows.append(
             [
                 one.name,
-                one.share_text(one.share),
+                one.share_text(one.share) + ("" if one.most is None else f" (≤ {one.share_text(one.most)})"),
                 "yes" if one in best else "",
                 str(one.images),
                 "-" if one.seconds is None else f"{one.seconds:.1f}",
@@ -208,7 +224,8 @@ def systems_table(comparison: LightingComparison, folder: Path | None = None) ->
         )
     header = ["system", "found", "Pareto", "images", "s/part", "lights ±°", "part ±°", "size [mm]", "pixel [mm]"]
     caption = (
-        "Found: share of surface × defects. Pareto: no other system finds as much in less time per part. Lights ±°, "
+        "Found: share of surface × defects (≤: with lights between the "
+        "candidates at most). Pareto: no other system finds as much in less time per part. Lights ±°, "
         "part ±°: how far all angles of the lights, or tilt and rotation of the part, may be off at once while "
         f"{percent(design.DEFAULT_TOLERANCE_TARGET, 0)} of the share is kept. Size: of the box around the lights along "
         "X, Y, Z. Pixel: its side at the origin."

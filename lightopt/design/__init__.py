@@ -49,4 +49,5 @@ from .responses._evidence import DetectionModel
 from .responses._image_evaluator import luminance_matrix as luminance_matrix
 from .responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, area_units
 from .responses._pairs import PlannedCatalogue, planned_catalogue
+from .search._between_steps import BETWEEN_MEANING
 from .search._exact_search import search

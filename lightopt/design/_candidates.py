@@ -5,7 +5,7 @@ Curves are the score along one angle, all others as in the best set: they show h
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -14,6 +14,7 @@ import numpy as np
 from lightopt.config import RANGE_KEYS, LightConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError, counted, refuse
+from lightopt.design._cells import Cells, cell_clashes, intervals, light_cells
 from lightopt.design.search._exact_search import CombinationSpace, Ranked, Rows, is_allowed
 from lightopt.lights import PanelLight, outlines
 from lightopt.rendering import panels_in_part
@@ -67,7 +68,7 @@ def light_places(
     if elevations is None or light.elevation_range_deg is None:
         elevations = _steps(light.elevation_range_deg, light.elevation_deg, step_deg)
     azimuths = _steps(light.azimuth_range_deg, light.azimuth_deg, step_deg)
-    if len(azimuths) > 1 and math.isclose(azimuths[-1] - azimuths[0], 360.0):
+    if len(azimuths) > 1 and _is_full_turn((azimuths[0], azimuths[-1])):
         azimuths.pop()  # the full turn ends where it begins
     ranges: list[Sequence[float]] = [elevations, azimuths]
     steps = [step_deg, step_deg]
@@ -138,6 +139,7 @@ class Candidates:
     panels: tuple[tuple[PanelLight, ...], ...]  # per light: the panels at these places, world frame
     left_out: tuple[ExcludedPosition, ...]
     space: CombinationSpace
+    cells: Cells  # what lies between the places
 
     @property
     def message(self) -> str:
@@ -172,6 +174,7 @@ def find_candidates(
     camera = build_camera(rig)
     left_out: list[ExcludedPosition] = []
     possible: list[list[tuple[Place, PanelLight]]] = []
+    grids: list[list[Place]] = []
     for index in range(len(rig.lights)):
         free: list[tuple[Place, PanelLight]] = []
         own = light_places(rig, index, step_deg=step_deg, elevations=shared) if places is None else [places[index]]
@@ -182,6 +185,7 @@ def find_candidates(
             else:
                 left_out.append(ExcludedPosition(panel.name, at, *reason))
         possible.append(free)
+        grids.append(own)
     clashes = _clashes(rig, possible)
     always_colliding = _always_colliding(possible, clashes)
     for index, k, other in ((i, k, other) for i, some in always_colliding.items() for k, other in sorted(some.items())):
@@ -199,7 +203,30 @@ def find_candidates(
     space = CombinationSpace(sizes=sizes, groups=groups, clashes=left_clashes)
     panels = tuple(tuple(panel for _, panel in some) for some in left)
     names = tuple(light.name for light in rig.lights)
-    return Candidates(names, channels, places_left, panels, tuple(left_out), space)
+    cells = _cells(rig, channels, grids, places_left, left_clashes, shared)
+    return Candidates(names, channels, places_left, panels, tuple(left_out), space, cells)
+
+
+def _cells(
+    rig: RigConfig,
+    channels: Sequence[Sequence[int]],
+    grids: Sequence[Sequence[Place]],
+    places: Sequence[Sequence[Place]],
+    clashes: Mapping[tuple[int, int], Bool],
+    shared: Sequence[float] | None,
+) -> Cells:
+    """The cells between the places of each light, of `grids` before any was excluded, combined as the places are."""
+    turns = [light.azimuth_range_deg is not None and _is_full_turn(light.azimuth_range_deg) for light in rig.lights]
+    found = [light_cells(*own, full_turn=turn) for *own, turn in zip(grids, places, turns, strict=True)]
+    cells, corners = tuple(own for own, _ in found), tuple(some for _, some in found)
+    elevations = None if shared is None else intervals(shared)
+    sizes = tuple(map(len, cells))
+    groups = _together(rig, channels, cells, _groups(rig, cells, sizes, elevations))
+    return Cells(cells, corners, CombinationSpace(sizes=sizes, groups=groups, clashes=cell_clashes(clashes, corners)))
+
+
+def _is_full_turn(ends: tuple[float, float]) -> bool:
+    return math.isclose(ends[1] - ends[0], 360.0)
 
 
 def bodies_of(rig: RigConfig) -> tuple[tuple[int, ...], ...]:
@@ -215,7 +242,7 @@ def bodies_of(rig: RigConfig) -> tuple[tuple[int, ...], ...]:
 
 
 def _together(
-    rig: RigConfig, channels: Sequence[Sequence[int]], places: Sequence[Sequence[Place]], groups: Sequence[Rows]
+    rig: RigConfig, channels: Sequence[Sequence[int]], places: Sequence[Sequence[Any]], groups: Sequence[Rows]
 ) -> tuple[Rows, ...]:
     """The groups divided such that the channels of a light stand in one place."""
     moving = [own for own in channels if len(own) > 1 and any(len(places[i]) > 1 for i in own)]
@@ -308,8 +335,9 @@ def _always_colliding(
 
 
 def _groups(
-    rig: RigConfig, places: Sequence[Sequence[Place]], sizes: Sequence[int], shared: Sequence[float] | None
+    rig: RigConfig, places: Sequence[Sequence[Any]], sizes: Sequence[int], shared: Sequence[Any] | None
 ) -> tuple[Rows, ...]:
+    # of places and the elevations that lights share, or of cells and the intervals of elevation
     if shared is None:
         return (tuple(np.arange(n) for n in sizes),)
     lights = [(light.elevation_range_deg is None, some) for light, some in zip(rig.lights, places, strict=True)]

@@ -74,7 +74,7 @@ def optimize(
     if chosen is not None:
         # one set of lights for all postures is one result: the same positions, scored by all planned images together
         free = _problem.candidates_of(rig, options)
-        results = (planned_answers(results[0], chosen, candidates, free, run),)
+        results = (planned_answers(results[0], chosen, rig, candidates, free, options, run),)
 
     planned, seen = _complete(matrices, results, candidates, plan, chosen)
     blind = None

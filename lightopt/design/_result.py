@@ -21,6 +21,7 @@ from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._posture_search import PostureChoice
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import Levels
+from lightopt.design.search._between_steps import BetweenSteps
 from lightopt.design.search._exact_search import Ranked, SearchResult
 from lightopt.images import posture_folder
 from lightopt.rendering import GRAZING_DEG, PatchTable
@@ -65,6 +66,8 @@ class ObjectiveResult:
     # where the positions were chosen with postures: the set of alternatives that `found` is a proof for; others were
     # not counted. None where the search chose them
     proven_of: str | None = None
+    # what positions between the candidates can score; None where none lies between, or that was not computed
+    between: BetweenSteps | None = None
 
     @property
     def ties_text(self) -> str:
@@ -132,6 +135,21 @@ class SetResult:
             return text + f"the change gains {share_text(share, self.grain).removesuffix('%')}points"
         more = 100.0 * (score - self.initial_score) / max(1, self.initial_score)
         return text + f"the change gains {more:.1f} % of that"
+
+    @property
+    def between_text(self) -> str | None:
+        """What positions between the candidates can score under the first objective; None where it is not known."""
+        first = self.answers[0]
+        if first.between is None or first.nothing is not None:
+            return None
+        bound, best = first.between.bound, first.found.best.score
+        if bound <= best:
+            return "no positions between the candidates score more"
+        text = f"positions between the candidates score at most {self.score_text(bound, first.objective)}, "
+        share = first.objective.share_of_whole(bound - best, self.area)
+        if share is not None:
+            return text + f"{share_text(share, self.grain).removesuffix('%')}points more"
+        return text + f"{100.0 * (bound - best) / max(1, best):.1f} % more"
 
     def gap_text(self, answer: ObjectiveResult) -> str:
         """By how much the runner-up scores less; of the combinations scored (≥) where some are left."""

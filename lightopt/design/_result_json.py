@@ -16,6 +16,17 @@ from lightopt.images import Overlap, csv_text
 INITIAL_SHARE_OF = "the drawn patches, in postures chosen for these lights, at exposure 1"
 
 
+def _between_dict(answer: _result.ObjectiveResult, result: _result.SetResult) -> dict[str, Any]:
+    between, objective = answer.between, answer.objective
+    assert between is not None
+    share = objective.share_of_whole(between.bound, result.area)
+    return {
+        "bound": between.bound,
+        "share_of_inspectable_area": None if share is None else round(share, 6),
+        "share_above_midway": round(between.outside, 6),
+    }
+
+
 def result_document(
     result: _result.DesignResult, listed: Mapping[str, Sequence[Mapping[str, Any]]], overlaps: Sequence[Overlap]
 ) -> dict[str, Any]:
@@ -104,6 +115,7 @@ def _answer_dict(answer: _result.ObjectiveResult, result: _result.SetResult, can
         "near_best": near,
         "combinations": combinations if answer.proven_of is None else None,
         "bound": found.bound,
+        "between_candidates": None if answer.between is None else _between_dict(answer, result),
         "proven": found.proven,
         **({"complete": found.complete} if answer.proven_of is None else {"proven_of": answer.proven_of}),
         "scores_under": dict(answer.scores),

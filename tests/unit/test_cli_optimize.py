@@ -86,6 +86,9 @@ def test_result_says_angles_scores_proof_and_provenance(optimized):
             assert answer["proven"] is True
             assert answer["bound"] == answer["score"] == answer["scores_under"][answer["objective"]]
             assert answer["gap"] == answer["score"] - answer["runner_up"]["score"] >= 0
+            between = answer["between_candidates"]
+            assert between["bound"] >= answer["score"]
+            assert 0 <= between["share_above_midway"] < 0.1
             assert [light["light"] for light in answer["lights"]] == ["light1", "light2", "light3"]
             others = [other["scores_under"][answer["objective"]] for other in group["objectives"]]
             assert max(others) == answer["score"], "no other objective's best set is better under this one"
@@ -168,6 +171,7 @@ def test_the_terminal_shows_the_table(optimized, cli):
     brief = cli("optimize", optimized.rig, optimized.part, "-o", optimized.out, *EACH).out
     assert brief.startswith("posture ")
     assert len(brief.splitlines()) <= 15
+    assert brief.count("between the candidates") == 2  # of either posture
     ran = cli("optimize", optimized.rig, optimized.part, "-o", optimized.out, *EACH, "-v")
     lines = ran.out.splitlines()
     assert lines[0] == "3 × 2 × 2 positions of light1, light2, light3: 12 combinations at most"

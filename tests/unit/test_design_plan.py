@@ -363,6 +363,29 @@ def test_postures_and_lights_are_chosen_together(world, least):
     assert choice.cover.share >= alone.cover.share
 
 
+def test_lights_between_the_candidates_cover_no_more_than_the_bound(world):
+    """The bound is that of the best corner of each cell, posture by posture; a finer grid stays below it."""
+    rig, evaluator = world
+    evaluator, shots = deciding(evaluator, 2), [(posture, (1.0,)) for posture in POSTURES[:2]]
+    candidates, finer = (find_candidates(rig, step_deg=step) for step in (10.0, 5.0))
+    weights = heavy(evaluator)
+    bound = placing.bound_between(evaluator, shots, candidates)
+    units = [
+        [pairs_of(evaluator, posture, some) for some in candidates.panels] for posture, _ in shots
+    ]  # of each posture and light, shape (positions, patches, defects)
+
+    def best_corners(cells):
+        return sum(np.max(own[light][[k, k + 1]], axis=0) for own in units for light, k in enumerate(cells))
+
+    plain = [int(weights[best_corners(cells) >= evaluator.needed].sum()) for cells in product(range(2), repeat=2)]
+    assert bound == max(plain)
+    found = placing.best_positions(evaluator, shots, finer)
+    coarse = placing.best_positions(evaluator, shots, candidates)
+    assert coarse.covered <= found.covered <= bound
+    assert coarse.covered < bound
+    assert placing.bound_between(evaluator, shots, candidates, limit=3) is None
+
+
 def test_no_image_of_drawn_patches_is_computed_twice(world, monkeypatch):
     rig, evaluator = world
     few = replace(evaluator, table=drawn_patches(evaluator.table, 60))

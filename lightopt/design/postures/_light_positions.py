@@ -19,12 +19,14 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, ignore, part_of
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
+from lightopt.design._cells import Cells
 from lightopt.design.objectives._scores_by_units import PositionCounts, combination_sums
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE
 from lightopt.design.responses._image_evaluator import ImageEvaluator, PatchRow
 from lightopt.design.responses._luminance_matrix import select_rows
 from lightopt.design.responses._pairs import Packed, PackedCounts, PairWeights, add_units, pack_counts
 from lightopt.design.search import _exact_search
+from lightopt.design.search._between_steps import cell_flags
 from lightopt.lights import PanelLight
 
 Rows = Sequence[Int64]
@@ -189,19 +191,41 @@ def _added_counts(
     postures: Sequence[ExposedPosture],
     panels: Sequence[Sequence[PanelLight]],
     progress: Share = ignore,
+    cells: Cells | None = None,
 ) -> list[PositionCounts]:
-    totals = [_zero_counts(evaluator, len(some)) for some in panels]
+    # of each position, or of each cell between them: what the best of its corners shows, posture by posture
+    sizes = map(len, panels if cells is None else cells.of_lights)
+    totals = [_zero_counts(evaluator, size) for size in sizes]
     for done, (posture, exposures) in enumerate(postures, start=1):
         images = replace(evaluator, exposures=exposures).flags(posture, panels)
-        for total, layer in zip(totals, images, strict=True):
-            for position, flags in enumerate(layer):
-                add_units(total[position], flags)
+        for light, (total, layer) in enumerate(zip(totals, images, strict=True)):
+            for place in range(len(total)):
+                add_units(
+                    total[place], layer[place] if cells is None else cell_flags(layer, cells.corners[light][place])
+                )
         progress(done / len(postures))
     return totals
 
 
 def _zero_counts(evaluator: ImageEvaluator, positions: int) -> PositionCounts:
     return np.repeat(evaluator.weights.zero_counts(evaluator.needed)[None], positions, axis=0)
+
+
+def bound_between(
+    evaluator: ImageEvaluator,
+    postures: Sequence[ExposedPosture],
+    candidates: Candidates,
+    *,
+    limit: int = _exact_search.DEFAULT_LIMIT,
+    progress: Share | None = None,
+) -> int | None:
+    """What no positions between the candidates cover in these postures; None where combinations are too many to try."""
+    counted = len(postures) / (len(postures) + 1)
+    cells, panels, rest = candidates.cells, candidates.panels, part_of(progress, counted, 1.0)
+    counts = _added_counts(evaluator, postures, panels, part_of(progress, 0.0, counted), cells)
+    weights, space, how = evaluator.weights, cells.space, {"needed": evaluator.needed, "limit": limit}
+    best = place_lights(counts, weights, space, **how, threads=evaluator.threads, progress=rest)
+    return best.covered if best.exact else None
 
 
 def best_positions(

@@ -24,11 +24,17 @@ from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import share_text
 from lightopt.design.postures._cover_search import Cover, best_set, cover_steps, greedy_cover, greedy_order
 from lightopt.design.postures._exposures import plan_exposures
-from lightopt.design.postures._light_positions import best_positions, position_counts, position_counts_fit
+from lightopt.design.postures._light_positions import (
+    best_positions,
+    bound_between,
+    position_counts,
+    position_counts_fit,
+)
 from lightopt.design.postures._posture_search import PostureChoice, PostureRequest, choose_postures
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, PatchRow, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._pairs import Counts, unpack_flags
+from lightopt.design.search._between_steps import BetweenSteps, share_outside
 from lightopt.design.search._exact_search import Ranked
 from lightopt.lights import PanelLight
 from lightopt.rendering import build_patches, cast_rays_at
@@ -152,7 +158,13 @@ PROVEN_OF_ONE = "the positions that the first objective chose, the only ones tha
 
 
 def planned_answers(
-    result: SetResult, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, run: RunContext
+    result: SetResult,
+    chosen: ChosenPostures,
+    rig: RigConfig,
+    candidates: Candidates,
+    free: Candidates | None,
+    options: _problem.OptimizeOptions,
+    run: RunContext,
 ) -> SetResult:
     """The best lights of each objective, scored for defects by what they show in the plan's postures and exposures.
 
@@ -167,7 +179,31 @@ def planned_answers(
     # of all planned images together, as a share of what the camera sees in any candidate posture
     goal = replace(first, share_of=SHARES_OF, area=area)
     answers = tuple(_planned(answer, goal, chosen, candidates, free is not None) for answer in result.answers)
-    return replace(result, answers=answers, curves=_curves(answers[0].found.best, chosen, candidates, free, run))
+    first = replace(answers[0], between=_between_steps(answers[0].found.best.score, chosen, rig, free, options, run))
+    curves = _curves(first.found.best, chosen, candidates, free, run)
+    return replace(result, answers=(first, *answers[1:]), curves=curves)
+
+
+def _between_steps(
+    score: int,
+    chosen: ChosenPostures,
+    rig: RigConfig,
+    free: Candidates | None,
+    options: _problem.OptimizeOptions,
+    run: RunContext,
+) -> BetweenSteps | None:
+    # of the lights in the chosen postures, at the exposures that are planned
+    evaluator = replace(chosen.evaluator, images=chosen.choice.images)
+    if free is None or not any(free.cells.moves) or not position_counts_fit(evaluator, free):
+        return None
+    postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
+    bound = bound_between(evaluator, postures, free, limit=options.limit, progress=run.stage("between the steps"))
+    if bound is None:
+        return None
+    outside = share_outside(rig, free, options, evaluator, postures)
+    between = BetweenSteps(bound=max(bound, score), outside=outside)
+    run.warn(*filter(None, [between.warning(chosen.way.order)]))
+    return between
 
 
 def _curves(

@@ -11,9 +11,11 @@ from lightopt.core.transforms import Posture
 from lightopt.design._blind_spots import PostureVisibility, by_light, defect_visibility
 from lightopt.design._candidates import Candidates, can_move, place_of, score_curves
 from lightopt.design._result import ObjectiveResult, SetResult
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
 from lightopt.design.responses._posture_matrices import PostureMatrices
+from lightopt.design.search._between_steps import BetweenSteps, bound_between, share_outside
 from lightopt.design.search._exact_search import CombinationSpace, SearchResult, search
 from lightopt.rendering import GRAZING_DEG, grain_of
 
@@ -43,6 +45,7 @@ def search_objectives(
                 blind_spots.append((posture, chosen, possible))
         del matrices
         _warn_of_limit(result.answers, postures, source)
+        _warn_of_steps(result.answers[0], postures, source)
         results.append(result)
     return tuple(results), blind_spots
 
@@ -64,7 +67,7 @@ def answer_set(
         if answer.scores[objective.name] != found.best.score:
             scores = f"{found.best.score:,} in the search and {answer.scores[objective.name]:,} by its definition"
             raise LightoptError(f"internal error: objective {objective.name} scores the best set {scores}")
-        answers.append(answer)
+        answers.append(replace(answer, between=_between_steps(answer, matrices, postures, source)))
     first = answers[0]
     best, areas = first.found.best, [matrix.areas for matrix in matrices]
 
@@ -82,6 +85,25 @@ def answer_set(
         curves=() if first.nothing is not None else score_curves(candidates, best, score),
         initial_score=_initial_score(matrices, postures, first.objective, source),
     )
+
+
+def _between_steps(
+    answer: ObjectiveResult, matrices: _Matrices, postures: Sequence[Posture], source: PostureMatrices
+) -> BetweenSteps | None:
+    # none where the search did not end either, or no light moves
+    problem, objective, run = source.problem, answer.objective, source.run
+    candidates, where = problem.candidates, f"{objective.name} between the steps"
+    if not any(candidates.cells.moves) or not answer.found.complete or answer.nothing is not None:
+        return None
+    limit, progress = problem.options.limit, run.stage(f"{where}, {', '.join(map(str, postures))}")
+    ask = (matrices, objective, problem.thresholds, candidates.cells)
+    bound = bound_between(*ask, limit=limit, threads=run.threads, progress=progress)
+    if bound is None:
+        return None
+    detection = source.detection if isinstance(objective, DetectabilityObjective) else None
+    shots = [(posture, (1.0,)) for posture in postures]
+    outside = share_outside(problem.rig, candidates, problem.options, source.evaluator(detection), shots)
+    return BetweenSteps(bound=max(bound, answer.found.best.score), outside=outside)
 
 
 def _initial_score(
@@ -172,6 +194,11 @@ def _answer(
 def _warn_of_limit(answers: Sequence[ObjectiveResult], postures: Sequence[Posture], source: PostureMatrices) -> None:
     some = [one for one in answers if not one.found.complete and one.nothing is None]
     source.run.warn(*(limit_warning(one, postures) for one in some))
+
+
+def _warn_of_steps(answer: ObjectiveResult, postures: Sequence[Posture], source: PostureMatrices) -> None:
+    if answer.between is not None and (text := answer.between.warning(postures)) is not None:
+        source.run.warn(text)
 
 
 def limit_warning(answer: ObjectiveResult, postures: Sequence[Posture]) -> str:

@@ -60,6 +60,8 @@ def answer_blocks(output: design.DesignOutput) -> list[Block]:
     proofs = [_proof(result) for result, _ in found] if chosen is None else [_plan.plan_proof(chosen)]
     blocks += [Note(text=f"{gain[0].upper()}{gain[1:]}.") for result, _ in found if (gain := result.gain_text)]
     blocks += [Note(text=proof) for proof in proofs]
+    between = [text for result, _ in found if (text := result.between_text)]
+    blocks += [Note(text=f"{text[0].upper()}{text[1:]}; {design.BETWEEN_MEANING}.") for text in between]
     if found:
         blocks.append(Note(text=f"Capture: {capture_text(output.result)}."))
     rigs = ", ".join(rig["file"] for rig in output.document["rigs"])
