@@ -1,8 +1,8 @@
 """What a wrong form of the lobe costs an inspection of parts that reflect by GGX: one Gaussian lobe, and GGX.
 
-``python -m benchmarks.model_inspection [--parts cover-knob spout] [--width 320] [--good 5] [--tests 6] [--page]``. The
+``python -m benchmarks.model_inspection [--parts cover-knob spout] [--width 320] [--good 2 5 15] [--tests 6]``. The
 simulated rig captures parts whose truth is GGX. Each form is fitted to one good part, and inspects good parts and parts
-with random defects that the fit has not seen: by the model alone, and calibrated on some good parts.
+with random defects that the fit has not seen: by the model alone, and calibrated on the first of the good parts.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def compare(folder: Path, name: str, options: argparse.Namespace) -> Iterator[Ro
     for seed, bad in enumerate(bad_files, 1):
         run_command("defects", rig_file, part_file, "--seed", seed, "--count", options.count, "-o", bad, "-q")
     shown = take(rig, truth, folder / f"{name}-shown", 1)
-    learned = [take(rig, truth, folder / f"{name}-good-{i}", 100 + i) for i in range(options.good)]
+    learned = [take(rig, truth, folder / f"{name}-good-{i}", 100 + i) for i in range(max(options.good))]
     tests = [take(rig, truth, folder / f"{name}-test-{i}", 200 + i) for i in range(options.tests)]
     bads = [take(rig, load_part(bad), folder / f"{name}-bad-{i}", 300 + i) for i, bad in enumerate(bad_files)]
     for model in MODELS:
@@ -92,10 +92,12 @@ def compare(folder: Path, name: str, options: argparse.Namespace) -> Iterator[Ro
         part = load_part(fitted / "part.fitted.yaml")
         rms = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))["quality"]["rms"]
         plain = InspectOptions(fusion=None, false_alarms=options.false_alarms)
-        learning = InspectOptions(fusion=None, false_alarms=max(options.false_alarms, least_rate(options.good)))
-        calibration = calibrate(rig, part, learned, options=learning)
-        for inspection, known in ((plain, None), (learning, calibration)):
-            yield _row(rig, part, truth, (tests, bads, bad_files), inspection, known, name, model, rms)
+        sets = (tests, bads, bad_files)
+        yield _row(rig, part, truth, sets, plain, None, name, model, rms)
+        for good in options.good:
+            learning = InspectOptions(fusion=None, false_alarms=max(options.false_alarms, least_rate(good)))
+            calibration = calibrate(rig, part, learned[:good], options=learning)
+            yield _row(rig, part, truth, sets, learning, calibration, name, model, rms)
 
 
 def _row(
@@ -152,7 +154,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--parts", nargs="+", default=["cover-knob", "spout"])
     parser.add_argument("--width", type=int, default=320)
-    parser.add_argument("--good", type=int, default=5)
+    parser.add_argument("--good", type=int, nargs="+", default=[2, 5, 15])
     parser.add_argument("--tests", type=int, default=6)
     parser.add_argument("--bad", type=int, default=2)
     parser.add_argument("--count", type=int, default=14)

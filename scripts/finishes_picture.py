@@ -1,13 +1,15 @@
-"""Draw docs/pictures/finishes.png, brushed.png and diffuse-forms.png.
+"""Draw docs/pictures/finishes.png, brushed.png, diffuse-forms.png and measured-finishes.png.
 
 ``python scripts/finishes_picture.py``. finishes.png: the sample knob with each form of the lobe, all reflecting as much
 light, under all four lights; the fourth root of the levels, by one highest level. brushed.png: the same of a surface
 that is brushed in four ways. diffuse-forms.png: a sphere with each form of the diffuse component under one panel;
-levels.
+levels. measured-finishes.png: the knob in every finish of docs/reference/finishes.md that has a line for part files.
 """
 
 from __future__ import annotations
 
+import re
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +18,7 @@ import trimesh
 from PIL import Image, ImageDraw
 
 from lightopt import build_scene, render
-from lightopt.core.arrays import Float64
+from lightopt.core.arrays import Float64, UInt8
 from lightopt.geometry import (
     CurvedBrushing,
     LoadedMesh,
@@ -54,6 +56,8 @@ DIFFUSE_FORMS = {
     "oren_nayar_roughness: 0.4": DiffuseForm(roughness=0.4),
     "oren_nayar_roughness: 1": DiffuseForm(roughness=1.0),
 }
+PAGE = ROOT / "docs" / "reference" / "finishes.md"
+TILE_WIDTH, TILE_HEIGHT, TILE_CROP, COLUMNS = 256, 192, 36, 7
 RADIUS, BALL_WIDTH, BALL_HEIGHT, BALL_CROP = 22.0, 320, 240, 50
 
 
@@ -70,13 +74,17 @@ def _sum_of_lights(scene: Scene) -> Float64:
 
 def _save(target: Path, pictures: dict[str, Float64]) -> None:
     # side by side, of levels from 0 to 1
-    tiles = []
+    Image.fromarray(np.concatenate(_tiles(pictures), axis=1)).save(target, optimize=True)
+
+
+def _tiles(pictures: dict[str, Float64]) -> list[UInt8]:
+    tiles: list[UInt8] = []
     for title, shown in pictures.items():
         tile = Image.new("L", (shown.shape[1], shown.shape[0] + TITLE), 255)
         tile.paste(Image.fromarray((255.0 * np.clip(shown, 0.0, 1.0)).astype(np.uint8)), (0, TITLE))
         ImageDraw.Draw(tile).text((4, 3), title, fill=0)
         tiles.append(np.asarray(tile))
-    Image.fromarray(np.concatenate(tiles, axis=1)).save(target, optimize=True)
+    return tiles
 
 
 def finishes_picture(target: Path) -> None:
@@ -119,7 +127,29 @@ def diffuse_forms_picture(target: Path) -> None:
     _save(target, levels)
 
 
+def measured_finishes_picture(target: Path) -> None:
+    """Draw the sample knob in every finish of the page that has a line for part files."""
+    lines = re.findall(r"^(reflectance: \{.*\}) +# (.*)$", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    text = (ROOT / "configs/parts/cover-knob.yaml").read_text(encoding="utf-8")
+    scene = _scene(TILE_WIDTH, TILE_HEIGHT)
+    levels: dict[str, Float64] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        part = Path(folder) / "part.yaml"
+        for line, name in lines:
+            own = re.sub(r"reflectance:.*?(?=\n\S|\Z)", line, text, flags=re.DOTALL)
+            part.write_text(own.replace("file: ", f"file: {ROOT}/configs/parts/"), encoding="utf-8")
+            finished = build_scene(ROOT / "configs/rigs/four-panel.yaml", part, points="auto")
+            finished = replace(finished, camera=scene.camera, postures=scene.postures)
+            levels[name] = _sum_of_lights(finished)[:, TILE_CROP:-TILE_CROP]
+    top = max(level.max() for level in levels.values())
+    tiles = _tiles({name.replace(" gloss units", " GU"): (level / top) ** 0.25 for name, level in levels.items()})
+    tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % COLUMNS)
+    rows = [np.concatenate(tiles[k : k + COLUMNS], axis=1) for k in range(0, len(tiles), COLUMNS)]
+    Image.fromarray(np.concatenate(rows)).save(target, optimize=True)
+
+
 if __name__ == "__main__":
     finishes_picture(ROOT / "docs" / "pictures" / "finishes.png")
     brushed_picture(ROOT / "docs" / "pictures" / "brushed.png")
     diffuse_forms_picture(ROOT / "docs" / "pictures" / "diffuse-forms.png")
+    measured_finishes_picture(ROOT / "docs" / "pictures" / "measured-finishes.png")

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from bounce_picture import bounce_picture
 from displaced_picture import displaced_picture
-from finishes_picture import brushed_picture, diffuse_forms_picture, finishes_picture
+from finishes_picture import brushed_picture, diffuse_forms_picture, finishes_picture, measured_finishes_picture
 from frames_drawing import frames_drawing
 from lens_picture import lens_picture
 from lighting_picture import lighting_picture
@@ -238,6 +238,7 @@ def main() -> None:
         brushed_picture(PICTURES / "brushed.png")
         regions_picture(PICTURES / "regions.png")
         diffuse_forms_picture(PICTURES / "diffuse-forms.png")
+        measured_finishes_picture(PICTURES / "measured-finishes.png")
         bounce_picture(PICTURES / "interreflection.png")
         lighting_picture(PICTURES / "lighting-systems.png")
         lens_picture(PICTURES / "lens.png")
