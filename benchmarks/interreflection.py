@@ -1,9 +1,10 @@
 """One bounce of light from the part to the part, beside Mitsuba 3's path tracer.
 
-``python -m benchmarks.interreflection [--parts spout dish] [--samples N] [--page]``. Needs ``mitsuba``. The reflection
-model is a BSDF of Mitsuba's, the panel an area light of the same radiance. The bounce is the image of paths of depth 3
-without those of depth 2. Differences are of means over the part, and rms over blocks of pixels, where Mitsuba's
-noise is that of two independent halves.
+``python -m benchmarks.interreflection [--parts spout dish] [--samples N] [--page]``. Needs ``mitsuba``, but for
+``--times``: the processor time of direct light and of one bounce, under the four lights of the sample rig. The
+reflection model is a BSDF of Mitsuba's, the panel an area light of the same radiance. The bounce is the image of paths
+of depth 3 without those of depth 2. Differences are of means over the part, and rms over blocks of pixels, where
+Mitsuba's noise is that of two independent halves.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from numpy.typing import NDArray
 from benchmarks.inspection import replace_block
 from lightopt.geometry import TriangleMesh
 from lightopt.optics import MIN_COS_VIEW, Reflectance, white_level
-from lightopt.rendering import cast_rays_at, render_posture
+from lightopt.rendering import PostureImages, cast_rays_at, render_posture
 from lightopt.scene import Scene, build_scene, pixel_directions
 
 Array = NDArray[Any]
-PIXELS = (200, 150)
+PIXELS, TIMED_PIXELS = (200, 150), (800, 600)
 BLOCK = 10
 POSTURE = 0
 
@@ -58,19 +59,21 @@ def dish(radius: float = 25.0, depth: float = 9.0, rings: int = 60, around: int 
     )
 
 
+def four_lights(name: str, pixels: tuple[int, int]) -> Scene:
+    """A part under the converged panels of the sample rig, in one bounce."""
+    scene = build_scene("configs/rigs/four-panel.yaml", "configs/parts/spout.yaml", points="auto")
+    width, height = pixels
+    pixel_size = scene.camera.pixel_size * scene.camera.width / width
+    camera = replace(scene.camera, width=width, height=height, pixel_size=pixel_size, principal_point=None)
+    scene = replace(scene, camera=camera, bounces=1)
+    return scene if name == "spout" else replace(scene, mesh=dish(), postures=scene.postures[:1])
+
+
 def case(name: str) -> Scene:
     """A scene of one converged panel of real radiance and a small image, that shows a bounce."""
-    scene = build_scene("configs/rigs/four-panel.yaml", "configs/parts/spout.yaml", points="auto")
-    camera = replace(
-        scene.camera,
-        width=PIXELS[0],
-        height=PIXELS[1],
-        pixel_size=scene.camera.pixel_size * scene.camera.width / PIXELS[0],
-        principal_point=None,
-    )
+    scene = four_lights(name, PIXELS)
     light = replace(scene.lights[0], inverse_square=True, emission_exponent=1.0)
-    scene = replace(scene, camera=camera, lights=(light,), bounces=1)
-    return scene if name == "spout" else replace(scene, mesh=dish(), postures=scene.postures[:1])
+    return replace(scene, lights=(light,))
 
 
 class MitsubaPaths:
@@ -189,9 +192,8 @@ def _register(mi: Any, dr: Any, reflectance: Reflectance) -> None:
     mi.register_bsdf("torrance_sparrow", TorranceSparrow)
 
 
-def compare(name: str, samples: int, batches: int) -> dict[str, Any]:
-    """Direct light and bounce of lightopt and of Mitsuba."""
-    scene = case(name)
+def rendered(scene: Scene) -> tuple[list[PostureImages], list[float]]:
+    """The images of direct light and of one bounce, and their processor time [s]."""
     posture, caster = scene.postures[POSTURE], cast_rays_at(scene)
     seconds, images = [], []
     for bounces in (0, 1):
@@ -200,6 +202,13 @@ def compare(name: str, samples: int, batches: int) -> dict[str, Any]:
         begun = time.process_time()
         images.append(render_posture(one, posture, caster=caster))
         seconds.append(time.process_time() - begun)
+    return images, seconds
+
+
+def compare(name: str, samples: int, batches: int) -> dict[str, Any]:
+    """Direct light and bounce of lightopt and of Mitsuba."""
+    scene = case(name)
+    images, seconds = rendered(scene)
     hit = images[0].geometry.hit
     direct = images[0].lights[0].level.astype(np.float64)
     bounce = images[1].lights[0].level - direct
@@ -244,7 +253,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--samples", type=int, default=256, help="of a pixel in a batch")
     parser.add_argument("--batches", type=int, default=8, help="of each half")
     parser.add_argument("--page", action="store_true", help="put the table into docs/validation/lighting.md")
+    parser.add_argument("--times", action="store_true", help="measure only how long a bounce takes")
     options = parser.parse_args(arguments)
+    if options.times:
+        for name in options.parts:
+            _, (direct, bounced) = rendered(four_lights(name, TIMED_PIXELS))
+            print(f"| {name} | {direct:.1f} s | {bounced:.1f} s | {bounced / direct:.1f} |", flush=True)
+        return
     rows = []
     for name in options.parts:
         rows.append(compare(name, options.samples, options.batches))

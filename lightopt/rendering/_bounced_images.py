@@ -74,7 +74,9 @@ def bounced_bands(
     n, (left, top, right, bottom) = supersample, window
     columns = (np.arange(left * n, right * n) + 0.5) / n + offset[0]
     step = max(1, BAND // n)
-    landed = landed_light(light, camera.position, (right - left) * (bottom - top) * n * n, threads)
+    samples = (right - left) * (bottom - top) * n * n
+    light.map_blockers(samples, threads)
+    landed = landed_light(light, camera.position, samples, threads)
     for first in range(top, bottom, step):
         end = min(first + step, bottom)
         # with the row that the squares of the last rows reach to

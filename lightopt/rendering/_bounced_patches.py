@@ -52,6 +52,7 @@ class BouncedPatches:
             return np.zeros((2, 0))
         part = PartLight.of_scene(self.scene, (light,), self.caster, housings=self.view.housings, shadows=self.shadows)
         some = self.surface.take(self._chosen)
+        part.map_blockers(len(some), threads)
         added, error = np.zeros((2, len(some)))
         for means, own, glints in (part.diffuse(some, threads)[:, 0], part.specular(some, threads)[:, 0]):
             added += means + glints.mean()

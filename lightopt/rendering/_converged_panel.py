@@ -248,7 +248,7 @@ def _shade_by_one_ray(
     # each point sees all of a panel or nothing, by a ray to one of its places in turn
     seen: Bool = surface.front
     if caster is not None:
-        targets = _ray_targets(light)
+        targets = ray_targets(light)
         own = np.arange(len(surface)) % len(targets) == np.arange(len(targets))[:, None]
         own &= facing_targets(surface, targets, geometric=True)
         free = caster.visible(surface.points, surface.facets, targets, candidates=own, outside=surface.outside)
@@ -267,7 +267,8 @@ def _shade_by_one_ray(
     return terms[:, 0], terms[:, 1]
 
 
-def _ray_targets(light: PanelLight | ConvergedPanel) -> Float64:
+def ray_targets(light: PanelLight | ConvergedPanel) -> Float64:
+    """Where shadow rays of points that see all of a light or nothing go to, shape (t, 3)."""
     if isinstance(light, ConvergedPanel):
         return panel_grid(light.light, light.cells**2) if light.cells else probe_targets(light.light)
     return shadow_targets(light)

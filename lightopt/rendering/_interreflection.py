@@ -40,7 +40,7 @@ from lightopt.optics import (
     square_across,
     white_level,
 )
-from lightopt.rendering._converged_panel import ConvergedPanel, converged_panel, isolated_levels
+from lightopt.rendering._converged_panel import ConvergedPanel, converged_panel, isolated_levels, ray_targets
 from lightopt.rendering._surface import PointRows, SurfacePoints, surface_at
 from lightopt.scene import Housings, Scene
 
@@ -93,6 +93,13 @@ class PartLight:
         mirrored = [_mirrored_light(light, scene.sharpest.sigma, caster) for light in lights]
         blocker = caster if shadows else None
         return cls(scene=scene, caster=caster, blocker=blocker, lights=mirrored, housings=housings)
+
+    def map_blockers(self, points: int, threads: int | None = None) -> None:
+        """Make maps that prove shadow rays free, for the light on so many points; each meets several others."""
+        panels = [light for light in self.lights if not isinstance(light, SurfaceLight)]
+        if self.blocker is not None and self.scene.bounces and panels:
+            targets = np.concatenate([ray_targets(light) for light in panels])
+            self.blocker.map_blockers(targets, rays=points, threads=threads)
 
     @cached_property
     def white(self) -> float:

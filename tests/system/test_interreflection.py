@@ -16,6 +16,7 @@ from lightopt.config import PartConfig, load_rig
 from lightopt.config._rig import VirtualBenchConfig
 from lightopt.core.errors import InputError
 from lightopt.geometry import StraightBrushing, TriangleMesh
+from lightopt.geometry._blocker_maps import BlockerMaps
 from lightopt.lights import panel_grid
 from lightopt.optics import Reflectance, SpecularModel, white_level
 from lightopt.optics._albedo import DEFAULT_ALBEDO
@@ -344,3 +345,19 @@ def test_a_region_of_the_same_reflectance_shows_the_same_bounce():
     assert whole.mean() > 0.1
     assert parts.mean() == pytest.approx(whole.mean(), rel=0.01)
     assert np.mean(np.abs(parts - whole)) < 0.1 * whole.mean()
+
+
+def test_maps_of_blockers_change_no_bounce(monkeypatch):
+    """Shadow rays of the points that rays meet are proven free as those of images are, with the same levels."""
+    scene = build_scene(CONFIGS / "rigs" / "four-panel.yaml", CONFIGS / "parts" / "spout.yaml", points="auto")
+    camera = replace(scene.camera, width=320, height=240, pixel_size=5.0 * scene.camera.pixel_size, principal_point=None)
+    scene = replace(scene, camera=camera, bounces=1, lights=scene.lights[:1])
+    shown, free = [], []
+    for maps in (True, False):
+        if not maps:
+            monkeypatch.setattr(BlockerMaps, "make", lambda *_args, **_kwargs: None)
+        caster = cast_rays_at(scene)
+        shown.append(render_posture(scene, scene.postures[0], caster=caster).lights[0].level)
+        free.append(caster.rays_free)
+    np.testing.assert_array_equal(*shown)
+    assert free[0] > 10 * shown[0].size > free[1] == 0
