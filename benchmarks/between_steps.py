@@ -1,7 +1,7 @@
 """Does the bound for positions between the candidates hold: grids of several steps, and the best of a finer one.
 
 ``python -m benchmarks.between_steps [--patches 20000] [--cases four-panel,spot]``. For each step the best score, the
-bound, and the share of the surface that shows more midway. The best of the finest grid must not exceed any bound.
+bound, and what of it was found inside cells. The best of the finest grid must not exceed any bound.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--patches", type=int, default=20_000)
     parser.add_argument("--cases", default=";".join(CASES), help="names, separated by semicolons")
     options = parser.parse_args()
-    print("case | step | best | bound | above midway")
+    print("case | step | best | bound | of it inside")
     for name in options.cases.split(";"):
         case = CASES[name]
         bounds: list[int] = []
@@ -99,7 +99,7 @@ def main() -> None:
             if whole is not None:
                 texts = [f"{100.0 * score / whole:.2f} %" for score in (best, between.bound)]
             bounds.append(between.bound)
-            print(f"{name} | {step:g} | {texts[0]} | {texts[1]} | {100.0 * between.outside:.2f} %", flush=True)
+            print(f"{name} | {step:g} | {texts[0]} | {texts[1]} | {100.0 * between.excess:.2f} %", flush=True)
         print(f"{name}: finest best exceeds a bound: {'yes' if best > min(bounds) else 'no'}", flush=True)
 
 

@@ -266,9 +266,10 @@ def show_design(output: design.DesignOutput) -> None:
     if VERBOSE.get():
         echo(best.caption)
         if any(one.between_text is not None for one in result.results):
-            echo(f"between the candidates: {design.BETWEEN_MEANING}")
+            echo(design.BETWEEN_MEANING)
     for one in result.results:
-        if text := "; ".join(filter(None, [one.gain_text, one.between_text])):
+        texts = [text for text in (one.gain_text, one.between_text) if text is not None]
+        for text in texts if len(result.results) == 1 else ["; ".join(texts)] if texts else []:
             echo(text if len(result.results) == 1 else f"posture {one.postures[0]}: {text}")
     if any(one.answers[0].nothing is None for one in result.results):
         echo(f"capture: {capture_text(result)}")

@@ -14,7 +14,7 @@ import numpy as np
 from lightopt.config import RANGE_KEYS, LightConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError, counted, refuse
-from lightopt.design._cells import Cells, cell_clashes, intervals, light_cells
+from lightopt.design._cells import Cells, LightCells, cell_clashes, intervals, light_cells
 from lightopt.design.search._exact_search import CombinationSpace, Ranked, Rows, is_allowed
 from lightopt.lights import PanelLight, outlines
 from lightopt.rendering import panels_in_part
@@ -52,14 +52,24 @@ def step_problems(name: str, step_deg: float) -> list[str]:
     return [] if usable else [f"option '{name}': expected degrees above 0, found {step_deg:g}"]
 
 
-def light_places(
-    rig: RigConfig, index: int, *, step_deg: float, elevations: Sequence[float] | None = None
-) -> list[Place]:
-    """Candidate places of a light, ascending by elevation, then azimuth, then distance.
+@dataclass(frozen=True)
+class PlaceGrid:
+    """The places of a light before any is excluded."""
 
-    Both ends of a range are candidates, and from the lower one on every `step_deg`, or every step of the light's
-    distances. A light without a range stays there. Where a light was measured, its place is a candidate in place of one
-    that is nearer than it can be set. `elevations` replaces those of the light's range, for lights that share their
+    axes: tuple[tuple[float, ...], ...]  # steps of elevation and azimuth [°] and perhaps distance [mm], ascending
+    places: tuple[Place, ...]  # every combination of these, in their order
+
+    @property
+    def distinct(self) -> list[Place]:
+        return list(dict.fromkeys(self.places))
+
+
+def place_grid(rig: RigConfig, index: int, *, step_deg: float, elevations: Sequence[float] | None = None) -> PlaceGrid:
+    """The places of a light, ascending by elevation, then azimuth, then distance.
+
+    Both ends of a range are steps, and from the lower one on every `step_deg`, or every step of the light's
+    distances. A light without a range stays there. Where a light was measured, its place is taken instead of one that
+    is nearer than it can be set. `elevations` replaces those of the light's range, for lights that share their
     elevation.
     """
     refuse(step_problems("step_deg", step_deg))
@@ -82,15 +92,15 @@ def light_places(
             f"{rig.source.at('lights', index)}: light {light.name} has more than {MOST_POSITIONS:,} positions; raise "
             f"option 'step_deg' {step_deg:g} or distance_step_mm"
         )
-    places = list(itertools.product(*ranges))
+    axes, places = tuple(map(tuple, ranges)), tuple(itertools.product(*ranges))
     if shared or light.pose is None:
-        return places
+        return PlaceGrid(axes, places)
     here = place_of(light)
 
     def is_near(place: Place) -> bool:
         return all(abs(a - b) <= NEAR * step for a, b, step in zip(place, here, steps, strict=True))
 
-    return list(dict.fromkeys(here if is_near(place) else place for place in places))
+    return PlaceGrid(axes, tuple(here if is_near(place) else place for place in places))
 
 
 def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
@@ -174,18 +184,24 @@ def find_candidates(
     camera = build_camera(rig)
     left_out: list[ExcludedPosition] = []
     possible: list[list[tuple[Place, PanelLight]]] = []
-    grids: list[list[Place]] = []
+    grids: list[PlaceGrid] = []
+    panels_there: list[dict[Place, PanelLight]] = []
     for index in range(len(rig.lights)):
         free: list[tuple[Place, PanelLight]] = []
-        own = light_places(rig, index, step_deg=step_deg, elevations=shared) if places is None else [places[index]]
-        for at, panel in zip(own, panels_of(rig, index, own, points), strict=True):
+        if places is None:
+            grids.append(place_grid(rig, index, step_deg=step_deg, elevations=shared))
+        else:
+            grids.append(PlaceGrid(tuple((value,) for value in places[index]), (places[index],)))
+        own = grids[-1].distinct
+        there = dict(zip(own, panels_of(rig, index, own, points), strict=True))
+        panels_there.append(there)
+        for at, panel in there.items():
             reason = _reason(panel, camera, scene)
             if reason is None:
                 free.append((at, panel))
             else:
                 left_out.append(ExcludedPosition(panel.name, at, *reason))
         possible.append(free)
-        grids.append(own)
     clashes = _clashes(rig, possible)
     always_colliding = _always_colliding(possible, clashes)
     for index, k, other in ((i, k, other) for i, some in always_colliding.items() for k, other in sorted(some.items())):
@@ -203,26 +219,26 @@ def find_candidates(
     space = CombinationSpace(sizes=sizes, groups=groups, clashes=left_clashes)
     panels = tuple(tuple(panel for _, panel in some) for some in left)
     names = tuple(light.name for light in rig.lights)
-    cells = _cells(rig, channels, grids, places_left, left_clashes, shared)
+    turns = [light.azimuth_range_deg is not None and _is_full_turn(light.azimuth_range_deg) for light in rig.lights]
+    parts = zip(grids, places_left, panels_there, turns, strict=True)
+    found = [light_cells(grid.axes, grid.places, left, there, full_turn=turn) for grid, left, there, turn in parts]
+    cells = _cells(rig, channels, found, left_clashes, shared)
     return Candidates(names, channels, places_left, panels, tuple(left_out), space, cells)
 
 
 def _cells(
     rig: RigConfig,
     channels: Sequence[Sequence[int]],
-    grids: Sequence[Sequence[Place]],
-    places: Sequence[Sequence[Place]],
+    lights: Sequence[LightCells],
     clashes: Mapping[tuple[int, int], Bool],
     shared: Sequence[float] | None,
 ) -> Cells:
-    """The cells between the places of each light, of `grids` before any was excluded, combined as the places are."""
-    turns = [light.azimuth_range_deg is not None and _is_full_turn(light.azimuth_range_deg) for light in rig.lights]
-    found = [light_cells(*own, full_turn=turn) for *own, turn in zip(grids, places, turns, strict=True)]
-    cells, corners = tuple(own for own, _ in found), tuple(some for _, some in found)
-    elevations = None if shared is None else intervals(shared)
-    sizes = tuple(map(len, cells))
+    # combined as the places are
+    cells = [own.cells for own in lights]
+    elevations, sizes = None if shared is None else intervals(shared), tuple(map(len, cells))
     groups = _together(rig, channels, cells, _groups(rig, cells, sizes, elevations))
-    return Cells(cells, corners, CombinationSpace(sizes=sizes, groups=groups, clashes=cell_clashes(clashes, corners)))
+    space = CombinationSpace(sizes=sizes, groups=groups, clashes=cell_clashes(clashes, lights))
+    return Cells(tuple(lights), space)
 
 
 def _is_full_turn(ends: tuple[float, float]) -> bool:

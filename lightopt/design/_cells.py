@@ -1,6 +1,5 @@
 """Cells of the grid of candidate positions: what lies between neighbouring candidates of a light."""
 
-import bisect
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,98 +8,93 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Int64
 from lightopt.design.search._exact_search import CombinationSpace
+from lightopt.lights import PanelLight
 
 Interval = tuple[float, float]  # from one step of an angle [°] or distance [mm] to the next; a single value twice
 Cell = tuple[Interval, ...]  # of elevation, azimuth and, with a range of distances, distance
 
-SAME_STEP = 0.1  # share of the mean step below which two values are one step of the grid
+
+@dataclass(frozen=True, eq=False)
+class LightCells:
+    """The cells of a light that have a candidate at one of their corners or more, ascending."""
+
+    cells: tuple[Cell, ...]
+    corners: tuple[Int64, ...]  # of each cell: indices of candidates, then of what is beyond them
+    beyond: tuple[PanelLight, ...]  # the light at the other corners, which are excluded as positions
+
+    @property
+    def moves(self) -> bool:
+        """Whether there is anything between the candidates."""
+        return any(low < high for cell in self.cells for low, high in cell)
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The cells of each light, in the rig's order; without those all of whose corners are excluded."""
-
-    of_lights: tuple[tuple[Cell, ...], ...]
-    corners: tuple[tuple[Int64, ...], ...]  # of each cell, indices of the candidates at its corners, ascending
-    space: CombinationSpace  # of the cells, in which positions between the candidates can be combined
+    of_lights: tuple[LightCells, ...]  # in the rig's order
+    space: CombinationSpace  # in which positions between the candidates can be combined
 
     @property
-    def moves(self) -> tuple[bool, ...]:
-        """Whether there is anything between the candidates of each light."""
-        return tuple(any(low < high for cell in cells for low, high in cell) for cells in self.of_lights)
+    def moves(self) -> bool:
+        """Whether there is anything between the candidates of some light."""
+        return any(own.moves for own in self.of_lights)
 
 
 def intervals(values: Sequence[float], *, full_turn: bool = False) -> list[Interval]:
     """What lies between neighbouring values, ascending; a single value is one interval.
 
-    Values nearer to each other than :data:`SAME_STEP` of the mean step are one: a measured place near the grid's, and
-    the end of a range after a last short step.
-
     full_turn: Whether the last value is followed by the first, 360 degrees later.
     """
-    ends = _steps_of(values)
-    if len(ends) == 1:
-        return [(ends[0][0], ends[0][-1])]
-    between = [(low[0], high[-1]) for low, high in itertools.pairwise(ends)]
-    return [*between, (ends[-1][0], ends[0][-1] + 360.0)] if full_turn else between
-
-
-def _steps_of(values: Sequence[float]) -> list[list[float]]:
-    # values that are one step each, ascending
-    ascending = sorted(set(values))
-    least = SAME_STEP * (ascending[-1] - ascending[0]) / max(1, len(ascending) - 1)
-    found = [[ascending[0]]]
-    for value in ascending[1:]:
-        if value - found[-1][0] > least:
-            found.append([value])
-        else:
-            found[-1].append(value)
-    return found
+    if len(values) == 1:
+        return [(values[0], values[0])]
+    return [*itertools.pairwise(values), *([(values[-1], values[0] + 360.0)] if full_turn else [])]
 
 
 def light_cells(
-    grid: Sequence[tuple[float, ...]], left: Sequence[tuple[float, ...]], *, full_turn: bool
-) -> tuple[tuple[Cell, ...], tuple[Int64, ...]]:
-    """The cells of a light, ascending, and the candidates at their corners.
+    axes: Sequence[Sequence[float]],
+    grid: Sequence[tuple[float, ...]],
+    candidates: Sequence[tuple[float, ...]],
+    panels: Mapping[tuple[float, ...], PanelLight],
+    *,
+    full_turn: bool,
+) -> LightCells:
+    """The cells of a light.
 
-    grid: Its places before any was excluded.
-    left: Those that are left, the candidates.
+    axes: Steps of elevation, azimuth and perhaps distance, each ascending.
+    grid: Its places, every combination of the steps in this order; some may be where the light was measured instead.
+    candidates: Those of them that are allowed.
+    panels: The light at each place.
     full_turn: Whether its azimuths go all the way round.
     """
-    axes = [list(values) for values in zip(*grid, strict=True)]
-    wraps = [full_turn and axis == 1 for axis in range(len(axes))]
-    starts = [[step[0] for step in _steps_of(values)] for values in axes]
-    found: dict[tuple[int, ...], list[int]] = {}
-    for number, place in enumerate(left):
-        # a place is a corner of the cells that begin at its own steps and at those before
-        ways: list[list[int]] = []
-        for value, first, wrap in zip(place, starts, wraps, strict=True):
-            own, count = bisect.bisect_right(first, value) - 1, len(first)
-            if count == 1:
-                ways.append([0])
-            else:
-                ways.append([k % count for k in (own - 1, own) if wrap or 0 <= k < count - 1])
-        for cell in itertools.product(*ways):
-            found.setdefault(cell, []).append(number)
-    sides = [intervals(values, full_turn=wrap) for values, wrap in zip(axes, wraps, strict=True)]
-    order = sorted(found)
-    cells = tuple(tuple(side[k] for side, k in zip(sides, at, strict=True)) for at in order)
-    return cells, tuple(np.array(found[at], np.int64) for at in order)
+    index = {place: k for k, place in enumerate(candidates)}
+    numbers = np.arange(len(grid)).reshape([len(values) for values in axes])
+    sides = [intervals(values, full_turn=full_turn and axis == 1) for axis, values in enumerate(axes)]
+    beyond: dict[tuple[float, ...], int] = {}
+    cells: list[Cell] = []
+    corners: list[Int64] = []
+    for at in itertools.product(*(range(len(side)) for side in sides)):
+        ways = [sorted({k, (k + 1) % len(values)}) for k, values in zip(at, axes, strict=True)]
+        around = dict.fromkeys(grid[k] for k in numbers[np.ix_(*ways)].ravel().tolist())
+        if not any(place in index for place in around):
+            continue
+        cells.append(tuple(side[k] for side, k in zip(sides, at, strict=True)))
+        own = [index[p] if p in index else len(index) + beyond.setdefault(p, len(beyond)) for p in around]
+        corners.append(np.array(sorted(own), np.int64))
+    return LightCells(tuple(cells), tuple(corners), tuple(panels[place] for place in beyond))
 
 
-def cell_clashes(
-    clashes: Mapping[tuple[int, int], Bool], corners: Sequence[Sequence[Int64]]
-) -> dict[tuple[int, int], Bool]:
-    """Pairs of cells all of whose corners collide, for the pairs of lights that have any."""
+def cell_clashes(clashes: Mapping[tuple[int, int], Bool], lights: Sequence[LightCells]) -> dict[tuple[int, int], Bool]:
+    """Pairs of cells all of whose allowed corners collide, for the pairs of lights that have any."""
     found: dict[tuple[int, int], Bool] = {}
     for (i, j), clash in clashes.items():
-        rows = np.array([clash[some].all(axis=0) for some in corners[i]])
-        both = np.array([rows[:, some].all(axis=1) for some in corners[j]]).T
+        first, second = ([own[own < n] for own in lights[k].corners] for k, n in zip((i, j), clash.shape, strict=True))
+        rows = np.array([clash[some].all(axis=0) for some in first])
+        both = np.array([rows[:, some].all(axis=1) for some in second]).T
         if both.any():
             found[i, j] = both
     return found
 
 
-def middle(cell: Cell) -> tuple[float, ...]:
-    """The place midway between the corners of a cell."""
-    return tuple(0.5 * (low + high) for low, high in cell)
+def places_inside(cell: Cell) -> list[tuple[float, ...]]:
+    """The middle of a cell and a place to either side of it, at a quarter or three quarters of every interval."""
+    shares = ((0.25, 0.75), (0.5, 0.5), (0.75, 0.25))
+    return [tuple(low + share[k % 2] * (high - low) for k, (low, high) in enumerate(cell)) for share in shares]

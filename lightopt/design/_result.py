@@ -66,7 +66,8 @@ class ObjectiveResult:
     # where the positions were chosen with postures: the set of alternatives that `found` is a proof for; others were
     # not counted. None where the search chose them
     proven_of: str | None = None
-    # what positions between the candidates can score; None where none lies between, or that was not computed
+    # what positions between the candidates can score, of the first objective's result; None where none lies between, or
+    # that was not computed
     between: BetweenSteps | None = None
 
     @property
@@ -142,14 +143,8 @@ class SetResult:
         first = self.answers[0]
         if first.between is None or first.nothing is not None:
             return None
-        bound, best = first.between.bound, first.found.best.score
-        if bound <= best:
-            return "no positions between the candidates score more"
-        text = f"positions between the candidates score at most {self.score_text(bound, first.objective)}, "
-        share = first.objective.share_of_whole(bound - best, self.area)
-        if share is not None:
-            return text + f"{share_text(share, self.grain).removesuffix('%')}points more"
-        return text + f"{100.0 * (bound - best) / max(1, best):.1f} % more"
+        bound = self.score_text(first.between.bound, first.objective)
+        return f"positions between the candidates are expected to score at most {bound}"
 
     def gap_text(self, answer: ObjectiveResult) -> str:
         """By how much the runner-up scores less; of the combinations scored (≥) where some are left."""

@@ -23,7 +23,7 @@ def _between_dict(answer: _result.ObjectiveResult, result: _result.SetResult) ->
     return {
         "bound": between.bound,
         "share_of_inspectable_area": None if share is None else round(share, 6),
-        "share_above_midway": round(between.outside, 6),
+        "excess_between": round(between.excess, 6),
     }
 
 

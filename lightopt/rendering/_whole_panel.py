@@ -12,6 +12,7 @@ from lightopt.optics import MAX_LOBE_EXPONENT, is_lambert, lambert, lobe_at, spe
 from lightopt.rendering._panel_quadrature import (
     NEGLIGIBLE_EXPONENT,
     NODES,
+    PEAK_ERROR,
     TAIL_ERROR,
     WEIGHTS,
     WHOLE_PANEL,
@@ -30,9 +31,7 @@ from lightopt.rendering._surface import PointRows, point_at, surface_point
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
 _STEP_S, _STEP_T = 0.6287067210378087, 0.5385972572236101  # 1/g³ and 1/g⁴ of g⁵ = g + 1
 FAR_SHARE = 20.0 / MAX_LOBE_EXPONENT  # of the farthest exponent, e⁻²⁰ of the lobe, beyond which it is left out there
-# of tails: what they may be off by in R_s, of which they are a tenth in fact, 0.02 level of chrome with R_s = 10⁶; and
-# the share of their light from which on few nodes do for fall-off and emission
-_PEAK_ERROR, _FEW_NODES_ERROR = 2e-7, 1e-3
+_FEW_NODES_ERROR = 1e-3  # share of the light of tails from which on few nodes do for fall-off and emission
 _MOST_EVEN = 6  # nodes a side up to which a lobe is smooth all over the panel
 
 
@@ -107,7 +106,7 @@ def _add_smooth(
             turned = lobe_at(lobe, frames, index[j])
             away, spread = lobe_cone(at, panel.centre, half_diagonal(panel), turned)
             nearest = max(0.0, away - spread)
-            error = tail_error(nearest * nearest * lobe.inverse, _PEAK_ERROR) if lobe.ggx else TAIL_ERROR
+            error = tail_error(nearest * nearest * lobe.inverse, PEAK_ERROR) if lobe.ggx else TAIL_ERROR
             least = light.nodes if error < _FEW_NODES_ERROR else 2
             wanted[j] = max(smooth_nodes_within(away, spread, turned, error, NEGLIGIBLE_EXPONENT), least)
     for few in range(2, _MOST_EVEN + 1):

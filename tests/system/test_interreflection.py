@@ -350,7 +350,9 @@ def test_a_region_of_the_same_reflectance_shows_the_same_bounce():
 def test_maps_of_blockers_change_no_bounce(monkeypatch):
     """Shadow rays of the points that rays meet are proven free as those of images are, with the same levels."""
     scene = build_scene(CONFIGS / "rigs" / "four-panel.yaml", CONFIGS / "parts" / "spout.yaml", points="auto")
-    camera = replace(scene.camera, width=320, height=240, pixel_size=5.0 * scene.camera.pixel_size, principal_point=None)
+    camera = replace(
+        scene.camera, width=320, height=240, pixel_size=5.0 * scene.camera.pixel_size, principal_point=None
+    )
     scene = replace(scene, camera=camera, bounces=1, lights=scene.lights[:1])
     shown, free = [], []
     for maps in (True, False):

@@ -91,6 +91,15 @@ def test_tolerances_are_in_the_table_and_the_csv_file():
     assert [row["pose_tolerance_deg"] for row in rows] == ["16", "12.5", ""]
 
 
+def test_what_lights_find_between_the_candidates_is_in_the_table_and_the_csv_file():
+    found = comparison_of(system("a", 0.9, 8.0, most=0.925), system("b", 0.8, 5.0))
+    table = systems_table(found)
+    column = table.header.index("found")
+    assert [row[column] for row in table.rows] == ["90.0 % (≤ 92.5 %)", "80.0 %"]
+    rows = list(csv.DictReader(comparison_csv(found).splitlines()))
+    assert [row["share_between_candidates"] for row in rows] == ["0.925000", ""]
+
+
 def test_presets_have_the_pixels_and_the_sensor_of_the_rig_they_are_compared_with(tmp_path):
     rig = load_rig(rig_file(tmp_path, "panels"))
     own = pixel_footprint(build_camera(rig), 550.0)
@@ -124,10 +133,14 @@ def test_systems_are_designed_compared_and_reported(bench, tmp_path, cli):
     shares = [one["share"] for one in found["systems"]]
     assert shares == sorted(shares, reverse=True)
     assert [one["name"] for one in found["unusable"]] == ["blocked"]
+    assert any(one["share_between_candidates"] for one in found["systems"])
     for one in found["systems"]:
         own = json.loads((out / one["folder"] / "result.json").read_text(encoding="utf-8"))
         (objective,) = own["results"][0]["objectives"]
         assert one["share"] == objective["share_of_inspectable_area"]
+        between = objective["between_candidates"]
+        assert one["share_between_candidates"] == (between and between["share_of_inspectable_area"])
+        assert one["share"] <= (one["share_between_candidates"] or 1.0)
         assert one["defects"] == objective["defects"]
         assert one["images"] == 2
         assert 0.0 < one["seconds"] < 60.0

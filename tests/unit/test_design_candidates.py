@@ -13,7 +13,7 @@ from lightopt import build_scene
 from lightopt.config import load_rig
 from lightopt.core.errors import InputError
 from lightopt.design import find_candidates
-from lightopt.design._candidates import light_places
+from lightopt.design._candidates import place_grid
 
 RIG = """\
 format: lightopt-rig/1
@@ -53,7 +53,7 @@ def test_ranges_at_a_step_include_both_ends(tmp_path):
     panel = found.panels[2][7]
     assert np.rad2deg([panel.elevation, panel.azimuth]) == pytest.approx(found.places[2][7])
     # steps that rounding keeps just off the end do not give the end twice
-    assert [e for e, _ in light_places(rig, 0, step_deg=0.1)][-2:] == [41.9, 42.0]
+    assert [e for e, _ in place_grid(rig, 0, step_deg=0.1).places][-2:] == [41.9, 42.0]
 
 
 def test_distances_in_their_range_are_candidates_with_every_angle(tmp_path):
@@ -93,13 +93,13 @@ def test_distances_that_a_light_cannot_have_are_left_out_one_by_one(tmp_path):
     ]
     assert found.places == (((5.0, 180.0, 400.0),), ((45.0, 0.0, 400.0),), ((45.0, 5.0),))
     with pytest.raises(InputError, match="more than 100,000 positions; raise option 'step_deg' 1 or distance_step_mm"):
-        light_places(rig_of(tmp_path, light("a", 45, 0, ", distance_range_mm: [1, 400], distance_step_mm: 0.001")), 0,
+        place_grid(rig_of(tmp_path, light("a", 45, 0, ", distance_range_mm: [1, 400], distance_step_mm: 0.001")), 0,
                      step_deg=1.0)  # fmt: skip
 
 
 def test_a_full_turn_has_no_position_twice(tmp_path):
     rig = rig_of(tmp_path, light("a", 40, 0, ", azimuth_range_deg: [0, 360]"), light("b", 40, 0, distance=500))
-    assert len(light_places(rig, 0, step_deg=90.0)) == 4
+    assert len(place_grid(rig, 0, step_deg=90.0).places) == 4
 
 
 def test_common_elevation_ties_those_that_move(tmp_path):

@@ -28,7 +28,7 @@ from lightopt.design import (
     search,
 )
 from lightopt.design._candidates import Candidates
-from lightopt.design._cells import Cells
+from lightopt.design._cells import Cells, LightCells
 from lightopt.design.search._best_positions import answer_set, limit_warning
 from lightopt.design.search._exact_search import CombinationSpace
 
@@ -143,7 +143,7 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
         panels=((),) * 3,
         left_out=(),
         space=CombinationSpace.of((3, 3, 3)),
-        cells=Cells(((),) * 3, ((),) * 3, CombinationSpace.of((0, 0, 0))),
+        cells=Cells((LightCells((), (), ()),) * 3, CombinationSpace.of((0, 0, 0))),
     )
     lights = [SimpleNamespace(elevation_deg=30.0, azimuth_deg=0.0, distance_range_mm=None)] * 3
     problem = SimpleNamespace(

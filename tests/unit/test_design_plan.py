@@ -369,7 +369,7 @@ def test_lights_between_the_candidates_cover_no_more_than_the_bound(world):
     evaluator, shots = deciding(evaluator, 2), [(posture, (1.0,)) for posture in POSTURES[:2]]
     candidates, finer = (find_candidates(rig, step_deg=step) for step in (10.0, 5.0))
     weights = heavy(evaluator)
-    bound = placing.bound_between(evaluator, shots, candidates)
+    bound = placing.bound_between(evaluator, shots, candidates).score
     units = [
         [pairs_of(evaluator, posture, some) for some in candidates.panels] for posture, _ in shots
     ]  # of each posture and light, shape (positions, patches, defects)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from lightopt.config import load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_z, vector_of_rotation
-from lightopt.design._candidates import light_places, panels_of, place_of
+from lightopt.design._candidates import panels_of, place_grid, place_of
 from lightopt.design._files import _rig_text
 from lightopt.lights import panel_corners
 from lightopt.scene import Stage, build_camera, build_lights, build_stage, pixel_directions, place_camera, project
@@ -179,7 +179,7 @@ def test_a_measured_place_stands_for_one_that_is_hardly_another(tmp_path):
     posed = rig(tmp_path, (LIGHT, f"{{name: light1, pose: {pose}, elevation_range_deg: [30, 60.02]}}"))
     here = place_of(posed.lights[0])
     assert 60.0 < here[0] < 60.02
-    found = light_places(posed, 0, step_deg=5.0)
+    found = place_grid(posed, 0, step_deg=5.0).distinct
     assert [elevation for elevation, _ in found] == [30.0, 35.0, 40.0, 45.0, 50.0, 55.0, here[0]]
     assert found[-1] == here
 

@@ -19,14 +19,13 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, ignore, part_of
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
-from lightopt.design._cells import Cells
 from lightopt.design.objectives._scores_by_units import PositionCounts, combination_sums
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE
 from lightopt.design.responses._image_evaluator import ImageEvaluator, PatchRow
 from lightopt.design.responses._luminance_matrix import select_rows
 from lightopt.design.responses._pairs import Packed, PackedCounts, PairWeights, add_units, pack_counts
 from lightopt.design.search import _exact_search
-from lightopt.design.search._between_steps import cell_flags
+from lightopt.design.search._between_steps import CellBound, ProbedCells, cell_flags
 from lightopt.lights import PanelLight
 
 Rows = Sequence[Int64]
@@ -145,7 +144,10 @@ def first_allowed(
 
 def position_counts_fit(evaluator: ImageEvaluator, candidates: Candidates | None) -> bool:
     """Whether memory suffices for the counts of all positions of the lights."""
-    positions = 0 if candidates is None else sum(len(some) for some in candidates.panels)
+    positions = 0
+    if candidates is not None:
+        cells = candidates.cells.of_lights
+        positions = max(sum(len(some) for some in candidates.panels), sum(len(own.cells) for own in cells))
     pairs = len(evaluator.patches) * evaluator.weights.masks.shape[1]
     # those of a posture's images beside the sums
     return positions * (evaluator.needed + UNITS_OF_IMAGE) * pairs * 8 <= MOST_COUNT_BYTES
@@ -191,18 +193,16 @@ def _added_counts(
     postures: Sequence[ExposedPosture],
     panels: Sequence[Sequence[PanelLight]],
     progress: Share = ignore,
-    cells: Cells | None = None,
+    corners: Sequence[Sequence[Int64]] | None = None,
 ) -> list[PositionCounts]:
-    # of each position, or of each cell between them: what the best of its corners shows, posture by posture
-    sizes = map(len, panels if cells is None else cells.of_lights)
+    # of each position, or of each cell with corners among them: what the best corner shows, posture by posture
+    sizes = map(len, panels if corners is None else corners)
     totals = [_zero_counts(evaluator, size) for size in sizes]
     for done, (posture, exposures) in enumerate(postures, start=1):
         images = replace(evaluator, exposures=exposures).flags(posture, panels)
         for light, (total, layer) in enumerate(zip(totals, images, strict=True)):
             for place in range(len(total)):
-                add_units(
-                    total[place], layer[place] if cells is None else cell_flags(layer, cells.corners[light][place])
-                )
+                add_units(total[place], layer[place] if corners is None else cell_flags(layer, corners[light][place]))
         progress(done / len(postures))
     return totals
 
@@ -218,14 +218,33 @@ def bound_between(
     *,
     limit: int = _exact_search.DEFAULT_LIMIT,
     progress: Share | None = None,
-) -> int | None:
-    """What no positions between the candidates cover in these postures; None where combinations are too many to try."""
+) -> CellBound | None:
+    """What no combination of cells covers in these postures; None where combinations are too many to try."""
+    space, panels = (
+        candidates.cells.space,
+        [(*own, *light.beyond) for own, light in zip(candidates.panels, candidates.cells.of_lights, strict=True)],
+    )
+    if sum(math.prod(len(rows) for rows in group) for group in space.groups) > limit:
+        return None
+    corners = [light.corners for light in candidates.cells.of_lights]
     counted = len(postures) / (len(postures) + 1)
-    cells, panels, rest = candidates.cells, candidates.panels, part_of(progress, counted, 1.0)
-    counts = _added_counts(evaluator, postures, panels, part_of(progress, 0.0, counted), cells)
-    weights, space, how = evaluator.weights, cells.space, {"needed": evaluator.needed, "limit": limit}
-    best = place_lights(counts, weights, space, **how, threads=evaluator.threads, progress=rest)
-    return best.covered if best.exact else None
+    counts = _added_counts(evaluator, postures, panels, part_of(progress, 0.0, counted), corners)
+    weights, needed, rest = evaluator.weights, evaluator.needed, part_of(progress, counted, 1.0)
+    threads = evaluator.threads
+    best = place_lights(counts, weights, space, needed=needed, limit=limit, threads=threads, progress=rest)
+    return CellBound(best.covered, best.candidates)
+
+
+def excess_of_counts(tested: ProbedCells, evaluator: ImageEvaluator, postures: Sequence[ExposedPosture]) -> float:
+    """What places inside tested cells add to what is covered in postures, as a share of all pairs."""
+    weights = evaluator.weights
+    images = [replace(evaluator, exposures=exposures).flags(one, tested.panels) for one, exposures in postures]
+
+    def score(rows: Sequence[Int64]) -> float:
+        best = (cell_flags(flags, own) for layers in images for flags, own in zip(layers, rows, strict=True))
+        return float(weights.covered(weights.sum_counts(best, evaluator.needed)))
+
+    return tested.excess(score) / max(1, weights.total)
 
 
 def best_positions(

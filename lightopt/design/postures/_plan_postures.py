@@ -27,6 +27,7 @@ from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._light_positions import (
     best_positions,
     bound_between,
+    excess_of_counts,
     position_counts,
     position_counts_fit,
 )
@@ -34,7 +35,7 @@ from lightopt.design.postures._posture_search import PostureChoice, PostureReque
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, PatchRow, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._pairs import Counts, unpack_flags
-from lightopt.design.search._between_steps import BetweenSteps, share_outside
+from lightopt.design.search._between_steps import BetweenSteps, ProbedCells, tested_patches
 from lightopt.design.search._exact_search import Ranked
 from lightopt.lights import PanelLight
 from lightopt.rendering import build_patches, cast_rays_at
@@ -193,17 +194,22 @@ def _between_steps(
     run: RunContext,
 ) -> BetweenSteps | None:
     # of the lights in the chosen postures, at the exposures that are planned
-    evaluator = replace(chosen.evaluator, images=chosen.choice.images)
-    if free is None or not any(free.cells.moves) or not position_counts_fit(evaluator, free):
+    choice, evaluator = chosen.choice, chosen.evaluator
+    if free is None or not free.cells.moves or not position_counts_fit(evaluator, free):
         return None
-    postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
-    bound = bound_between(evaluator, postures, free, limit=options.limit, progress=run.stage("between the steps"))
-    if bound is None:
+    shots = [(posture, choice.exposures_of(posture)) for posture in chosen.way.order]
+    own, progress = replace(evaluator, images=choice.images, pool=None), run.stage("between the steps")
+    found = bound_between(own, shots, free, limit=options.limit, progress=progress)
+    if found is None:
         return None
-    outside = share_outside(rig, free, options, evaluator, postures)
-    between = BetweenSteps(bound=max(bound, score), outside=outside)
+    tested = ProbedCells.around(rig, free, options, choice.lights, found.cells)
+    excess = excess_of_counts(tested, tested_patches(evaluator, len(shots)), shots)
+    # the lights of the rig file, where they stay, are no candidates
+    best = score if choice.lights is not None else min(score, found.score)
+    whole = evaluator.weights.total
+    between = BetweenSteps.of(found.score, excess, full=whole, best=best, postures=chosen.way.order)
     run.warn(*filter(None, [between.warning(chosen.way.order)]))
-    return between
+    return between if between.bound >= score else None
 
 
 def _curves(

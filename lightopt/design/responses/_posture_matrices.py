@@ -123,16 +123,17 @@ class PostureMatrices:
             cached = read_matrix(path, key=key, lights=len(self.problem.candidates.names), defects=defects)
             if cached is not None:
                 self.reused += 1
-                return self._with_spare(cached)
+                return self.with_spare(cached)
         panels, stage = self.problem.candidates.panels, self.run.stage(f"casting rays, {posture}")
         most, evaluator = MOST_BYTES // held, self.evaluator(self.detection)
         (matrix,) = evaluator.matrices(posture, panels, most_bytes=most, progress=stage)
         if self.problem.options.keep_matrix:
             make_folder(path.parent)
             write_matrix(path, matrix, self.problem.candidates.places, key=key)
-        return self._with_spare(matrix)
+        return self.with_spare(matrix)
 
-    def _with_spare(self, matrix: LuminanceMatrix) -> LuminanceMatrix:
+    def with_spare(self, matrix: LuminanceMatrix) -> LuminanceMatrix:
+        """The matrix with the units of evidence that are not needed where few of its positions light a patch."""
         if self.detection is None or matrix.visibility is None:
             return matrix
         spare = spare_units(matrix.levels, self.detection.sensor, self.detection.min_images)

@@ -15,7 +15,13 @@ from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
 from lightopt.design.responses._posture_matrices import PostureMatrices
-from lightopt.design.search._between_steps import BetweenSteps, bound_between, share_outside
+from lightopt.design.search._between_steps import (
+    BetweenSteps,
+    ProbedCells,
+    bound_between,
+    excess_of_levels,
+    tested_patches,
+)
 from lightopt.design.search._exact_search import CombinationSpace, SearchResult, search
 from lightopt.rendering import GRAZING_DEG, grain_of
 
@@ -67,7 +73,9 @@ def answer_set(
         if answer.scores[objective.name] != found.best.score:
             scores = f"{found.best.score:,} in the search and {answer.scores[objective.name]:,} by its definition"
             raise LightoptError(f"internal error: objective {objective.name} scores the best set {scores}")
-        answers.append(replace(answer, between=_between_steps(answer, matrices, postures, source)))
+        if not answers:
+            answer = replace(answer, between=_between_steps(answer, matrices, postures, source))
+        answers.append(answer)
     first = answers[0]
     best, areas = first.found.best, [matrix.areas for matrix in matrices]
 
@@ -92,18 +100,23 @@ def _between_steps(
 ) -> BetweenSteps | None:
     # none where the search did not end either, or no light moves
     problem, objective, run = source.problem, answer.objective, source.run
-    candidates, where = problem.candidates, f"{objective.name} between the steps"
-    if not any(candidates.cells.moves) or not answer.found.complete or answer.nothing is not None:
+    candidates, where = problem.candidates, ", ".join(map(str, postures))
+    cells, best = candidates.cells, answer.found.best
+    if not cells.moves or not answer.found.complete or answer.nothing is not None:
         return None
-    limit, progress = problem.options.limit, run.stage(f"{where}, {', '.join(map(str, postures))}")
-    ask = (matrices, objective, problem.thresholds, candidates.cells)
-    bound = bound_between(*ask, limit=limit, threads=run.threads, progress=progress)
-    if bound is None:
+    evaluator = source.evaluator(source.detection if isinstance(objective, DetectabilityObjective) else None)
+    outer = [evaluator.matrices(posture, [own.beyond for own in cells.of_lights])[0] for posture in postures]
+    ask = (matrices, outer, objective, problem.thresholds, cells)
+    progress = run.stage(f"{objective.name} between the steps, {where}")
+    found = bound_between(*ask, limit=problem.options.limit, threads=run.threads, progress=progress)
+    if found is None:
         return None
-    detection = source.detection if isinstance(objective, DetectabilityObjective) else None
-    shots = [(posture, (1.0,)) for posture in postures]
-    outside = share_outside(problem.rig, candidates, problem.options, source.evaluator(detection), shots)
-    return BetweenSteps(bound=max(bound, answer.found.best.score), outside=outside)
+    tested = ProbedCells.around(problem.rig, candidates, problem.options, best.candidates, found.cells)
+    few = tested_patches(evaluator, len(postures))
+    tests = [source.with_spare(few.matrices(posture, tested.panels)[0]) for posture in postures]
+    excess = excess_of_levels(tested, tests, objective, problem.thresholds)
+    full = objective.full_score(sum(int(area_units(matrix.areas).sum()) for matrix in matrices))
+    return BetweenSteps.of(found.score, excess, full=full, best=best.score, postures=postures)
 
 
 def _initial_score(

@@ -10,22 +10,26 @@ positions within the ranges exceed. For levels the best is
 
 which no objective scores lower than any level between. For evidence it is the most units of any corner.
 
-The assumption fails where a highlight is narrower than a step and passes between two candidates. It is tested: midway
-between the corners of some cells, the share of the surface that shows more than the cell allows is part of the answer.
+A highlight that is narrower than a step may pass between two candidates, and every level has its maximum somewhere. So
+some cells are also evaluated at places inside: those of the best combination of cells, those around the best
+candidates, and others. What these places add to the score of a combination of cells, at most, is added to the bound.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.config import RigConfig
 from lightopt.core.arrays import Int64
-from lightopt.core.errors import percent
+from lightopt.core.errors import LightoptError, percent
 from lightopt.core.run_context import Share, ignore
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates, panels_of
-from lightopt.design._cells import Cells, middle
+from lightopt.design._cells import Cells, places_inside
 from lightopt.design._problem import OptimizeOptions
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageEvaluator, drawn_patches
@@ -34,62 +38,107 @@ from lightopt.design.responses._pairs import Words
 from lightopt.design.search._exact_search import search
 from lightopt.lights import PanelLight
 
-TESTED_CELLS = 4  # of each light
+FURTHER_TESTS = 2  # combinations of cells that are tested beside the best one and that around the best candidates
 TESTED_SHARE, LEAST_TESTED, MOST_TESTED = 0.1, 200, 4_000  # share and numbers of patches that represent the others
-MOST_OUTSIDE = 0.01  # share of the surface that may show more midway; more causes a warning
-
+MOST_EXCESS = 0.01  # of the full score, that places inside cells may add; more causes a warning
 
 BETWEEN_MEANING = (
-    "this bound is of all positions within the ranges, if the levels and the evidence of defects between neighbouring "
-    "candidates lie between theirs"
+    "between the candidates: levels, and the evidence of defects, are taken to lie between those of neighbouring "
+    "candidates; what some places between them show beyond that is added to the bound"
 )
 """What a score of positions between the candidates is."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BetweenSteps:
-    bound: int  # score that no positions exceed, if levels between candidates lie between theirs
-    outside: float  # share of the surface, × defects where these decide, that shows more midway in the cells tested
+    bound: int  # score that positions within the ranges are expected not to exceed
+    excess: float  # what places inside cells add to it, as a share of the full score, or of the bound
+
+    @classmethod
+    def of(
+        cls, bound: int, excess: float, *, full: int | None, best: int, postures: Sequence[Posture]
+    ) -> "BetweenSteps":
+        """From a bound by the corners, and what places inside add as a share of a full score, or of the bound.
+
+        Raises LightoptError: The best candidates, which are corners, exceed the bound: an error of the program.
+        """
+        if bound < best:
+            where = ", ".join(map(str, postures))
+            raise LightoptError(f"internal error: {where}: bound {bound:,} of all positions below the best, {best:,}")
+        whole = bound if full is None else full
+        raised = bound + math.ceil(excess * whole)
+        return cls(bound=raised if full is None else min(full, raised), excess=excess)
 
     def warning(self, postures: Sequence[Posture]) -> str | None:
-        """The warning about steps that are too large for the bound to hold; None where they are not."""
-        if self.outside <= MOST_OUTSIDE:
+        """The warning about steps that are too large for a bound; None where they are not."""
+        if self.excess <= MOST_EXCESS:
             return None
         return (
-            f"{', '.join(map(str, postures))}: midway between candidate positions {percent(self.outside, 0)} of the "
-            "surface shows more than at any of them: the bound for positions between the steps may be too low. Lower "
-            "option 'step_deg', or distance_step_mm of the light"
+            f"{', '.join(map(str, postures))}: between candidate positions up to {percent(self.excess, 0)} of the "
+            "score was found that none of them shows: the bound for positions between them is uncertain. Lower option "
+            "'step_deg', or distance_step_mm of the light"
         )
 
 
-def cell_levels(layer: Levels, corners: Sequence[Int64], thresholds: LevelThresholds) -> Levels:
-    """The best levels that the corners of each cell allow, shape (cells, p); `layer` has those of the candidates."""
+@dataclass(frozen=True)
+class CellBound:
+    score: int  # that no combination of cells exceeds
+    cells: tuple[int, ...]  # of each light, in the best combination
+
+
+def cell_levels(
+    layer: Levels, corners: Sequence[Int64], thresholds: LevelThresholds, beyond: Levels | None = None
+) -> Levels:
+    """The best levels that the corners of each cell allow, shape (cells, p).
+
+    layer: Those of the candidates, shape (candidates, p).
+    beyond: Those of corners that are excluded as positions, which follow the candidates.
+    """
     best = np.empty((len(corners), layer.shape[1]), layer.dtype)
     usable = min(thresholds.saturation - 1, int(np.iinfo(layer.dtype).max))
     for row, some in zip(best, corners, strict=True):
-        least, greatest = layer[some].min(axis=0), layer[some].max(axis=0)
+        own = corner_rows(layer, beyond, some)
+        least, greatest = own.min(axis=0), own.max(axis=0)
         row[:] = np.where(least <= usable, np.minimum(greatest, usable), greatest)
     return best
 
 
-def cell_flags(flags: Words, corners: Int64) -> Words:
+def corner_rows(layer: NDArray[Any], beyond: NDArray[Any] | None, corners: Int64) -> NDArray[Any]:
+    """The rows of some corners: of candidates, and of what is beyond them."""
+    count = len(layer)
+    if beyond is None or corners[-1] < count:
+        return layer[corners]
+    return np.concatenate([layer[corners[corners < count]], beyond[corners[corners >= count] - count]])
+
+
+def cell_flags(flags: Words, corners: Int64, beyond: Words | None = None) -> Words:
     """The most units of evidence of the corners of a cell, shape (units, p, words); `flags` has all candidates'."""
-    return np.bitwise_or.reduce(flags[corners], axis=0)
+    return np.bitwise_or.reduce(corner_rows(flags, beyond, corners), axis=0)
 
 
-def cell_matrix(matrix: LuminanceMatrix, cells: Cells, thresholds: LevelThresholds) -> LuminanceMatrix:
-    """The luminance matrix of cells instead of candidates."""
-    levels = (cell_levels(*own, thresholds) for own in zip(matrix.levels, cells.corners, strict=True))
+def cell_matrix(
+    matrix: LuminanceMatrix,
+    corners: Sequence[Sequence[Int64]],
+    thresholds: LevelThresholds,
+    beyond: LuminanceMatrix | None = None,
+) -> LuminanceMatrix:
+    """The luminance matrix of cells instead of candidates; `corners` of each light's cells, as in :class:`Cells`."""
+    lights = range(len(corners))
+    levels = [
+        cell_levels(matrix.levels[i], corners[i], thresholds, None if beyond is None else beyond.levels[i])
+        for i in lights
+    ]
     seen = matrix.visibility
     if seen is not None:
-        lights = zip(seen.words, cells.corners, strict=True)
-        words = tuple(np.array([cell_flags(flags, some) for some in corners]) for flags, corners in lights)
-        seen = replace(seen, words=words)
+        more = [None if beyond is None else _words(beyond)[i] for i in lights]
+        words = (np.array([cell_flags(seen.words[i], some, more[i]) for some in corners[i]]) for i in lights)
+        seen = replace(seen, words=tuple(words))
     return replace(matrix, levels=tuple(levels), visibility=seen)
 
 
 def bound_between(
     matrices: Sequence[LuminanceMatrix],
+    beyond: Sequence[LuminanceMatrix],
     objective: Objective,
     thresholds: LevelThresholds,
     cells: Cells,
@@ -97,93 +146,98 @@ def bound_between(
     limit: int,
     threads: int | None = None,
     progress: Share = ignore,
-) -> int | None:
-    """A score that no positions between candidates exceed; None where memory does not suffice.
+) -> CellBound | None:
+    """What no combination of cells exceeds; None where memory does not suffice, or the search reaches its limit.
 
     matrices: Of the candidates, as for :func:`search`; also `limit`, `threads` and `progress` are as there.
+    beyond: Of the corners that are excluded as positions.
     """
     layers = [layer for matrix in matrices for layer in (*matrix.levels, *_words(matrix))]
     if 2 * sum(layer.nbytes for layer in layers) > MOST_BYTES:
         return None
-    best = [cell_matrix(matrix, cells, thresholds) for matrix in matrices]
+    corners = [own.corners for own in cells.of_lights]
+    best = [cell_matrix(own, corners, thresholds, more) for own, more in zip(matrices, beyond, strict=True)]
     space = cells.space
     found = search(best, objective, thresholds, space=space, keep=2, limit=limit, threads=threads, progress=progress)
-    return found.bound
+    return CellBound(found.bound, found.best.candidates) if found.complete else None
 
 
 def _words(matrix: LuminanceMatrix) -> tuple[Words, ...]:
     return () if matrix.visibility is None else matrix.visibility.words
 
 
-def share_outside(
-    rig: RigConfig,
-    candidates: Candidates,
-    options: OptimizeOptions,
-    evaluator: ImageEvaluator,
-    shots: Sequence[tuple[Posture, tuple[float, ...]]],
+def tested_patches(evaluator: ImageEvaluator, postures: int) -> ImageEvaluator:
+    """The evaluator of patches that represent the others where cells are tested."""
+    few = max(LEAST_TESTED, min(MOST_TESTED // postures, round(TESTED_SHARE * len(evaluator.patches))))
+    return replace(evaluator, table=drawn_patches(evaluator.table, few), images=None, pool=None)
+
+
+@dataclass(frozen=True, eq=False)
+class ProbedCells:
+    """Combinations of cells that are evaluated inside, too."""
+
+    panels: tuple[tuple[PanelLight, ...], ...]  # of each light: of each combination the corners, then places inside
+    corners: tuple[tuple[Int64, ...], ...]  # of each light and combination, indices of these corners
+    inside: tuple[tuple[Int64, ...], ...]  # and of these places
+
+    @classmethod
+    def around(
+        cls,
+        rig: RigConfig,
+        candidates: Candidates,
+        options: OptimizeOptions,
+        best: Sequence[int] | None,
+        found: Sequence[int],
+    ) -> "ProbedCells":
+        """The best combination of cells, cells around the best candidates, and others, evenly spread."""
+        lights = candidates.cells.of_lights
+        panels: list[tuple[PanelLight, ...]] = []
+        corners: list[tuple[Int64, ...]] = []
+        inside: list[tuple[Int64, ...]] = []
+        for light, own in enumerate(lights):
+            here = found[light] if best is None else next(k for k, c in enumerate(own.corners) if best[light] in c)
+            spread = (round((k + 1) * (len(own.cells) - 1) / (FURTHER_TESTS + 1)) for k in range(FURTHER_TESTS))
+            tested = [found[light], here, *spread]
+            there, mine = (*candidates.panels[light], *own.beyond), list[PanelLight]()
+            rows: dict[int, tuple[Int64, Int64]] = {}
+            for k in dict.fromkeys(tested):
+                ends = [len(mine)]
+                mine += [there[c] for c in own.corners[k]]
+                ends.append(len(mine))
+                if own.moves:
+                    mine += panels_of(rig, light, places_inside(own.cells[k]), options.points)
+                ends.append(len(mine))
+                rows[k] = np.arange(ends[0], ends[1]), np.arange(ends[1], ends[2])
+            panels.append(tuple(mine))
+            corners.append(tuple(rows[k][0] for k in tested))
+            inside.append(tuple(rows[k][1] for k in tested))
+        return cls(tuple(panels), tuple(corners), tuple(inside))
+
+    def excess(self, score: Callable[[Sequence[Int64]], float]) -> float:
+        """What places inside add to the score of one of the combinations, at most.
+
+        score: Of the best of some rows of each light's panels.
+        """
+        pairs = zip(zip(*self.corners, strict=True), zip(*self.inside, strict=True), strict=True)
+        return max(
+            0.0, *(score([np.append(*own) for own in zip(*pair, strict=True)]) - score(pair[0]) for pair in pairs)
+        )
+
+
+def excess_of_levels(
+    tested: ProbedCells, matrices: Sequence[LuminanceMatrix], objective: Objective, thresholds: LevelThresholds
 ) -> float:
-    """Share of the surface that shows more midway between candidates than the corners there allow.
+    """What places inside tested cells add to an objective's score, as a share of the full score, or of the score.
 
-    Of the lights the one with the largest share, in the mean of some of its cells. Where the evaluator tests images
-    for defects, it is a share of surface × defects.
-
-    shots: Postures, with the exposures of their images.
+    matrices: Of the tested panels, one of each posture.
     """
-    thresholds = LevelThresholds.of_sensor(evaluator.scene.sensor, shade_share=options.shade_below)
-    few = max(LEAST_TESTED, min(MOST_TESTED // len(shots), round(TESTED_SHARE * len(evaluator.patches))))
-    drawn = replace(evaluator, table=drawn_patches(evaluator.table, few), images=None, pool=None)
-    cells = candidates.cells
-    tested = [_evenly(len(own)) if moves else [] for own, moves in zip(cells.of_lights, cells.moves, strict=True)]
-    # of each cell the panels at its corners, then the one midway
-    panels: list[list[PanelLight]] = []
-    for light, some in enumerate(tested):
-        midway = [middle(cells.of_lights[light][k]) for k in some]
-        between = panels_of(rig, light, midway, options.points)
-        own = candidates.panels[light]
-        panels.append(
-            [
-                one
-                for k, at in zip(some, between, strict=True)
-                for one in (*(own[c] for c in cells.corners[light][k]), at)
-            ]
-        )
-    outside, whole = np.zeros(len(panels)), np.zeros(len(panels))
-    for posture, exposures in shots:
-        matrices = drawn.matrices(posture, panels, exposures=exposures)
-        for light, some in enumerate(tested):
-            start = 0
-            for k in some:
-                end = start + len(cells.corners[light][k])
-                more, most = _outside(matrices, light, slice(start, end), thresholds)
-                outside[light] += more
-                whole[light] += most
-                start = end + 1
-    return float(np.max(outside / np.maximum(whole, 1e-12), initial=0.0))
+    areas = np.concatenate([matrix.areas for matrix in matrices])
+    whole = objective.full_score(int(objective.weights(areas).sum()))
 
+    def score(rows: Sequence[Int64]) -> float:
+        best = (cell_matrix(matrix, [[own] for own in rows], thresholds) for matrix in matrices)
+        return float(sum(objective.score(one, objective.weights(one.areas), thresholds) for one in best))
 
-def _evenly(count: int) -> list[int]:
-    return [*dict.fromkeys(round(k * (count - 1) / (TESTED_CELLS - 1)) for k in range(TESTED_CELLS))]
-
-
-def _outside(
-    matrices: Sequence[LuminanceMatrix], light: int, corners: slice, thresholds: LevelThresholds
-) -> tuple[float, float]:
-    """Of a light's cell, the area × weight of defects that shows more midway, and all of it.
-
-    `matrices` are of the exposures of an image; the position midway follows the corners.
-    """
-    first, midway = matrices[0], corners.stop
-    if first.visibility is None:
-        best, at = (
-            cell_levels(first.levels[light], [np.arange(corners.start, corners.stop)], thresholds)[0],
-            first.levels[light][midway],
-        )
-        usable, before = ((one >= thresholds.shade) & (one < thresholds.saturation) for one in (at, best))
-        return float(first.areas @ (usable & ~before)), float(first.areas.sum())
-    shown, below = (
-        np.bitwise_or.reduce([some for matrix in matrices for some in _words(matrix)[light][rows]], axis=0)
-        for rows in (slice(midway, midway + 1), corners)
-    )
-    more = np.bitwise_or.reduce(shown & ~below, axis=0)
-    weights = sum(defect.weight for defect in first.visibility.defects)
-    return float(first.areas @ first.visibility.weights(more)), float(first.areas.sum() * weights)
+    if whole is None:
+        whole = max(1.0, *(score(rows) for rows in zip(*tested.corners, strict=True)))
+    return tested.excess(score) / max(1.0, whole)

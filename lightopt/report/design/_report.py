@@ -61,7 +61,9 @@ def answer_blocks(output: design.DesignOutput) -> list[Block]:
     blocks += [Note(text=f"{gain[0].upper()}{gain[1:]}.") for result, _ in found if (gain := result.gain_text)]
     blocks += [Note(text=proof) for proof in proofs]
     between = [text for result, _ in found if (text := result.between_text)]
-    blocks += [Note(text=f"{text[0].upper()}{text[1:]}; {design.BETWEEN_MEANING}.") for text in between]
+    blocks += [Note(text=f"{text[0].upper()}{text[1:]}.") for text in between]
+    if between:
+        blocks.append(Note(text=f"{design.BETWEEN_MEANING[0].upper()}{design.BETWEEN_MEANING[1:]}."))
     if found:
         blocks.append(Note(text=f"Capture: {capture_text(output.result)}."))
     rigs = ", ".join(rig["file"] for rig in output.document["rigs"])
