@@ -196,6 +196,9 @@ def _inspect(
         others = f", {words['not inspected']} not inspected" if words["not inspected"] else ""
         pace = f"{len(rows) / max(minutes, 1e-9):.3g} parts per minute"
         echo(f"{len(rows)} parts, {words['OK']} OK{others}; {pace}")
+        if shares := sorted(row.verdict.inspected for row in rows if row.verdict is not None):
+            ends = dict.fromkeys(map(percent, (shares[0], shares[-1])))
+            echo(f"inspected: {' to '.join(ends)} of the visible surface of each part")
         _write_batch(output, batch, rows, evaluations if evaluate else None)
     return rows
 

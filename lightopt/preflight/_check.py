@@ -23,6 +23,7 @@ RIG_CHECKS: tuple[Callable[[CheckedRig], Iterable[Finding]], ...] = (
     _camera.check_field_of_view,
     _camera.check_sensor,
     _lights.check_lights_in_view,
+    _lights.check_image_count,
     _lights.check_housings,
     _lights.check_below_horizon,
     _lights.check_collisions,

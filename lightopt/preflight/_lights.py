@@ -41,6 +41,15 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
         yield Finding("ok", "light in view", "no light stands in the camera's view, nor moves into it")
 
 
+def check_image_count(checked: CheckedRig) -> Iterator[Finding]:
+    """A rig that takes a single image of a posture, so that no other image confirms a defect."""
+    if len(checked.lights) == 1:
+        (light,) = checked.lights
+        text = f"{light.name} is the only light: no second image of a posture confirms what its image shows, and by "
+        text += "default two must show a defect. Add a light or let one image decide"
+        yield Finding("note", "number of images", text, checked.at("lights", 0), {"images": 1})
+
+
 def check_housings(checked: CheckedRig) -> Iterator[Finding]:
     """Housings that hide the part from the camera, or that nothing shows."""
     own, level = checked.rig.environment.housings, checked.rig.environment.level

@@ -217,6 +217,8 @@ def test_several_parts_get_a_folder_each(cli, bench, parts):
     ran = inspect(cli, bench, [parts["good"], parts["bad"]], "--fusion", "none", "--fail-on-defect")
     assert ran.status == 1
     assert "2 parts, 1 OK" in ran.out
+    inspected = re.search(r"inspected: (\d.*) % of the visible surface of each part", ran.out)
+    assert inspected is not None
     batch = json.loads((bench.out / "batch.json").read_text(encoding="utf-8"))
     assert [(one["folder"], one["verdict"], one["defects"]) for one in batch["sets"]] == [
         ("good", "OK", 0),

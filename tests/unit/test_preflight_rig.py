@@ -343,3 +343,10 @@ def test_image_area_through_a_lens_against_counted_pixels(centre, tilt, size, le
     area = image_area(camera, panel_corners(light))
     assert 0 <= area <= 160 * 120 * (1 + 1e-9)
     assert area == pytest.approx(counted, abs=60 + 0.02 * area)
+
+
+def test_a_single_light_confirms_nothing():
+    assert find(check_rig(make_rig()), "number of images") == []
+    finding = only(check_rig(make_rig(lights=RIG["lights"][:1])), "number of images")
+    assert finding.level == "note"
+    assert "light1 is the only light" in finding.text
