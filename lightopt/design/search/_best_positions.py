@@ -104,7 +104,10 @@ def _between_steps(
     cells, best = candidates.cells, answer.found.best
     if not cells.moves or not answer.found.complete or answer.nothing is not None:
         return None
-    evaluator = source.evaluator(source.detection if isinstance(objective, DetectabilityObjective) else None)
+    of_defects = isinstance(objective, DetectabilityObjective)
+    evaluator = source.evaluator(source.detection if of_defects else None)
+    if not of_defects:
+        matrices = [replace(matrix, visibility=None) for matrix in matrices]
     outer = [evaluator.matrices(posture, [own.beyond for own in cells.of_lights])[0] for posture in postures]
     ask = (matrices, outer, objective, problem.thresholds, cells)
     progress = run.stage(f"{objective.name} between the steps, {where}")
