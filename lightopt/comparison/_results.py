@@ -132,19 +132,8 @@ def comparison_csv(comparison: LightingComparison) -> str:
     kinds = list(dict.fromkeys(kind for one in comparison.systems for kind in one.defects))
     size = [f"size_{axis}_mm" for axis in "xyz"]
     widest = ["mounting_tolerance_deg", "pose_tolerance_deg"]
-    head = [
-        "system",
-        "share",
-        "share_between_candidates",
-        *kinds,
-        "images",
-        "seconds",
-        *widest,
-        *size,
-        "footprint_mm",
-        "pareto",
-        "chosen_size",
-    ]
+    head = ["system", "share", "share_between_candidates", *kinds, "images", "seconds"]
+    head += [*widest, *size, "footprint_mm", "pareto", "chosen_size"]
     rows: list[list[object]] = [[*head]]
     best = {one.name for one in comparison.best}
     for one in comparison.systems:
@@ -224,9 +213,9 @@ def systems_table(comparison: LightingComparison, folder: Path | None = None) ->
         )
     header = ["system", "found", "Pareto", "images", "s/part", "lights ±°", "part ±°", "size [mm]", "pixel [mm]"]
     caption = (
-        "Found: share of surface × defects (≤: with lights between the "
-        "candidates at most). Pareto: no other system finds as much in less time per part. Lights ±°, "
-        "part ±°: how far all angles of the lights, or tilt and rotation of the part, may be off at once while "
+        "Found: share of surface × defects (≤: with lights between the candidates at most). Pareto: no other system "
+        "finds as much in less time per part. Lights ±°, part ±°: how far all angles of the lights, or tilt and "
+        "rotation of the part, may be off at once while "
         f"{percent(design.DEFAULT_TOLERANCE_TARGET, 0)} of the share is kept. Size: of the box around the lights along "
         "X, Y, Z. Pixel: its side at the origin."
     )

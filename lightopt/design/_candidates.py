@@ -58,6 +58,7 @@ class PlaceGrid:
 
     axes: tuple[tuple[float, ...], ...]  # steps of elevation and azimuth [°] and perhaps distance [mm], ascending
     places: tuple[Place, ...]  # every combination of these, in their order
+    full_turn: bool = False  # whether the azimuths go all the way round
 
     @property
     def distinct(self) -> list[Place]:
@@ -78,7 +79,8 @@ def place_grid(rig: RigConfig, index: int, *, step_deg: float, elevations: Seque
     if elevations is None or light.elevation_range_deg is None:
         elevations = _steps(light.elevation_range_deg, light.elevation_deg, step_deg)
     azimuths = _steps(light.azimuth_range_deg, light.azimuth_deg, step_deg)
-    if len(azimuths) > 1 and _is_full_turn((azimuths[0], azimuths[-1])):
+    full_turn = len(azimuths) > 1 and math.isclose(azimuths[-1] - azimuths[0], 360.0)
+    if full_turn:
         azimuths.pop()  # the full turn ends where it begins
     ranges: list[Sequence[float]] = [elevations, azimuths]
     steps = [step_deg, step_deg]
@@ -94,13 +96,13 @@ def place_grid(rig: RigConfig, index: int, *, step_deg: float, elevations: Seque
         )
     axes, places = tuple(map(tuple, ranges)), tuple(itertools.product(*ranges))
     if shared or light.pose is None:
-        return PlaceGrid(axes, places)
+        return PlaceGrid(axes, places, full_turn)
     here = place_of(light)
 
     def is_near(place: Place) -> bool:
         return all(abs(a - b) <= NEAR * step for a, b, step in zip(place, here, steps, strict=True))
 
-    return PlaceGrid(axes, tuple(here if is_near(place) else place for place in places))
+    return PlaceGrid(axes, tuple(here if is_near(place) else place for place in places), full_turn)
 
 
 def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
@@ -219,9 +221,8 @@ def find_candidates(
     space = CombinationSpace(sizes=sizes, groups=groups, clashes=left_clashes)
     panels = tuple(tuple(panel for _, panel in some) for some in left)
     names = tuple(light.name for light in rig.lights)
-    turns = [light.azimuth_range_deg is not None and _is_full_turn(light.azimuth_range_deg) for light in rig.lights]
-    parts = zip(grids, places_left, panels_there, turns, strict=True)
-    found = [light_cells(grid.axes, grid.places, left, there, full_turn=turn) for grid, left, there, turn in parts]
+    parts = zip(grids, places_left, panels_there, strict=True)
+    found = [light_cells(own.axes, own.places, left, there, full_turn=own.full_turn) for own, left, there in parts]
     cells = _cells(rig, channels, found, left_clashes, shared)
     return Candidates(names, channels, places_left, panels, tuple(left_out), space, cells)
 
@@ -239,10 +240,6 @@ def _cells(
     groups = _together(rig, channels, cells, _groups(rig, cells, sizes, elevations))
     space = CombinationSpace(sizes=sizes, groups=groups, clashes=cell_clashes(clashes, lights))
     return Cells(tuple(lights), space)
-
-
-def _is_full_turn(ends: tuple[float, float]) -> bool:
-    return math.isclose(ends[1] - ends[0], 360.0)
 
 
 def bodies_of(rig: RigConfig) -> tuple[tuple[int, ...], ...]:

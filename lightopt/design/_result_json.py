@@ -16,10 +16,11 @@ from lightopt.images import Overlap, csv_text
 INITIAL_SHARE_OF = "the drawn patches, in postures chosen for these lights, at exposure 1"
 
 
-def _between_dict(answer: _result.ObjectiveResult, result: _result.SetResult) -> dict[str, Any]:
-    between, objective = answer.between, answer.objective
-    assert between is not None
-    share = objective.share_of_whole(between.bound, result.area)
+def _between_dict(answer: _result.ObjectiveResult, area: int) -> dict[str, Any] | None:
+    between = answer.between
+    if between is None:
+        return None
+    share = answer.objective.share_of_whole(between.bound, area)
     return {
         "bound": between.bound,
         "share_of_inspectable_area": None if share is None else round(share, 6),
@@ -115,7 +116,7 @@ def _answer_dict(answer: _result.ObjectiveResult, result: _result.SetResult, can
         "near_best": near,
         "combinations": combinations if answer.proven_of is None else None,
         "bound": found.bound,
-        "between_candidates": None if answer.between is None else _between_dict(answer, result),
+        "between_candidates": _between_dict(answer, result.area),
         "proven": found.proven,
         **({"complete": found.complete} if answer.proven_of is None else {"proven_of": answer.proven_of}),
         "scores_under": dict(answer.scores),

@@ -220,13 +220,11 @@ def bound_between(
     progress: Share | None = None,
 ) -> CellBound | None:
     """What no combination of cells covers in these postures; None where combinations are too many to try."""
-    space, panels = (
-        candidates.cells.space,
-        [(*own, *light.beyond) for own, light in zip(candidates.panels, candidates.cells.of_lights, strict=True)],
-    )
+    space, cells = candidates.cells.space, candidates.cells.of_lights
     if sum(math.prod(len(rows) for rows in group) for group in space.groups) > limit:
         return None
-    corners = [light.corners for light in candidates.cells.of_lights]
+    panels = [(*own, *light.beyond) for own, light in zip(candidates.panels, cells, strict=True)]
+    corners = [light.corners for light in cells]
     counted = len(postures) / (len(postures) + 1)
     counts = _added_counts(evaluator, postures, panels, part_of(progress, 0.0, counted), corners)
     weights, needed, rest = evaluator.weights, evaluator.needed, part_of(progress, counted, 1.0)

@@ -31,8 +31,14 @@ from lightopt.design.postures._light_positions import (
     position_counts,
     position_counts_fit,
 )
-from lightopt.design.postures._posture_search import PostureChoice, PostureRequest, choose_postures
-from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, PatchRow, drawn_patches
+from lightopt.design.postures._posture_search import CACHED_BYTES, PostureChoice, PostureRequest, choose_postures
+from lightopt.design.responses._image_evaluator import (
+    DRAWN_PATCHES,
+    ImageCache,
+    ImageEvaluator,
+    PatchRow,
+    drawn_patches,
+)
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._pairs import Counts, unpack_flags
 from lightopt.design.search._between_steps import BetweenSteps, ProbedCells, tested_patches
@@ -180,26 +186,30 @@ def planned_answers(
     # of all planned images together, as a share of what the camera sees in any candidate posture
     goal = replace(first, share_of=SHARES_OF, area=area)
     answers = tuple(_planned(answer, goal, chosen, candidates, free is not None) for answer in result.answers)
-    first = replace(answers[0], between=_between_steps(answers[0].found.best.score, chosen, rig, free, options, run))
-    curves = _curves(first.found.best, chosen, candidates, free, run)
+    # the images of all positions are looked at twice; other processes make their own
+    images = chosen.choice.images or ImageCache(CACHED_BYTES)
+    own = replace(chosen.evaluator, images=images, keeps_images=run.pool is None)
+    score = answers[0].found.best.score
+    first = replace(answers[0], between=_between_steps(score, chosen, own, rig, free, options, run))
+    curves = _curves(first.found.best, chosen, own, candidates, free, run)
     return replace(result, answers=(first, *answers[1:]), curves=curves)
 
 
 def _between_steps(
     score: int,
     chosen: ChosenPostures,
+    evaluator: ImageEvaluator,
     rig: RigConfig,
     free: Candidates | None,
     options: _problem.OptimizeOptions,
     run: RunContext,
 ) -> BetweenSteps | None:
     # of the lights in the chosen postures, at the exposures that are planned
-    choice, evaluator = chosen.choice, chosen.evaluator
+    choice = chosen.choice
     if free is None or not free.cells.moves or not position_counts_fit(evaluator, free):
         return None
     shots = [(posture, choice.exposures_of(posture)) for posture in chosen.way.order]
-    own, progress = replace(evaluator, images=choice.images, pool=None), run.stage("between the steps")
-    found = bound_between(own, shots, free, limit=options.limit, progress=progress)
+    found = bound_between(evaluator, shots, free, limit=options.limit, progress=run.stage("between the steps"))
     if found is None:
         return None
     tested = ProbedCells.around(rig, free, options, choice.lights, found.cells)
@@ -208,20 +218,25 @@ def _between_steps(
     best = score if choice.lights is not None else min(score, found.score)
     whole = evaluator.weights.total
     between = BetweenSteps.of(found.score, excess, full=whole, best=best, postures=chosen.way.order)
-    run.warn(*filter(None, [between.warning(chosen.way.order)]))
+    run.warn(*between.warnings(chosen.way.order))
     return between if between.bound >= score else None
 
 
 def _curves(
-    best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, run: RunContext
+    best: Ranked,
+    chosen: ChosenPostures,
+    evaluator: ImageEvaluator,
+    candidates: Candidates,
+    free: Candidates | None,
+    run: RunContext,
 ) -> tuple[Curve, ...]:
     progress, at = run.stage("the score along each angle"), places_of(candidates, best)
-    evaluator, weights = chosen.evaluator, chosen.evaluator.weights
+    weights = evaluator.weights
     among = free is not None and all(place in some for place, some in zip(at, free.places, strict=True))
     if free is None or not among or not position_counts_fit(evaluator, free):
         return ()
     postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
-    lights = position_counts(replace(evaluator, images=chosen.choice.images, pool=run.pool), postures, free, progress)
+    lights = position_counts(replace(evaluator, pool=run.pool), postures, free, progress)
 
     def score(combination: tuple[int, ...]) -> int:
         shown = (places[k] for places, k in zip(lights, combination, strict=True))

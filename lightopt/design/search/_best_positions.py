@@ -51,7 +51,8 @@ def search_objectives(
                 blind_spots.append((posture, chosen, possible))
         del matrices
         _warn_of_limit(result.answers, postures, source)
-        _warn_of_steps(result.answers[0], postures, source)
+        if (between := result.answers[0].between) is not None:
+            source.run.warn(*between.warnings(postures))
         results.append(result)
     return tuple(results), blind_spots
 
@@ -210,11 +211,6 @@ def _answer(
 def _warn_of_limit(answers: Sequence[ObjectiveResult], postures: Sequence[Posture], source: PostureMatrices) -> None:
     some = [one for one in answers if not one.found.complete and one.nothing is None]
     source.run.warn(*(limit_warning(one, postures) for one in some))
-
-
-def _warn_of_steps(answer: ObjectiveResult, postures: Sequence[Posture], source: PostureMatrices) -> None:
-    if answer.between is not None and (text := answer.between.warning(postures)) is not None:
-        source.run.warn(text)
 
 
 def limit_warning(answer: ObjectiveResult, postures: Sequence[Posture]) -> str:

@@ -69,15 +69,16 @@ class BetweenSteps:
         raised = bound + math.ceil(excess * whole)
         return cls(bound=raised if full is None else min(full, raised), excess=excess)
 
-    def warning(self, postures: Sequence[Posture]) -> str | None:
-        """The warning about steps that are too large for a bound; None where they are not."""
+    def warnings(self, postures: Sequence[Posture]) -> tuple[str, ...]:
+        """That steps are too large for a bound; none where they are not."""
         if self.excess <= MOST_EXCESS:
-            return None
-        return (
+            return ()
+        text = (
             f"{', '.join(map(str, postures))}: between candidate positions up to {percent(self.excess, 0)} of the "
             "score was found that none of them shows: the bound for positions between them is uncertain. Lower option "
             "'step_deg', or distance_step_mm of the light"
         )
+        return (text,)
 
 
 @dataclass(frozen=True)
