@@ -76,6 +76,7 @@ NO_LOBE = Reflectance(R_d=1.0, R_s=0.0, sigma=1.0).lobe
 TAIL_ERROR, MOST_TAIL_ERROR = 3e-5, 1e-2  # share of the lobe's light by which a rule may be off, and by which at most
 # of tails: what they may be off by in R_s, of which they are a tenth in fact, 0.02 level of chrome with R_s = 10⁶
 PEAK_ERROR = 2e-7
+_FEW_NODES_ERROR = 1e-3  # share of the light of tails from which on two nodes do for fall-off and emission
 _FEW_NODES = 6  # a side of a rectangle that a tail is smooth over
 _EVEN = 1e3  # width, in sides, from which a lobe is the same all along one
 
@@ -293,9 +294,9 @@ def _tailed_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: 
     # of a lobe with tails, whose width is α = 2σ in δ: (2 + exponent)/2 is to the power of −2
     horizon = _horizon(at, panel, area)
     if horizon.lowest > 0.0:
-        few = _nodes_of_tail(at, panel, area, lobe)
+        few = nodes_of_tail(at, panel, area, lobe, panel_nodes)
         if few <= _FEW_NODES:
-            return _tail_light(at, panel, area, lobe, max(few, math.ceil(panel_nodes * (area.s1 - area.s0)) + 1))
+            return _tail_light(at, panel, area, lobe, few)
     least_s = math.ceil(panel_nodes * (area.s1 - area.s0)) + 1
     least_t = math.ceil(panel_nodes * (area.t1 - area.t0)) + 1
     s, t, a, b, c, gs, gt, least = _nearest(at, panel, area, lobe, EVERYWHERE)
@@ -307,9 +308,11 @@ def _tailed_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: 
     leaning = 0.5 * math.pi / (1.0 + 2.0 * abs(b) / math.sqrt(max(a * c, 1e-30)))
     count_s = max(min(tail_nodes(u0, u1, leaning, TAIL_ERROR), MAX_NODES // 2), least_s)
     count_t = max(min(tail_nodes(w0, w1, leaning, TAIL_ERROR), MAX_NODES // 2), least_t)
-    if horizon.lowest <= 0.0:
+    whole = horizon.lowest > 0.0
+    if not whole:
         # masking ends the light there, within about α
         count_s, count_t = 2 * count_s, 2 * count_t
+    places, weights, values = np.empty(count_s), np.empty(count_s), np.empty(count_s)
     total = 0.0
     for i in range(count_t):
         w = w0 + (w1 - w0) * NODES[count_t, i]
@@ -317,50 +320,69 @@ def _tailed_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: 
         r0, r1 = _row_above_horizon(horizon, at_t, area)
         if r0 >= r1:
             continue
-        if horizon.lowest <= 0.0:
+        if not whole:
             u0, u1 = math.asinh((r0 - centre_s) / width_s), math.asinh((r1 - centre_s) / width_s)
+        if not whole or i == 0:
+            for j in range(count_s):
+                u = u0 + (u1 - u0) * NODES[count_s, j]
+                places[j] = centre_s + width_s * math.sinh(u)
+                weights[j] = WEIGHTS[count_s, j] * math.cosh(u)
+        for j in range(count_s):
+            values[j] = tail_at(at, panel, places[j], at_t, weights[j], lobe)
         row = 0.0
         for j in range(count_s):
-            u = u0 + (u1 - u0) * NODES[count_s, j]
-            q = panel_point(panel, centre_s + width_s * math.sinh(u), at_t)
-            _, value = point_terms(at, q, panel, lobe, LAMBERT)
-            row += WEIGHTS[count_s, j] * math.cosh(u) * value
+            row += values[j]
         total += WEIGHTS[count_t, i] * math.cosh(w) * row * (u1 - u0)
-    return total * width_s * width_t * (w1 - w0)
+    return total * width_s * width_t * (w1 - w0) / specular_divisor(at.n_dot_v, 0.0, lobe)
 
 
 @kernel
-def _nodes_of_tail(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe) -> int:
-    # nodes a side where the lobe's tail is smooth all over a rectangle
+def above_horizon(at: SurfacePoint, panel: PanelNumbers, area: Rectangle) -> bool:
+    """Whether all of a rectangle of a panel is above a surface's tangent plane."""
+    return _horizon(at, panel, area).lowest > 0.0
+
+
+@kernel
+def nodes_of_tail(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int) -> int:
+    """Nodes a side where the tail of a lobe is smooth all over a rectangle; :data:`MAX_NODES` where it is not.
+
+    panel_nodes: Nodes a side that the whole panel needs for its fall-off and emission
+    """
     centre = panel_point(panel, 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1))
     along, across = (area.s1 - area.s0) * length(panel.across), (area.t1 - area.t0) * length(panel.along)
     half, spread = half_vector_cone(at, centre, 0.5 * math.hypot(along, across))
     away = length(minus(at.n, half))
     nearest = max(0.0, away - spread)
     error = tail_error(nearest * nearest * lobe.inverse, PEAK_ERROR)
-    return smooth_nodes_within(away, spread, lobe, error, NEGLIGIBLE_EXPONENT)
+    least = max(2, math.ceil(panel_nodes * (area.s1 - area.s0))) if error < _FEW_NODES_ERROR else 2
+    return max(smooth_nodes_within(away, spread, lobe, error, NEGLIGIBLE_EXPONENT), least)
 
 
 @kernel
 def _tail_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, count: int) -> float:
     # as the specular term of `_integrals`, for a lobe alike all round, of a rectangle that no horizon crosses
-    p, n, v, n_dot_v = at
     width, height, total = area.s1 - area.s0, area.t1 - area.t0, 0.0
     for i in range(count):
         t = area.t0 + height * NODES[count, i]
         for j in range(count):
-            light = minus(panel_point(panel, area.s0 + width * NODES[count, j], t), p)
-            r2 = dot(light, light)
-            light = scaled(light, 1.0 / math.sqrt(r2))
-            half = plus(light, v)
-            size = math.sqrt(dot(half, half))
-            away = minus(n, scaled(half, 1.0 / size))
-            value = round_ggx(dot(away, away), dot(n, light), lobe.inverse)
-            if lobe.n > 0.0:
-                value *= fresnel_factor(size, lobe.n, lobe.k, lobe.normal_reflectance)
-            weight = WEIGHTS[count, i] * WEIGHTS[count, j]
-            total += value * attenuated(weight, panel, r2, dot(panel.outward, light))
-    return total * width * height / specular_divisor(n_dot_v, 0.0, lobe)
+            s = area.s0 + width * NODES[count, j]
+            total += tail_at(at, panel, s, t, WEIGHTS[count, i] * WEIGHTS[count, j], lobe)
+    return total * width * height / specular_divisor(at.n_dot_v, 0.0, lobe)
+
+
+@kernel
+def tail_at(at: SurfacePoint, panel: PanelNumbers, s: float, t: float, weight: float, lobe: Lobe) -> float:
+    """Specular light of a place of a panel above the horizon, but for the view's divisor; of GGX alike all round."""
+    light = minus(panel_point(panel, s, t), at.p)
+    r2 = dot(light, light)
+    light = scaled(light, 1.0 / math.sqrt(r2))
+    half = plus(light, at.v)
+    size = math.sqrt(dot(half, half))
+    away = minus(at.n, scaled(half, 1.0 / size))
+    value = round_ggx(dot(away, away), dot(at.n, light), lobe.inverse)
+    if lobe.n > 0.0:
+        value *= fresnel_factor(size, lobe.n, lobe.k, lobe.normal_reflectance)
+    return value * attenuated(weight, panel, r2, dot(panel.outward, light))
 
 
 @kernel
@@ -438,15 +460,37 @@ def tail_error(exponent: float, negligible: float) -> float:
 def tail_nodes(low: float, high: float, singular: float, error: float) -> int:
     """Nodes of a Gauss–Legendre rule from low to high for a function that is singular at ±i·singular.
 
-    Its error falls with the sum of the half axes of the ellipse through these places whose foci are the ends.
-
     error: As a share of the integral, about
     """
+    rate = math.log(_half_axes(low, high, singular))
+    return min(math.ceil(0.5 * math.log(1.0 / error) / rate) + 1, MAX_NODES)
+
+
+@kernel
+def _half_axes(low: float, high: float, singular: float) -> float:
+    # sum of the half axes of the ellipse through ±i·singular whose foci are the ends: with each node the error of a
+    # Gauss–Legendre rule falls by its square
     half = max(0.5 * (high - low), 1e-9)
     x, y = 0.5 * (low + high) / half, singular / half
     axis = 0.5 * (math.sqrt((x - 1.0) ** 2 + y * y) + math.sqrt((x + 1.0) ** 2 + y * y))
-    rate = math.log(axis + math.sqrt(axis * axis - 1.0))
-    return min(math.ceil(0.5 * math.log(1.0 / error) / rate) + 1, MAX_NODES)
+    return axis + math.sqrt(axis * axis - 1.0)
+
+
+@kernel
+def few_tail_nodes(away: float, spread: float, lobe: Lobe, least: int) -> int:
+    """As :func:`smooth_nodes_within` has them for tails, up to 6; 7 where it is more. Without branches.
+
+    least: Nodes that fall-off and emission need where the tails are not faint
+    """
+    nearest = max(0.0, away - spread)
+    error = tail_error(nearest * nearest * lobe.inverse, PEAK_ERROR)
+    falls = _half_axes(away - spread, away + spread, math.sqrt(2.0 / lobe.inverse)) ** 2
+    wanted, reached = 2, falls * error
+    for _ in range(_FEW_NODES - 1):
+        wanted += reached < 1.0
+        reached *= falls
+    wanted = max(wanted, least if error < _FEW_NODES_ERROR else 2)
+    return wanted if spread < 1.0 else _FEW_NODES + 1
 
 
 @kernel

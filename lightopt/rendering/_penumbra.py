@@ -34,6 +34,7 @@ from lightopt.lights import PanelNumbers, panel_point
 from lightopt.optics import DiffuseForm, Lobe, lobe_at
 from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
 from lightopt.rendering._surface import PointRows, SurfacePoints, point_at
+from lightopt.rendering._tail_polynomial import MOST_TERMS, polynomial_light, tail_polynomial
 
 # what a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle
 BELOW, VISIBLE, BLOCKED = 1, 2, 3
@@ -146,12 +147,14 @@ def add_visible_cells(
     points, frames, views, _, _ = rows
     panel = light.panel
     q, n = len(point), state.shape[1] - 1
-    stake = np.zeros((q, n, n))
+    stake, polynomial = np.zeros((q, n, n)), np.empty((MOST_TERMS, MOST_TERMS))
     few = math.ceil(2.0 * light.nodes * cell)
     for i in range(q):
         k = point[i]
         at, lobe = point_at(points, frames, views, k), lobe_at(light.lobe, frames, k)
         glossy = at.n_dot_v > 0.0 and not out_of_reach(at, panel, lobe)
+        square = _area(squares, i, n)
+        tail = tail_polynomial(at, panel, square, lobe, light.nodes, polynomial) if glossy else 0
         for row in range(n):
             t0 = t[i] + row * cell - 0.5
             column = 0
@@ -167,7 +170,10 @@ def add_visible_cells(
                 area = Rectangle(s[i] + column * cell - 0.5, s[i] + end * cell - 0.5, t0, t0 + cell)
                 order = max(2, math.ceil(light.nodes * (area.s1 - area.s0))) if kind == VISIBLE else few
                 d = rectangle_diffuse(at, panel, area, light.form, order)
-                g = rectangle_specular(at, panel, area, lobe, light.nodes) if glossy else 0.0
+                if tail > 0:
+                    g = polynomial_light(polynomial, tail, square, area)
+                else:
+                    g = rectangle_specular(at, panel, area, lobe, light.nodes) if glossy else 0.0
                 if kind == VISIBLE:
                     terms[k, 0] += d
                     terms[k, 1] += g
@@ -186,16 +192,19 @@ def add_crossed_cells(
     points, frames, views, _, _ = rows
     panel = light.panel
     q, n = len(point), edge.state.shape[1] - 1
-    runs = np.empty((4 * MOST_STRIPS, 4))
+    runs, polynomial = np.empty((4 * MOST_STRIPS, 4)), np.empty((MOST_TERMS, MOST_TERMS))
     few = math.ceil(2.0 * light.nodes * cell)
     for i in range(q):
         k = point[i]
         at, lobe = point_at(points, frames, views, k), lobe_at(light.lobe, frames, k)
         glossy = at.n_dot_v > 0.0 and not out_of_reach(at, panel, lobe)
+        square, tail = _area(squares, i, n), -1
         for row in range(n):
             for column in range(n):
                 if _cell_kind(edge.state, i, row, column) != 0 or left_out[i, row, column]:
                     continue
+                if tail < 0:
+                    tail = tail_polynomial(at, panel, square, lobe, light.nodes, polynomial) if glossy else 0
                 strips = math.ceil(math.sqrt(STRIP_SHARE * stake[i, row, column]))
                 strips = min(max(strips, LEAST_STRIPS), MOST_STRIPS)
                 count = _visible_strips(edge, i, row, column, strips, runs)
@@ -204,8 +213,17 @@ def add_crossed_cells(
                     t0, t1 = t[i] + runs[j, 2] * cell - 0.5, t[i] + runs[j, 3] * cell - 0.5
                     area = Rectangle(s0, s1, t0, t1)
                     terms[k, 0] += rectangle_diffuse(at, panel, area, light.form, few)
-                    if glossy:
+                    if tail > 0:
+                        terms[k, 1] += polynomial_light(polynomial, tail, square, area)
+                    elif glossy:
                         terms[k, 1] += rectangle_specular(at, panel, area, lobe, light.nodes)
+
+
+@kernel
+def _area(squares: Squares, i: int, n: int) -> Rectangle:
+    # square i of n × n cells
+    s0, t0, side = squares.s[i] - 0.5, squares.t[i] - 0.5, n * squares.cell
+    return Rectangle(s0, s0 + side, t0, t0 + side)
 
 
 @kernel

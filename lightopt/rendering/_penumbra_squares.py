@@ -46,6 +46,7 @@ SMOOTH_RISE = 0.12
 # vectors of the panel span: a narrower one sees less of the panel, and shadows are sharper in it
 GLOSSY_LEVEL = 0.01
 LEAST_LOBE = 1.0 / 3.0
+LEAST_TAIL = 0.5
 
 # levels that a face may take by its own plane where the interpolated horizon is lower: interpolation smooths this
 FACET_LEVEL = 0.03
@@ -157,7 +158,9 @@ def _smoothly_lit(point: SurfacePoint, facet: Vector, specular: float, light: Co
             return False
     if light.specular_level * specular <= GLOSSY_LEVEL:
         return True
-    _, spread = half_vector_cone(point, panel.centre, half_diagonal(panel))
+    half, spread = half_vector_cone(point, panel.centre, half_diagonal(panel))
+    if light.lobe.ggx and length(minus(point.n, half)) >= (1.0 + LEAST_TAIL) * spread:
+        return True
     return 0.5 / light.lobe.inverse >= (LEAST_LOBE * spread) ** 2
 
 

@@ -6,23 +6,22 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import column_at, dot, length, minus, plus, scaled
-from lightopt.lights import attenuated, half_diagonal, panel_point
-from lightopt.optics import MAX_LOBE_EXPONENT, is_lambert, lambert, lobe_at, specular_divisor, square_across
+from lightopt.core.vectors import Vector, column_at, dot, length, minus, plus, scaled
+from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
+from lightopt.optics import MAX_LOBE_EXPONENT, Lobe, is_lambert, lambert, lobe_at, specular_divisor, square_across
 from lightopt.rendering._panel_quadrature import (
     NEGLIGIBLE_EXPONENT,
     NODES,
-    PEAK_ERROR,
     TAIL_ERROR,
     WEIGHTS,
     WHOLE_PANEL,
+    few_tail_nodes,
     half_vector_cone,
     lobe_cone,
     out_of_reach,
     rectangle_diffuse,
     rectangle_specular,
     smooth_nodes_within,
-    tail_error,
 )
 from lightopt.rendering._penumbra import ConvergedLight
 from lightopt.rendering._point_lights import diffuse_only, lobe_towards, point_terms, round_lobes
@@ -31,7 +30,6 @@ from lightopt.rendering._surface import PointRows, point_at, surface_point
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
 _STEP_S, _STEP_T = 0.6287067210378087, 0.5385972572236101  # 1/g³ and 1/g⁴ of g⁵ = g + 1
 FAR_SHARE = 20.0 / MAX_LOBE_EXPONENT  # of the farthest exponent, e⁻²⁰ of the lobe, beyond which it is left out there
-_FEW_NODES_ERROR = 1e-3  # share of the light of tails from which on few nodes do for fall-off and emission
 _MOST_EVEN = 6  # nodes a side up to which a lobe is smooth all over the panel
 
 
@@ -48,7 +46,7 @@ def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Flo
     # the processor works on several points at once in loops without branches over numbers that lie side by side
     p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
     diffuse, above, near = np.empty(_AT_ONCE), np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE, np.bool_)
-    specular, work = np.empty(_AT_ONCE), np.empty((15, _AT_ONCE))
+    specular, work = np.empty(_AT_ONCE), np.empty((14, _AT_ONCE))
     for first in range(0, len(index), _AT_ONCE):
         count = min(_AT_ONCE, len(index) - first)
         for j in range(count):
@@ -98,56 +96,85 @@ def _add_smooth(
 ) -> None:
     # where the tails of a lobe, or the wider of two, are smooth all over the panel: sets the light of these points,
     # which are no longer `near`. The points that take as many nodes are worked out together
-    (p, n, v), panel, lobe = columns, light.panel, light.lobe
+    (at_p, at_n, at_v), panel, lobe = columns, light.panel, light.lobe
     wanted, place = np.zeros(len(above), np.int64), np.empty(len(above), np.int64)
-    for j in range(len(above)):
-        at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
+    brushed = lobe.widening > 1.0
+    for j in range(len(above) if lobe.ggx and not brushed else 0):
+        at = surface_point(column_at(at_p, j), column_at(at_n, j), column_at(at_v, j))
+        away, spread = lobe_cone(at, panel.centre, half_diagonal(panel), lobe)
+        few = few_tail_nodes(away, spread, lobe, light.nodes)
+        wanted[j] = few if near[j] & above[j] & (at.n_dot_v > 0.0) else 0
+    for j in range(len(above) if brushed or not lobe.ggx else 0):
+        at = surface_point(column_at(at_p, j), column_at(at_n, j), column_at(at_v, j))
         if near[j] and above[j] and at.n_dot_v > 0.0:
-            turned = lobe_at(lobe, frames, index[j])
-            away, spread = lobe_cone(at, panel.centre, half_diagonal(panel), turned)
-            nearest = max(0.0, away - spread)
-            error = tail_error(nearest * nearest * lobe.inverse, PEAK_ERROR) if lobe.ggx else TAIL_ERROR
-            least = light.nodes if error < _FEW_NODES_ERROR else 2
-            wanted[j] = max(smooth_nodes_within(away, spread, turned, error, NEGLIGIBLE_EXPONENT), least)
+            away, spread = lobe_cone(at, panel.centre, half_diagonal(panel), lobe_at(lobe, frames, index[j]))
+            if lobe.ggx:
+                wanted[j] = few_tail_nodes(away, spread, lobe, light.nodes)
+            else:
+                few = smooth_nodes_within(away, spread, lobe, TAIL_ERROR, NEGLIGIBLE_EXPONENT)
+                wanted[j] = max(few, light.nodes)
+    p, n, v, light_sum, spare = work[0:3], work[3:6], work[6:9], work[9], (work[10], work[11], work[12], work[13])
     for few in range(2, _MOST_EVEN + 1):
         number = 0
         for j in range(len(above)):
             if wanted[j] == few:
                 place[number] = j
                 for axis in range(3):
-                    work[axis, number], work[3 + axis, number] = p[axis, j], n[axis, j]
-                    work[6 + axis, number] = v[axis, j]
-                work[9, number] = 0.0
+                    p[axis, number], n[axis, number], v[axis, number] = at_p[axis, j], at_n[axis, j], at_v[axis, j]
                 number += 1
         if number == 0:
             continue
+        light_sum[:number] = 0.0
         for a in range(few):
             for b in range(few):
                 q = panel_point(panel, NODES[few, b] - 0.5, NODES[few, a] - 0.5)
                 weight = WEIGHTS[few, a] * WEIGHTS[few, b]
+                if not brushed:
+                    _add_node((p, n, v), panel, q, weight, lobe, spare, light_sum[:number])
+                    continue
                 for k in range(number):
-                    normal, view = column_at(work, k, 3), column_at(work, k, 6)
-                    towards = minus(q, column_at(work, k))
+                    towards = minus(q, column_at(p, k))
                     r2 = dot(towards, towards)
                     towards = scaled(towards, 1.0 / math.sqrt(r2))
-                    work[13, k] = attenuated(weight, panel, r2, dot(panel.outward, towards))
-                    if lobe.widening > 1.0:
-                        work[14, k] = lobe_towards(normal, view, towards, lobe_at(lobe, frames, index[place[k]]))
-                    else:
-                        half = plus(towards, view)
-                        size = math.sqrt(dot(half, half))
-                        chord = minus(normal, scaled(half, 1.0 / size))
-                        work[10, k], work[11, k], work[12, k] = dot(chord, chord), dot(normal, towards), size
-                if lobe.widening == 1.0:
-                    round_lobes(work[14], work[10], work[11], work[12], number, lobe)
-                for k in range(number):
-                    work[9, k] += work[14, k] * work[13, k]
+                    turned = lobe_at(lobe, frames, index[place[k]])
+                    value = lobe_towards(column_at(n, k), column_at(v, k), towards, turned)
+                    light_sum[k] += value * attenuated(weight, panel, r2, dot(panel.outward, towards))
         for k in range(number):
             j = place[k]
-            view = column_at(v, j)
+            view = column_at(at_v, j)
             across = square_across(view, lobe_at(lobe, frames, index[j]))
-            specular[j] = work[9, k] / specular_divisor(dot(column_at(n, j), view), across, lobe)
+            specular[j] = light_sum[k] / specular_divisor(dot(column_at(at_n, j), view), across, lobe)
             near[j] = False
+
+
+@kernel
+def _add_node(
+    columns: tuple[Float64, Float64, Float64],
+    panel: PanelNumbers,
+    q: Vector,
+    weight: float,
+    lobe: Lobe,
+    work: tuple[Float64, Float64, Float64, Float64],
+    total: Float64,
+) -> None:
+    # adds the light of a place of the panel at some points, of a lobe that is alike all round. Loops of few numbers,
+    # and a function of its own, whose arrays do not overlap for all the compiler knows: it takes several points at once
+    (p, n, v), (chord, n_dot_l, half_size, values), count = columns, work, len(total)
+    for k in range(count):
+        towards = minus(q, column_at(p, k))
+        towards = scaled(towards, 1.0 / math.sqrt(dot(towards, towards)))
+        half = plus(towards, column_at(v, k))
+        size = math.sqrt(dot(half, half))
+        away = minus(column_at(n, k), scaled(half, 1.0 / size))
+        chord[k], n_dot_l[k], half_size[k] = dot(away, away), dot(column_at(n, k), towards), size
+    round_lobes(values, chord, n_dot_l, half_size, count, lobe)
+    if panel.inverse_square or panel.emission_exponent > 0.0:
+        for k in range(count):
+            towards = minus(q, column_at(p, k))
+            r2 = dot(towards, towards)
+            values[k] = attenuated(values[k], panel, r2, dot(panel.outward, towards) / math.sqrt(r2))
+    for k in range(count):
+        total[k] += weight * values[k]
 
 
 @kernel
