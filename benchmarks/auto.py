@@ -1,7 +1,4 @@
-"""``points: auto``: what it costs against m = 4, and how near it comes to a panel of 64 × 64 points.
-
-And what the lobe of GGX costs against Torrance and Sparrow's, by four points and by ``auto``.
-"""
+"""``points: auto``: what it costs against m = 4, and how near it comes to a panel of 64 × 64 points."""
 
 from __future__ import annotations
 
@@ -16,14 +13,10 @@ from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
 from benchmarks._report import Report, Table, ratio_text, ratios, rounds
 from benchmarks.bare import THREADS
 from lightopt.geometry import RayCaster
-from lightopt.optics import SpecularModel
 from lightopt.rendering import SurfacePoints, cast_rays_at, render_posture, trace_samples
 from lightopt.scene import Scene, screen_window
 
 TARGET = 4.0
-GGX_TARGET = 1.3
-GGX = SpecularModel(name="ggx")
-WIDTHS = (0.003, 0.01, 0.0475)  # σ of both lobes [rad]
 NEAR_HIGHLIGHT = 0.01
 """Pixels whose specular light is above this [grey level] are near a highlight."""
 
@@ -80,7 +73,6 @@ def run(size: Size) -> Report:
     knob, spout = case_scene(size), spout_scene(size)
     scenes = {"knob, σ = 0.003": chrome(knob), "knob, σ = 0.0475": knob, "spout, σ = 0.003": chrome(spout)}
     seconds = _times(scenes, size.repeats)
-    lobes = _times_of_lobes({"knob": knob, "spout": spout}, size.repeats)
     # exactness is that of the rendering, not of the mesh: the images are reduced, the mesh is not
     found: list[tuple[str, str, Comparison]] = []
     for name, scene in scenes.items():
@@ -90,11 +82,10 @@ def run(size: Size) -> Report:
     found += exactness(f"{name}, near highlights", scenes[name], size.reference_points, near=True)
     return Report(
         "auto",
-        [_time_table(scenes, seconds), _lobes_table(lobes), _exactness_table(found, size)],
+        [_time_table(scenes, seconds), _exactness_table(found, size)],
         {
             "seconds": seconds,
             "ratios": {name: ratios(seconds[f"{name}: auto"], seconds[f"{name}: m = 4"]) for name in scenes},
-            "seconds of lobes": {name: {"torrance-sparrow": ts, "ggx": ggx} for name, (ts, ggx) in lobes.items()},
             "exactness": [
                 {"scene": scene, "comparison": what, **vars(comparison)} for scene, what, comparison in found
             ],
@@ -119,34 +110,6 @@ def _times(scenes: dict[str, Scene], repeats: int) -> dict[str, list[float]]:
     for task in tasks.values():
         task()  # compiles
     return rounds(tasks, repeats)
-
-
-def _times_of_lobes(parts: dict[str, Scene], repeats: int) -> dict[str, tuple[list[float], list[float]]]:
-    # seconds of Torrance and Sparrow's lobe and of that of GGX, both as wide and as high
-    tasks: dict[str, Callable[[], object]] = {}
-    for part, scene in parts.items():
-        caster = cast_rays_at(scene)
-        for points, variant in (("m = 4", scene), ("auto", converged(scene))):
-            for sigma in WIDTHS:
-                plain = replace(scene.reflectance, sigma=sigma, R_s=scene.reflectance.R_s * (0.0475 / sigma) ** 2)
-                for model, own in (("ts", plain), ("ggx", replace(plain, model=GGX))):
-                    one = replace(variant, reflectance=own)
-                    tasks[f"{part}, σ = {sigma:g}, {points}: {model}"] = lambda one=one, caster=caster: render_posture(
-                        one, one.postures[0], caster=caster, threads=THREADS
-                    )
-    for task in tasks.values():
-        task()  # compiles
-    seconds = rounds(tasks, repeats)
-    names = [name.removesuffix(": ts") for name in tasks if name.endswith(": ts")]
-    return {name: (seconds[f"{name}: ts"], seconds[f"{name}: ggx"]) for name in names}
-
-
-def _lobes_table(seconds: dict[str, tuple[list[float], list[float]]]) -> Table:
-    return Table(
-        f"time of the images with the lobe of GGX (target ≤ {GGX_TARGET:g})",
-        ("", "Torrance–Sparrow, least s", "GGX, least s", "ratio of least", "median ratio"),
-        [(name, f"{min(ts):.2f}", f"{min(ggx):.2f}", *ratio_text(ggx, ts)) for name, (ts, ggx) in seconds.items()],
-    )
 
 
 def exactness(name: str, scene: Scene, side: int, *, near: bool) -> list[tuple[str, str, Comparison]]:
