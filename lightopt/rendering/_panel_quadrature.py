@@ -337,9 +337,10 @@ def _tailed_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: 
 
 
 @kernel
-def above_horizon(at: SurfacePoint, panel: PanelNumbers, area: Rectangle) -> bool:
-    """Whether all of a rectangle of a panel is above a surface's tangent plane."""
-    return _horizon(at, panel, area).lowest > 0.0
+def above_masking(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe) -> bool:
+    """Whether all of a rectangle of a panel is so far above a surface's tangent plane that GGX is hardly masked."""
+    alpha = math.sqrt(2.0 / lobe.inverse)
+    return _horizon(at, panel, area).lowest > alpha * length(minus(panel.centre, at.p))
 
 
 @kernel

@@ -10,7 +10,7 @@ from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.lights import PanelNumbers
 from lightopt.optics import Lobe, specular_divisor
-from lightopt.rendering._panel_quadrature import NODES, Rectangle, above_horizon, nodes_of_tail, tail_at
+from lightopt.rendering._panel_quadrature import NODES, Rectangle, above_masking, nodes_of_tail, tail_at
 from lightopt.rendering._surface import SurfacePoint
 
 MOST_TERMS = 5  # of a polynomial along a side
@@ -37,7 +37,7 @@ def tail_polynomial(
     panel_nodes: Nodes a side that the whole panel needs for its fall-off and emission
     found: Coefficients of xⁱ·yʲ, x and y from −1 to 1 over the area; shape (MOST_TERMS, MOST_TERMS)
     """
-    if not lobe.ggx or lobe.widening > 1.0 or at.n_dot_v <= 0.0 or not above_horizon(at, panel, area):
+    if not lobe.ggx or lobe.widening > 1.0 or at.n_dot_v <= 0.0 or not above_masking(at, panel, area, lobe):
         return 0
     # a rule of n nodes integrates 2n terms: with as many digits a polynomial takes nearly as many nodes
     terms = 2 * nodes_of_tail(at, panel, area, lobe, panel_nodes) - 1

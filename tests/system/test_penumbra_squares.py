@@ -8,6 +8,8 @@ What is worked out by silhouettes is what rays give: the same levels, for a tent
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import reference as ref
@@ -15,6 +17,7 @@ from worlds import PARTS, box, merged, plane, scene_from_files, scene_from_mesh
 
 import lightopt.rendering._converged_panel as converged
 from lightopt.geometry import RayCaster
+from lightopt.optics import SpecularModel
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.rendering._penumbra import shade_penumbra
 
@@ -75,6 +78,13 @@ def compare_with_full_work(monkeypatch, scene, fewer):
 )
 def test_boxes_over_and_on_a_plane(monkeypatch, sigma):
     compare_with_full_work(monkeypatch, boxes(sigma), 0.8)
+
+
+@pytest.mark.parametrize("sigma", [0.003, pytest.param(0.0475, marks=pytest.mark.slow)])
+def test_boxes_under_tails(monkeypatch, sigma):
+    scene = boxes(sigma)
+    tails = replace(scene.reflectance, R_s=12500.0 * (0.0475 / sigma) ** 2, model=SpecularModel(name="ggx"))
+    compare_with_full_work(monkeypatch, replace(scene, reflectance=tails), 0.8)
 
 
 def test_part_that_shades_itself(monkeypatch, tmp_path):
