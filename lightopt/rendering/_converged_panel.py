@@ -24,7 +24,7 @@ from lightopt.optics import LAMBERT, Reflectance
 from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
 from lightopt.rendering._penumbra import ConvergedLight, shade_penumbra
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
-from lightopt.rendering._point_lights import clear_targets, facing_targets, shade_points, visible_counts
+from lightopt.rendering._point_lights import clear_targets, facing_targets, shade_points
 from lightopt.rendering._surface import SurfacePoint, SurfacePoints
 from lightopt.rendering._surface_light import shade_surface_lights
 from lightopt.rendering._whole_panel import add_spread_points, whole_panel
@@ -37,7 +37,9 @@ LEAST_POINTS, MOST_POINTS = 4, 6  # points a side that stand for the panel on va
 
 MOST_TOGETHER = 16  # channels of a light that are shaded at once
 _TURNS = 18  # ways that a surface may be brushed, of which the brightest is sought
-_DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3  # what the coarse rays of a pixel to a light show
+# what the coarse rays of a pixel to a light show: all of the panel below its horizon; nothing in the way but perhaps
+# its own face; all of it hidden; a part of it hidden; all of it below the face's own plane
+_DARK, _CLEAR, _HIDDEN, _MIXED, _TURNED = 0, 1, 2, 3, 4
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ def _diffuse_all_over(positions: Float64, normals: Float64, panel: PanelNumbers,
     for i in range(len(positions)):
         for j in range(len(normals)):
             p, n = vector_at(positions, i), vector_at(normals, j)
-            found[i, j] = rectangle_diffuse(SurfacePoint(p, n, n, 1.0), panel, WHOLE_PANEL, LAMBERT, count)
+            found[i, j] = rectangle_diffuse(SurfacePoint(p, n, n, 1.0, n), panel, WHOLE_PANEL, LAMBERT, count)
     return found
 
 
@@ -154,11 +156,11 @@ def shade_converged(
         coarse = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
         uncertain = np.zeros(len(surface), np.bool_)
     else:
-        coarse = _classify(*visible_counts(surface, probe_targets(converged.light), caster))
+        coarse = _classify(surface, converged.light, caster)
         uncertain = _disagreeing(coarse, sample, shape)
     light = _converged_light(converged, reflectance)
     terms = np.zeros((len(surface), 2))
-    _add_whole_panel(surface, coarse == _CLEAR, light, terms)
+    _add_whole_panel(surface, _unhidden(coarse), light, terms, shadows=caster is not None)
     shaded = np.zeros(len(surface), np.bool_)
     if caster is not None and uncertain.any():
         shaded = _shade_penumbrae(surface, uncertain, light, caster, coarse, sample, shape, terms)
@@ -262,7 +264,7 @@ def _shade_by_one_ray(
     if light.cells:
         add_spread_points(surface.rows, seen, light.cells, _converged_light(light, reflectance), terms)
     else:
-        _add_whole_panel(surface, seen, _converged_light(light, reflectance), terms)
+        _add_whole_panel(surface, seen, _converged_light(light, reflectance), terms, shadows=caster is not None)
     terms *= light.light.total_weight
     return terms[:, 0], terms[:, 1]
 
@@ -304,9 +306,9 @@ def shade_changed(
     if caster is None:
         coarse[index] = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
     else:
-        coarse[index] = _classify(*visible_counts(surface, probe_targets(light.light), caster))
+        coarse[index] = _classify(surface, light.light, caster)
     own, numbers, terms = coarse[index], _converged_light(light, reflectance), np.zeros((len(surface), 2))
-    _add_whole_panel(surface, own == _CLEAR, numbers, terms)
+    _add_whole_panel(surface, _unhidden(own), numbers, terms, shadows=caster is not None)
     if caster is not None:
         uncertain = (_disagreeing(coarse, sample, shape) | seen.penumbra)[index] & (own != _DARK)
         _work_out(surface, uncertain, numbers, caster, terms)
@@ -326,9 +328,12 @@ def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> Con
     )
 
 
-def _add_whole_panel(surface: SurfacePoints, chosen: Bool, light: ConvergedLight, terms: Float64) -> None:
-    index = np.flatnonzero(chosen).astype(np.int32)
-    whole_panel(surface.rows, index, light, terms)
+def _add_whole_panel(
+    surface: SurfacePoints, chosen: Bool, light: ConvergedLight, terms: Float64, *, shadows: bool
+) -> None:
+    # shadows: whether faces hide what is below their own planes
+    rows = surface.rows if shadows else surface.rows._replace(facets=surface.normals)
+    whole_panel(rows, np.flatnonzero(chosen).astype(np.int32), light, terms)
 
 
 def _work_out(surface: SurfacePoints, chosen: Bool, light: ConvergedLight, caster: RayCaster, terms: Float64) -> Bool:
@@ -357,14 +362,14 @@ def _shade_penumbrae(
     k = len(surface)
     at = np.full(shape, -1, np.int32)
     at.ravel()[sample] = np.arange(k, dtype=np.int32)
-    whole, has_whole = terms.copy(), coarse == _CLEAR
+    whole, has_whole = terms.copy(), _unhidden(coarse)
     known, done, crossed = np.zeros(k, np.bool_), np.zeros(k, np.bool_), np.zeros(k, np.bool_)
     pending = uncertain
     while pending.any():
         for side in SIDES:
             corners = squares_with(at, pending, side)
             missing = points_in(at, corners, side, k) & ~has_whole
-            _add_whole_panel(surface, missing, light, whole)
+            _add_whole_panel(surface, missing, light, whole, shadows=True)
             has_whole |= missing
             smooth = smooth_squares(surface.rows, at, corners, side, coarse, whole, light)
             corners = corners[smooth]
@@ -405,12 +410,22 @@ def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) ->
     return clear_targets(replace(surface, normals=surface.facets), targets, caster, geometric=False).T.copy()
 
 
-def _classify(clear: Index, all_above: Index) -> UInt8:
-    coarse = np.full(len(clear), _MIXED, np.uint8)
-    coarse[clear == 0] = _HIDDEN
-    coarse[clear == all_above] = _CLEAR
-    coarse[all_above == 0] = _DARK
+def _classify(surface: SurfacePoints, light: PanelLight, caster: RayCaster) -> UInt8:
+    targets = probe_targets(light)
+    facing = facing_targets(surface, targets, geometric=True)
+    clear = caster.visible(surface.points, surface.facets, targets, candidates=facing, outside=surface.outside)
+    seen, faced = clear.sum(axis=0), facing.sum(axis=0)
+    coarse = np.full(len(surface), _MIXED, np.uint8)
+    coarse[seen == 0] = _HIDDEN
+    coarse[seen == faced] = _CLEAR
+    coarse[faced == 0] = _TURNED
+    coarse[~facing_targets(surface, targets, geometric=False).any(axis=0)] = _DARK
     return coarse
+
+
+def _unhidden(coarse: UInt8) -> Bool:
+    # points that see all of the panel that is above the planes of their faces
+    return (coarse == _CLEAR) | (coarse == _TURNED)
 
 
 def _disagreeing(coarse: UInt8, sample: Index, shape: tuple[int, int]) -> Bool:

@@ -96,13 +96,20 @@ class Rectangle(NamedTuple):
 WHOLE_PANEL = Rectangle(-0.5, 0.5, -0.5, 0.5)
 
 
-class _Horizon(NamedTuple):
-    """Height of the panel above the surface's tangent plane, level + rise_s·s + rise_t·t, and the least on an area."""
+class _Plane(NamedTuple):
+    """Height of the panel above a plane through the surface point, level + rise_s·s + rise_t·t."""
 
     level: float
     rise_s: float
     rise_t: float
-    lowest: float
+
+
+class _Horizon(NamedTuple):
+    """Height of the panel above the surface's tangent plane and above the plane of its face."""
+
+    tangent: _Plane
+    face: _Plane
+    lowest: float  # the least height above either, on an area
 
 
 @kernel
@@ -146,9 +153,10 @@ def _integrals(
     # diffuse and specular terms over a rectangle, by so many Gauss–Legendre nodes along its sides
     count_s, count_t = counts
     horizon = _horizon(at, panel, area)
-    first, last = _broken_rows(horizon, area)
+    ends = _broken_rows(horizon, area)
     diffuse = specular = 0.0
-    for low, high in ((area.t0, first), (first, last), (last, area.t1)):
+    for k in range(len(ends)):
+        low, high = ends[k - 1] if k > 0 else area.t0, ends[k]
         if low >= high:
             continue
         part_d = part_s = 0.0
@@ -172,35 +180,83 @@ def _integrals(
 
 @kernel
 def _horizon(at: SurfacePoint, panel: PanelNumbers, area: Rectangle) -> _Horizon:
-    level = dot(at.n, minus(panel.centre, at.p))
-    rise_s, rise_t = dot(at.n, panel.across), dot(at.n, panel.along)
-    lowest = level + min(rise_s * area.s0, rise_s * area.s1) + min(rise_t * area.t0, rise_t * area.t1)
-    return _Horizon(level, rise_s, rise_t, lowest)
+    tangent = _plane(at.n, at, panel)
+    lowest = _lowest(tangent, area)
+    if at.facet.x == at.n.x and at.facet.y == at.n.y and at.facet.z == at.n.z:
+        return _Horizon(tangent, tangent, lowest)
+    face = _plane(at.facet, at, panel)
+    return _Horizon(tangent, face, min(lowest, _lowest(face, area)))
 
 
 @kernel
-def _broken_rows(horizon: _Horizon, area: Rectangle) -> tuple[float, float]:
-    # N·L > 0 is a half-plane of (s, t) with a break of the integrand along its border: rows of nodes end there, and are
-    # taken apart where it meets the rectangle's sides, between these two t
-    if horizon.lowest > 0.0 or horizon.rise_t == 0.0:
+def _plane(normal: Vector, at: SurfacePoint, panel: PanelNumbers) -> _Plane:
+    return _Plane(dot(normal, minus(panel.centre, at.p)), dot(normal, panel.across), dot(normal, panel.along))
+
+
+@kernel
+def _lowest(plane: _Plane, area: Rectangle) -> float:
+    level, rise_s, rise_t = plane
+    return level + min(rise_s * area.s0, rise_s * area.s1) + min(rise_t * area.t0, rise_t * area.t1)
+
+
+@kernel
+def _broken_rows(horizon: _Horizon, area: Rectangle) -> tuple[float, float, float, float, float, float]:
+    # what is above a plane is a half-plane of (s, t) with a break of the integrand along its border: rows of nodes end
+    # there, and are taken apart where it meets the rectangle's sides or the other border; where each part ends in t
+    end = area.t1
+    if horizon.lowest > 0.0:
+        return end, end, end, end, end, end
+    a, b = _breaks(horizon.tangent, area)
+    c, d = _breaks(horizon.face, area)
+    # in order
+    first, second, third, fourth = min(a, c), max(a, c), min(b, d), max(b, d)
+    second, third = min(second, third), max(second, third)
+    middle = _crossing(horizon, area)
+    first, middle = min(first, middle), max(first, middle)
+    second, middle = min(second, middle), max(second, middle)
+    third, middle = min(third, middle), max(third, middle)
+    fourth, middle = min(fourth, middle), max(fourth, middle)
+    return first, second, third, fourth, middle, end
+
+
+@kernel
+def _breaks(plane: _Plane, area: Rectangle) -> tuple[float, float]:
+    # where the border of what is above a plane meets the rectangle's sides s0 and s1, in order
+    level, rise_s, rise_t = plane
+    if rise_t == 0.0:
         return area.t1, area.t1
-    at_start = -(horizon.level + horizon.rise_s * area.s0) / horizon.rise_t
-    at_end = -(horizon.level + horizon.rise_s * area.s1) / horizon.rise_t
+    at_start, at_end = -(level + rise_s * area.s0) / rise_t, -(level + rise_s * area.s1) / rise_t
     first = min(max(min(at_start, at_end), area.t0), area.t1)
     return first, min(max(max(at_start, at_end), area.t0), area.t1)
 
 
 @kernel
+def _crossing(horizon: _Horizon, area: Rectangle) -> float:
+    # t where both borders cross; the rectangle's end where they are parallel
+    one, other = horizon.tangent, horizon.face
+    determinant = one.rise_s * other.rise_t - other.rise_s * one.rise_t
+    if determinant == 0.0:
+        return area.t1
+    return min(max((other.rise_s * one.level - one.rise_s * other.level) / determinant, area.t0), area.t1)
+
+
+@kernel
 def _row_above_horizon(horizon: _Horizon, t: float, area: Rectangle) -> tuple[float, float]:
-    # the part of a row of the rectangle that is above the horizon; empty where none is
+    # the part of a row of the rectangle that is above both planes; empty where none is
     if horizon.lowest > 0.0:
         return area.s0, area.s1
-    height = horizon.level + horizon.rise_t * t
-    if horizon.rise_s > 0.0:
-        return max(area.s0, -height / horizon.rise_s), area.s1
-    if horizon.rise_s < 0.0:
-        return area.s0, min(area.s1, -height / horizon.rise_s)
-    return (area.s0, area.s1) if height > 0.0 else (area.s0, area.s0)
+    low, high = _row_above(horizon.tangent, t, area.s0, area.s1)
+    return _row_above(horizon.face, t, low, high)
+
+
+@kernel
+def _row_above(plane: _Plane, t: float, s0: float, s1: float) -> tuple[float, float]:
+    height = plane.level + plane.rise_t * t
+    if plane.rise_s > 0.0:
+        return max(s0, -height / plane.rise_s), s1
+    if plane.rise_s < 0.0:
+        return s0, min(s1, -height / plane.rise_s)
+    return (s0, s1) if height > 0.0 else (s0, s0)
 
 
 @kernel
@@ -520,7 +576,7 @@ def _lobe_above_horizon(
 ) -> float:
     # the specular term of `_integrals` where no horizon crosses the rectangle: the processor works on several nodes at
     # once in loops without branches over numbers that lie side by side
-    p, n, v, n_dot_v = at
+    p, n, v, n_dot_v, _ = at
     count_s, count_t = counts
     chord, values = np.empty(count_s * count_t), np.empty(count_s * count_t)
     width, height = area.s1 - area.s0, area.t1 - area.t0

@@ -22,7 +22,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import Vector, dot, length, minus, vector_at
+from lightopt.core.vectors import dot, length, minus, vector_at
 from lightopt.lights import half_diagonal
 from lightopt.rendering._panel_quadrature import half_vector_cone
 from lightopt.rendering._penumbra import ConvergedLight
@@ -47,9 +47,6 @@ SMOOTH_RISE = 0.12
 GLOSSY_LEVEL = 0.01
 LEAST_LOBE = 1.0 / 3.0
 LEAST_TAIL = 0.5
-
-# levels that a face may take by its own plane where the interpolated horizon is lower: interpolation smooths this
-FACET_LEVEL = 0.03
 
 EDGE_SHARE = 1e-3  # a panel of which less than this is hidden, or seen, counts as wholly visible, or hidden
 
@@ -116,7 +113,7 @@ def smooth_squares(
     Facets show nowhere in the light, no narrow lobe is near, and the coarse rays show nothing that those of the samples
     to be worked out do not.
     """
-    points, frames, views, facets, front = rows
+    points, frames, views, _, front = rows
     smooth = np.empty(len(corners), np.bool_)
     for q in range(len(corners)):
         shown = 0
@@ -130,7 +127,7 @@ def smooth_squares(
                     and front[i]
                     and (x == left or _continuous(points, frames, i, at[y, x - 1]))
                     and (y == top or _continuous(points, frames, i, at[y - 1, x]))
-                    and _smoothly_lit(point_at(points, frames, views, i), vector_at(facets, i), whole[i, 1], light)
+                    and _smoothly_lit(point_at(points, frames, views, i), whole[i, 1], light)
                 )
                 if not smooth[q]:
                     break
@@ -146,16 +143,8 @@ def smooth_squares(
 
 
 @kernel
-def _smoothly_lit(point: SurfacePoint, facet: Vector, specular: float, light: ConvergedLight) -> bool:
+def _smoothly_lit(point: SurfacePoint, specular: float, light: ConvergedLight) -> bool:
     panel = light.panel
-    towards = minus(panel.centre, point.p)
-    if dot(facet, towards) <= 0.5 * (abs(dot(facet, panel.across)) + abs(dot(facet, panel.along))):
-        # the face hides what is between its own plane and the interpolated horizon: a strip of the panel in which N·L
-        # is half of its greatest value on average
-        between, r = minus(point.n, facet), length(towards)
-        greatest = max(0.0, dot(between, towards) + length(between) * half_diagonal(panel)) / r
-        if 0.5 * light.diffuse_level * greatest * greatest * r > FACET_LEVEL * half_diagonal(panel):
-            return False
     if light.specular_level * specular <= GLOSSY_LEVEL:
         return True
     half, spread = half_vector_cone(point, panel.centre, half_diagonal(panel))

@@ -40,7 +40,7 @@ _LEAST_SHARE = 0.25
 @kernel
 def diffuse_only(at: SurfacePoint) -> SurfacePoint:
     """The point with a cosθ_o of 0, which leaves the specular term out."""
-    return SurfacePoint(at.p, at.n, at.v, 0.0)
+    return SurfacePoint(at.p, at.n, at.v, 0.0, at.facet)
 
 
 @kernel
@@ -51,7 +51,7 @@ def point_terms(at: SurfacePoint, q: Vector, panel: PanelNumbers, lobe: Lobe, fo
     q: The point light [mm], a point of the panel
     form: Of the diffuse term
     """
-    p, n, v, n_dot_v = at
+    p, n, v, n_dot_v, _ = at
     light = minus(q, p)
     r2 = dot(light, light)
     light = scaled(light, 1.0 / math.sqrt(r2))

@@ -43,17 +43,21 @@ class PointRows(NamedTuple):
 
 
 class SurfacePoint(NamedTuple):
-    """One of them: p [mm], unit normal n, unit view direction v, and cosθ_o."""
+    """One of them: p [mm], unit normal n, unit view direction v, cosθ_o, and the unit normal of its own face.
+
+    The face hides what is below its own plane; n itself where that does not matter.
+    """
 
     p: Vector
     n: Vector
     v: Vector
     n_dot_v: float
+    facet: Vector
 
 
 @kernel
 def surface_point(p: Vector, n: Vector, v: Vector) -> SurfacePoint:
-    return SurfacePoint(p, n, v, dot(n, v))
+    return SurfacePoint(p, n, v, dot(n, v), n)
 
 
 @kernel

@@ -152,7 +152,7 @@ def element_weights(e: Element, pattern: Pattern, b: int, weights: Float64) -> N
 @kernel
 def diffuse_of_element(at: SurfacePoint, form: DiffuseForm, nodes: _Nodes, found: Float64) -> None:
     # light of an element per unit of R_d, for each term of the pattern: Σ weight · light · cosα · (N·L) / r²
-    (places, light, weights), (p, n, v, _) = nodes, at
+    (places, light, weights), (p, n, v, _, _) = nodes, at
     found[:] = 0.0
     for k in range(len(places)):
         towards = minus(vector_at(places, k), p)
@@ -184,7 +184,7 @@ def _even_nodes(low: float, high: float, count: int) -> Float64:
 def _values_of_nodes(at: SurfacePoint, e: Element, at_s: Float64, at_t: Float64, lobe: Lobe) -> Float64:
     # lobe times radiance · cosα / r² · dA per ds dt of places of an element, shape (count_s, count_t); 0 below the
     # horizon. As in `whole_panel`, the processor works on several nodes at once
-    p, n, v, _ = at
+    p, n, v, _, _ = at
     count_s, count_t = len(at_s), len(at_t)
     values, work = np.empty((count_s, count_t)), np.zeros((7, count_t))
     chord, across, lit_across, n_dot_l, size = work[0], work[1], work[2], work[3], work[4]

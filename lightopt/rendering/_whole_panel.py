@@ -25,7 +25,7 @@ from lightopt.rendering._panel_quadrature import (
 )
 from lightopt.rendering._penumbra import ConvergedLight
 from lightopt.rendering._point_lights import diffuse_only, lobe_towards, point_terms, round_lobes
-from lightopt.rendering._surface import PointRows, point_at, surface_point
+from lightopt.rendering._surface import PointRows, SurfacePoint, point_at, surface_point
 
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
 _STEP_S, _STEP_T = 0.6287067210378087, 0.5385972572236101  # 1/g³ and 1/g⁴ of g⁵ = g + 1
@@ -40,11 +40,11 @@ def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Flo
     index: Of the points, shape (j,)
     terms: Shape (k, 2)
     """
-    points, frames, views, _, _ = rows
+    points, frames, views, facets, _ = rows
     panel, lobe, form, nodes = light.panel, light.lobe, light.form, light.nodes
     plain = is_lambert(form)
     # the processor works on several points at once in loops without branches over numbers that lie side by side
-    p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
+    p, n, v, f = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
     diffuse, above, near = np.empty(_AT_ONCE), np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE, np.bool_)
     specular, work = np.empty(_AT_ONCE), np.empty((14, _AT_ONCE))
     for first in range(0, len(index), _AT_ONCE):
@@ -53,10 +53,14 @@ def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Flo
             i = index[first + j]
             for axis in range(3):
                 p[axis, j], n[axis, j], v[axis, j] = points[i, axis], frames[i, axis], views[i, axis]
+                f[axis, j] = facets[i, axis]
         for j in range(count):
             at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
             reach = 0.5 * (abs(dot(at.n, panel.across)) + abs(dot(at.n, panel.along)))
-            above[j] = dot(at.n, minus(panel.centre, at.p)) > reach
+            facet = column_at(f, j)
+            face_reach = 0.5 * (abs(dot(facet, panel.across)) + abs(dot(facet, panel.along)))
+            towards = minus(panel.centre, at.p)
+            above[j] = (dot(at.n, towards) > reach) & (dot(facet, towards) > face_reach)
             near[j] = not out_of_reach(at, panel, lobe)
             specular[j] = 0.0
             diffuse[j] = 0.0
@@ -75,7 +79,8 @@ def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Flo
             _add_smooth((p, n, v), frames, own, above[:count], near, light, work, specular)
         for j in range(count):
             i = index[first + j]
-            at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
+            normal, view = column_at(n, j), column_at(v, j)
+            at = SurfacePoint(column_at(p, j), normal, view, dot(normal, view), column_at(f, j))
             if not (plain and above[j]):
                 diffuse[j] = rectangle_diffuse(at, panel, WHOLE_PANEL, form, nodes)
             terms[i, 0], terms[i, 1] = diffuse[j], specular[j]
