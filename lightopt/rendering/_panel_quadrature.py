@@ -78,6 +78,7 @@ TAIL_ERROR, MOST_TAIL_ERROR = 3e-5, 1e-2  # share of the lobe's light by which a
 PEAK_ERROR = 2e-7
 _FEW_NODES_ERROR = 1e-3  # share of the light of tails from which on two nodes do for fall-off and emission
 _FEW_NODES = 6  # a side of a rectangle that a tail is smooth over
+_NODES_OF_MASKING = 2  # further ones where the horizon crosses it
 _EVEN = 1e3  # width, in sides, from which a lobe is the same all along one
 
 # of the Gauss–Legendre rules on [0, 1]; row n has the rule of n nodes, shape (MAX_NODES + 1, MAX_NODES)
@@ -349,10 +350,9 @@ def _gaussian_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe
 def _tailed_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int) -> float:
     # of a lobe with tails, whose width is α = 2σ in δ: (2 + exponent)/2 is to the power of −2
     horizon = _horizon(at, panel, area)
-    if horizon.lowest > 0.0:
-        few = nodes_of_tail(at, panel, area, lobe, panel_nodes)
-        if few <= _FEW_NODES:
-            return _tail_light(at, panel, area, lobe, few)
+    few = nodes_of_tail(at, panel, area, lobe, panel_nodes)
+    if few <= _FEW_NODES:
+        return _tail_light(at, panel, area, lobe, few if horizon.lowest > 0.0 else few + _NODES_OF_MASKING, horizon)
     least_s = math.ceil(panel_nodes * (area.s1 - area.s0)) + 1
     least_t = math.ceil(panel_nodes * (area.t1 - area.t0)) + 1
     s, t, a, b, c, gs, gt, least = _nearest(at, panel, area, lobe, EVERYWHERE)
@@ -416,15 +416,22 @@ def nodes_of_tail(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: 
 
 
 @kernel
-def _tail_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, count: int) -> float:
-    # as the specular term of `_integrals`, for a lobe alike all round, of a rectangle that no horizon crosses
-    width, height, total = area.s1 - area.s0, area.t1 - area.t0, 0.0
-    for i in range(count):
-        t = area.t0 + height * NODES[count, i]
-        for j in range(count):
-            s = area.s0 + width * NODES[count, j]
-            total += tail_at(at, panel, s, t, WEIGHTS[count, i] * WEIGHTS[count, j], lobe)
-    return total * width * height / specular_divisor(at.n_dot_v, 0.0, lobe)
+def _tail_light(
+    at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, count: int, horizon: _Horizon
+) -> float:
+    # as the specular term of `_integrals`, for a lobe alike all round
+    ends, total = _broken_rows(horizon, area), 0.0
+    for k in range(len(ends)):
+        low, high = ends[k - 1] if k > 0 else area.t0, ends[k]
+        for i in range(count if low < high else 0):
+            t = low + (high - low) * NODES[count, i]
+            r0, r1 = _row_above_horizon(horizon, t, area)
+            if r0 < r1:
+                weight = WEIGHTS[count, i] * (high - low) * (r1 - r0)
+                for j in range(count):
+                    s = r0 + (r1 - r0) * NODES[count, j]
+                    total += tail_at(at, panel, s, t, weight * WEIGHTS[count, j], lobe)
+    return total / specular_divisor(at.n_dot_v, 0.0, lobe)
 
 
 @kernel

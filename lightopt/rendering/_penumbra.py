@@ -427,7 +427,25 @@ def _shade_squares(work: _Work, squares: Squares, *, depth: int) -> Bool:
     if bent.any():
         for finer in _finer_squares(squares, bent, divisions=GRIDS[depth + 1]):
             _shade_squares(work, finer, depth=depth + 1)
-    return (state == VISIBLE).any(axis=(1, 2)) & (state == BLOCKED).any(axis=(1, 2))
+    return _crossed_by_bodies(work.surface.rows, work.light.panel, squares, state)
+
+
+@kernel
+def _crossed_by_bodies(rows: PointRows, panel: PanelNumbers, squares: Squares, state: UInt8) -> Bool:
+    # squares that the edge of a shadow crosses, not the plane of the surface point's own face alone
+    points, facets, n = rows[0], rows[3], state.shape[1] - 1
+    crossed = np.zeros(len(squares.point), np.bool_)
+    for j in range(len(squares.point)):
+        p, facet = vector_at(points, squares.point[j]), vector_at(facets, squares.point[j])
+        visible = hidden = False
+        for row in range(n + 1):
+            for column in range(n + 1):
+                visible |= state[j, row, column] == VISIBLE
+                if state[j, row, column] == BLOCKED and not hidden:
+                    s, t = _place(squares, j, float(column), float(row))
+                    hidden = dot(facet, minus(panel_point(panel, s - 0.5, t - 0.5), p)) > 0.0
+        crossed[j] = visible and hidden
+    return crossed
 
 
 def _finer_squares(squares: Squares, chosen: Bool, *, divisions: int) -> Iterator[Squares]:

@@ -61,9 +61,11 @@ def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Flo
             face_reach = 0.5 * (abs(dot(facet, panel.across)) + abs(dot(facet, panel.along)))
             towards = minus(panel.centre, at.p)
             above[j] = (dot(at.n, towards) > reach) & (dot(facet, towards) > face_reach)
-            near[j] = not out_of_reach(at, panel, lobe)
+            near[j] = True
             specular[j] = 0.0
             diffuse[j] = 0.0
+        for j in range(0 if lobe.ggx else count):
+            near[j] = not out_of_reach(surface_point(column_at(p, j), column_at(n, j), column_at(v, j)), panel, lobe)
         for a in range(nodes if plain else 0):
             for b in range(nodes):
                 q = panel_point(panel, NODES[nodes, b] - 0.5, NODES[nodes, a] - 0.5)
