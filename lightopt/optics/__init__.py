@@ -33,6 +33,7 @@ from ._reflection_model import (
     narrow_gaussian,
     rough_gaussian,
     round_ggx,
+    series_reach,
     specular_divisor,
     specular_lobe,
     square_across,

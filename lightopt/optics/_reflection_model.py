@@ -35,6 +35,7 @@ MAX_LOBE_EXPONENT = 60.0
 """Lobes are zero where δ²/(2σ²) exceeds this: e⁻⁶⁰ = 9e-27 of R_s is nothing beside a grey level."""
 
 EVERYWHERE = 1e30  # exponent that no place exceeds: a lobe that is nowhere negligible
+_QUARTER_TURN_SQUARED, _NOTHING_LEFT = 2.0, 5.2  # |N − H|² of δ = 90°, and 1/(2σ²) of σ = 0.31
 NARROW_CHORD_SQUARED = 0.25  # Lobes where |N − H|² is less than this, δ < 0.505 rad, are computed without branches
 
 
@@ -219,6 +220,15 @@ def narrow_gaussian(chord_squared: float, inverse_two_sigma_squared: float) -> f
     series = 1.0 / 12.0 + c * series
     exponent = min(c * (1.0 + c * series) * inverse_two_sigma_squared, 2.0 * MAX_LOBE_EXPONENT)
     return exponential(-exponent) if c * inverse_two_sigma_squared <= MAX_LOBE_EXPONENT else 0.0
+
+
+@kernel
+def series_reach(inverse_two_sigma_squared: float) -> float:
+    """|N − H|² up to which :func:`narrow_gaussian` is exact to 2e-8 of the lobe's peak.
+
+    At δ of 90° its exponent is off by 5e-4 of itself. Up to σ = 0.31 nothing is left of the lobe there.
+    """
+    return _QUARTER_TURN_SQUARED if inverse_two_sigma_squared >= _NOTHING_LEFT else NARROW_CHORD_SQUARED
 
 
 @kernel

@@ -24,7 +24,6 @@ from lightopt.optics import (
     EVERYWHERE,
     LAMBERT,
     MAX_LOBE_EXPONENT,
-    NARROW_CHORD_SQUARED,
     DiffuseForm,
     Lobe,
     Reflectance,
@@ -34,6 +33,7 @@ from lightopt.optics import (
     light_factor,
     narrow_gaussian,
     round_ggx,
+    series_reach,
     specular_divisor,
     square_across,
 )
@@ -77,7 +77,7 @@ TAIL_ERROR, MOST_TAIL_ERROR = 3e-5, 1e-2  # share of the lobe's light by which a
 # of tails: what they may be off by in R_s, of which they are a tenth in fact, 0.02 level of chrome with R_s = 10⁶
 PEAK_ERROR = 2e-7
 _FEW_NODES_ERROR = 1e-3  # share of the light of tails from which on two nodes do for fall-off and emission
-_FEW_NODES = 6  # a side of a rectangle that a tail is smooth over
+_FEW_NODES = 8  # a side of a rectangle that a tail is smooth over
 _NODES_OF_MASKING = 2  # further ones where the horizon crosses it
 _EVEN = 1e3  # width, in sides, from which a lobe is the same all along one
 
@@ -542,7 +542,7 @@ def _half_axes(low: float, high: float, singular: float) -> float:
 
 @kernel
 def few_tail_nodes(away: float, spread: float, lobe: Lobe, least: int) -> int:
-    """As :func:`smooth_nodes_within` has them for tails, up to 6; 7 where it is more. Without branches.
+    """As :func:`smooth_nodes_within` has them for tails, up to 8; :data:`MAX_NODES` where more. Without branches.
 
     least: Nodes that fall-off and emission need where the tails are not faint
     """
@@ -553,8 +553,8 @@ def few_tail_nodes(away: float, spread: float, lobe: Lobe, least: int) -> int:
     for _ in range(_FEW_NODES - 1):
         wanted += reached < 1.0
         reached *= falls
-    wanted = max(wanted, least if error < _FEW_NODES_ERROR else 2)
-    return wanted if spread < 1.0 else _FEW_NODES + 1
+    enough = (wanted <= _FEW_NODES) & (spread < 1.0)
+    return max(wanted, least if error < _FEW_NODES_ERROR else 2) if enough else MAX_NODES
 
 
 @kernel
@@ -584,7 +584,7 @@ def _lobe_above_horizon(
     # the specular term of `_integrals` where no horizon crosses the rectangle: the processor works on several nodes at
     # once in loops without branches over numbers that lie side by side
     p, n, v, n_dot_v, _ = at
-    count_s, count_t = counts
+    (count_s, count_t), reach = counts, series_reach(lobe.inverse)
     chord, values = np.empty(count_s * count_t), np.empty(count_s * count_t)
     width, height = area.s1 - area.s0, area.t1 - area.t0
     for i in range(count_t):
@@ -603,12 +603,12 @@ def _lobe_above_horizon(
                 chord[first + j] = max(0.0, chord[first + j] - square_across(away, lobe))
                 values[first + j] *= light_factor(dot(n, light), square_across(light, lobe), size, lobe)
     for k in range(len(values)):
-        values[k] *= narrow_gaussian(min(chord[k], NARROW_CHORD_SQUARED), lobe.inverse)
+        values[k] *= narrow_gaussian(min(chord[k], reach), lobe.inverse)
     total = widest = 0.0
     for k in range(len(values)):
         total += values[k]
         widest = max(widest, chord[k])
-    if widest >= NARROW_CHORD_SQUARED:
+    if widest >= reach:
         # δ of 29° or more, where only a rough surface shows a lobe
         return _integrals(at, panel, area, lobe, LAMBERT, counts)[1]
     return total * width * height / specular_divisor(n_dot_v, square_across(v, lobe), lobe)
@@ -660,6 +660,17 @@ def smooth_nodes_within(away: float, spread: float, lobe: Lobe, error: float, ne
         narrowest += 1
     inverse = lobe.inverses[narrowest]
     return node_count(inverse, inverse * away, -min(spread, away), spread)
+
+
+@kernel
+def gaussian_nodes(away: float, spread: float, lobe: Lobe) -> int:
+    """As :func:`smooth_nodes_within`, of Gaussian lobes of which even the narrowest may be near."""
+    nearest, inverse, k = max(0.0, away - spread), lobe.inverse, 0
+    while k < lobe.wider and nearest * nearest * inverse > NEGLIGIBLE_EXPONENT:
+        inverse = lobe.inverses[k]
+        k += 1
+    steep, width = 2.0 * inverse * away * spread, 2.0 * spread * math.sqrt(2.0 * inverse)
+    return math.ceil(max(2.0 + width, min(2.0 + 0.9 * steep, 3.0 + 0.56 * steep))) + 1
 
 
 @kernel

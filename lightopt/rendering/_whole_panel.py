@@ -8,7 +8,16 @@ from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, column_at, dot, length, minus, plus, scaled
 from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
-from lightopt.optics import MAX_LOBE_EXPONENT, Lobe, is_lambert, lambert, lobe_at, specular_divisor, square_across
+from lightopt.optics import (
+    MAX_LOBE_EXPONENT,
+    Lobe,
+    is_lambert,
+    lambert,
+    lobe_at,
+    series_reach,
+    specular_divisor,
+    square_across,
+)
 from lightopt.rendering._panel_quadrature import (
     NEGLIGIBLE_EXPONENT,
     NODES,
@@ -16,6 +25,7 @@ from lightopt.rendering._panel_quadrature import (
     WEIGHTS,
     WHOLE_PANEL,
     few_tail_nodes,
+    gaussian_nodes,
     half_vector_cone,
     lobe_cone,
     out_of_reach,
@@ -30,7 +40,7 @@ from lightopt.rendering._surface import PointRows, SurfacePoint, point_at, surfa
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
 _STEP_S, _STEP_T = 0.6287067210378087, 0.5385972572236101  # 1/g³ and 1/g⁴ of g⁵ = g + 1
 FAR_SHARE = 20.0 / MAX_LOBE_EXPONENT  # of the farthest exponent, e⁻²⁰ of the lobe, beyond which it is left out there
-_MOST_EVEN = 6  # nodes a side up to which a lobe is smooth all over the panel
+_MOST_EVEN = 12  # nodes a side up to which a lobe is smooth all over the panel
 
 
 @kernel
@@ -76,9 +86,8 @@ def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Flo
                     towards = scaled(towards, 1.0 / math.sqrt(r2))
                     term = weight * lambert(dot(column_at(n, j), towards))
                     diffuse[j] += attenuated(term, panel, r2, dot(panel.outward, towards))
-        if lobe.ggx or lobe.wider > 0:
-            own = index[first : first + count]
-            _add_smooth((p, n, v), frames, own, above[:count], near, light, work, specular)
+        own = index[first : first + count]
+        _add_smooth((p, n, v), frames, own, above[:count], near, light, work, specular)
         for j in range(count):
             i = index[first + j]
             normal, view = column_at(n, j), column_at(v, j)
@@ -101,11 +110,11 @@ def _add_smooth(
     work: Float64,
     specular: Float64,
 ) -> None:
-    # where the tails of a lobe, or the wider of two, are smooth all over the panel: sets the light of these points,
-    # which are no longer `near`. The points that take as many nodes are worked out together
+    # where a lobe is smooth all over the panel: sets the light of these points, which are no longer `near`. The points
+    # that take as many nodes are worked out together
     (at_p, at_n, at_v), panel, lobe = columns, light.panel, light.lobe
     wanted, place = np.zeros(len(above), np.int64), np.empty(len(above), np.int64)
-    brushed = lobe.widening > 1.0
+    brushed, widest = lobe.widening > 1.0, math.sqrt(series_reach(lobe.inverse))
     for j in range(len(above) if lobe.ggx and not brushed else 0):
         at = surface_point(column_at(at_p, j), column_at(at_n, j), column_at(at_v, j))
         away, spread = lobe_cone(at, panel.centre, half_diagonal(panel), lobe)
@@ -117,6 +126,8 @@ def _add_smooth(
             away, spread = lobe_cone(at, panel.centre, half_diagonal(panel), lobe_at(lobe, frames, index[j]))
             if lobe.ggx:
                 wanted[j] = few_tail_nodes(away, spread, lobe, light.nodes)
+            elif away + spread < widest:
+                wanted[j] = max(gaussian_nodes(away, spread, lobe), light.nodes + 1)
             else:
                 few = smooth_nodes_within(away, spread, lobe, TAIL_ERROR, NEGLIGIBLE_EXPONENT)
                 wanted[j] = max(few, light.nodes)
