@@ -10,14 +10,30 @@ where the Gauss–Legendre rules of 64 and of 96 nodes a side agree to 1e-11.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
 import reference as ref
 import trimesh
-from worlds import BOX_CORNERS, PARTS, box, cap, corners, levels, merged, plane, scene_from_files, scene_from_mesh
+from worlds import (
+    BOX_CORNERS,
+    PARTS,
+    box,
+    cap,
+    corners,
+    levels,
+    merged,
+    plane,
+    scene_from_files,
+    scene_from_mesh,
+    sphere,
+)
 
 import lightopt.rendering._images as blocks
 from lightopt.geometry import TriangleMesh
+from lightopt.optics import Reflectance, SpecularModel
 
 UNIT = {"R_d": 1.0, "R_s": 1.0}
 SIGMAS = [0.003, 0.0475, 0.15]
@@ -82,6 +98,35 @@ def test_convex_part(sigma, real, most):
         expected = 45.0 * unit[0] + R_s * unit[1]
         agree(image, expected)
     assert np.count_nonzero(expected >= 255) > (70 if most is None else 30)
+
+
+@pytest.mark.parametrize("model", ["torrance-sparrow", "ggx"])
+def test_terminator_of_a_faceted_ball(model):
+    """Faces hide what is below their planes, the interpolated normals what is below theirs; nothing else is in the way.
+
+    Expected: within 0.002 level wherever either plane crosses the panel.
+    """
+    camera = ref.Camera(width=120, height=90, pixel_um=43)
+    light = ref.Light(elevation=20, azimuth=50, size=(90, 60))
+    mesh = sphere(18.0, rows=24, centre=(0.31, 0.17, 0.0))  # no pixel exactly on an edge
+    own = Reflectance(R_d=45.0, R_s=3000.0, sigma=0.05, model=SpecularModel(name=model))
+    hits = ref.trace(camera, *corners(mesh))
+    u, v = np.array([-0.5, -0.5, 0.5, 0.5]), np.array([-0.5, 0.5, -0.5, 0.5])
+    places = light.at(u, v)
+    crossed = np.zeros(len(hits.front), np.bool_)
+    for normals in (hits.normal, hits.geometric):
+        above = np.stack([np.sum((place - hits.point) * normals, axis=1) > 0.0 for place in places])
+        crossed |= above.any(axis=0) & ~above.all(axis=0)
+    at = sample(np.flatnonzero(hits.front & crossed), 150)
+    unit = {**UNIT, "lobe": partial(ref.specular, reflectance=own)}
+    diffuse, specular = ref.panel_radiance(hits[at], light, **unit, rule=ref.product_rule(6, cells=60))
+    expected = 45.0 * diffuse + 3000.0 * specular
+    scene = replace(scene_from_mesh(camera, [light], mesh, points="auto"), reflectance=own)
+    error = np.abs(levels(scene).ravel()[at] - expected)
+    print(f"{len(at)} pixels up to {expected.max():.1f} level, off by {error.max():.4f} at most")
+    assert len(at) > 100
+    assert np.ptp(expected) > 2.0
+    assert error.max() <= 0.002
 
 
 @pytest.mark.slow
