@@ -208,6 +208,7 @@ def add_points(
     n_dot_v, chord_squared = np.empty(_AT_ONCE), np.empty(_AT_ONCE)
     terms, r2, cosine = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE)
     near, lobes, factors = np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE), np.ones(_AT_ONCE)
+    lit_cosine, half_size, round_tails = np.empty(_AT_ONCE), np.empty(_AT_ONCE), lobe.ggx and lobe.widening == 1.0
     aside, across_view = np.zeros(_AT_ONCE), np.zeros(_AT_ONCE)  # squares across the brushing, of N − H and of V
     for first in range(0, len(points), _AT_ONCE):
         count = min(_AT_ONCE, len(points) - first)
@@ -236,11 +237,12 @@ def add_points(
                 chord = minus(normal, scaled(half, 1.0 / math.sqrt(length_squared)))
                 chord_squared[j] = dot(chord, chord)
                 near[j] = lit & (n_dot_v[j] > 0.0) & _near_lobe(dot(normal, half), length_squared, lobe)
-                if not lobe.plain:
+                lit_cosine[j], half_size[j] = max(n_dot_l, 0.0), math.sqrt(length_squared)
+                if not (lobe.plain or round_tails):
                     turned = lobe_at(lobe, frames, first + j)
                     aside[j] = square_across(chord, turned)
                     towards = square_across(light, turned)
-                    factors[j] = light_factor(max(n_dot_l, 0.0), towards, math.sqrt(length_squared), lobe)
+                    factors[j] = light_factor(lit_cosine[j], towards, half_size[j], lobe)
             if not is_lambert(form):
                 for j in range(count):
                     if terms[j] > 0.0:
@@ -249,6 +251,12 @@ def add_points(
                         terms[j] = diffuse_term(terms[j], n_dot_v[j], l_dot_v, form)
             for j in range(count):
                 own_diffuse[j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * terms[j])
+            if round_tails:
+                round_lobes(lobes, chord_squared, lit_cosine, half_size, count, lobe)
+                for j in range(count):
+                    value = lobes[j] / specular_divisor(n_dot_v[j], 0.0, lobe) if near[j] else 0.0
+                    own_specular[j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * value)
+                continue
             all_at_once = lobe.plain and np.count_nonzero(near[:count]) > _LEAST_SHARE * count
             if all_at_once:
                 for j in range(count):
