@@ -207,22 +207,88 @@ def add_spread_points(rows: PointRows, clear: Bool, cells: int, light: Converged
     points, frames, views, _, _ = rows
     panel, lobe, form = light.panel, light.lobe, light.form
     reach, share = half_diagonal(panel), 1.0 / (cells * cells)
+    together = is_lambert(form) and lobe.widening == 1.0 and (lobe.ggx or series_reach(lobe.inverse) > 1.0)
+    p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
+    places, index, work = np.empty((2, _AT_ONCE)), np.empty(_AT_ONCE, np.int64), np.empty((6, _AT_ONCE))
+    count = 0
     for i in range(len(points)):
-        if not clear[i]:
-            continue
-        at = point_at(points, frames, views, i)
-        s, t = _STEP_S * i, _STEP_T * i
-        s, t = s - math.floor(s), t - math.floor(t)
-        half, spread = half_vector_cone(at, panel.centre, reach)
-        nearest = max(0.0, length(minus(at.n, half)) - spread)
-        if spread < math.pi and nearest * nearest * lobe.inverse > FAR_SHARE * lobe.farthest:
-            # diffuse light is as even as one place shows it
-            terms[i, 0] += point_terms(diffuse_only(at), panel_point(panel, s - 0.5, t - 0.5), panel, lobe, form)[0]
-            continue
-        turned = lobe_at(lobe, frames, i)
-        for a in range(cells):
-            for b in range(cells):
-                q = panel_point(panel, (a + s) / cells - 0.5, (b + t) / cells - 0.5)
-                diffuse, specular = point_terms(at, q, panel, turned, form)
-                terms[i, 0] += share * diffuse
-                terms[i, 1] += share * specular
+        if clear[i]:
+            at = point_at(points, frames, views, i)
+            s, t = _STEP_S * i, _STEP_T * i
+            s, t = s - math.floor(s), t - math.floor(t)
+            half, spread = half_vector_cone(at, panel.centre, reach)
+            nearest = max(0.0, length(minus(at.n, half)) - spread)
+            if spread < math.pi and nearest * nearest * lobe.inverse > FAR_SHARE * lobe.farthest:
+                # diffuse light is as even as one place shows it
+                q = panel_point(panel, s - 0.5, t - 0.5)
+                terms[i, 0] += point_terms(diffuse_only(at), q, panel, lobe, form)[0]
+            elif together:
+                index[count], places[0, count], places[1, count] = i, s, t
+                for axis in range(3):
+                    p[axis, count], n[axis, count], v[axis, count] = points[i, axis], frames[i, axis], views[i, axis]
+                count += 1
+            else:
+                turned = lobe_at(lobe, frames, i)
+                for a in range(cells):
+                    for b in range(cells):
+                        q = panel_point(panel, (a + s) / cells - 0.5, (b + t) / cells - 0.5)
+                        diffuse, specular = point_terms(at, q, panel, turned, form)
+                        terms[i, 0] += share * diffuse
+                        terms[i, 1] += share * specular
+        if count == _AT_ONCE or (i + 1 == len(points) and count > 0):
+            spare = (
+                work[0, :count],
+                work[1, :count],
+                work[2, :count],
+                work[3, :count],
+                work[4, :count],
+                work[5, :count],
+            )
+            _add_spread((p, n, v), places, cells, panel, lobe, spare)
+            for j in range(count):
+                at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
+                terms[index[j], 0] += share * work[4, j]
+                if at.n_dot_v > 0.0:
+                    terms[index[j], 1] += share * work[5, j] / specular_divisor(at.n_dot_v, 0.0, lobe)
+            count = 0
+
+
+@kernel
+def _add_spread(
+    columns: tuple[Float64, Float64, Float64],
+    places: Float64,
+    cells: int,
+    panel: PanelNumbers,
+    lobe: Lobe,
+    work: tuple[Float64, Float64, Float64, Float64, Float64, Float64],
+) -> None:
+    # sets the last two of `work`, the sums of diffuse light and of specular light but for its divisor over places in
+    # cells × cells of the panel; in loops as those of `_add_node`
+    (p, n, v), (chord, n_dot_l, half_size, values, diffuse, specular) = columns, work
+    for k in range(len(diffuse)):
+        diffuse[k] = specular[k] = 0.0
+    for a in range(cells):
+        for b in range(cells):
+            for k in range(len(diffuse)):
+                q = panel_point(panel, (a + places[0, k]) / cells - 0.5, (b + places[1, k]) / cells - 0.5)
+                towards = minus(q, column_at(p, k))
+                towards = scaled(towards, 1.0 / math.sqrt(dot(towards, towards)))
+                half = plus(towards, column_at(v, k))
+                size = math.sqrt(dot(half, half))
+                away = minus(column_at(n, k), scaled(half, 1.0 / size))
+                chord[k], n_dot_l[k], half_size[k] = dot(away, away), dot(column_at(n, k), towards), size
+            for k in range(len(diffuse)):
+                n_dot_l[k] = lambert(n_dot_l[k])
+            round_lobes(values, chord, n_dot_l, half_size, len(diffuse), lobe)
+            if panel.inverse_square or panel.emission_exponent > 0.0:
+                for k in range(len(diffuse)):
+                    q = panel_point(panel, (a + places[0, k]) / cells - 0.5, (b + places[1, k]) / cells - 0.5)
+                    towards = minus(q, column_at(p, k))
+                    r2 = dot(towards, towards)
+                    weight = attenuated(1.0, panel, r2, dot(panel.outward, towards) / math.sqrt(r2))
+                    diffuse[k] += weight * n_dot_l[k]
+                    specular[k] += weight * values[k] if n_dot_l[k] > 0.0 else 0.0
+            else:
+                for k in range(len(diffuse)):
+                    diffuse[k] += n_dot_l[k]
+                    specular[k] += values[k] if n_dot_l[k] > 0.0 else 0.0
