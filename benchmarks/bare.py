@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from embreex import rtcore_scene
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from benchmarks._case import Size, case_scene
 from benchmarks._report import Report, Table, ratio_text, ratios, rounds
 from lightopt.geometry import RayCaster
+from lightopt.geometry._caster import _begins, _primary_rays, _rays_of_pairs  # pyright: ignore[reportPrivateUsage]
 from lightopt.rendering import PostureImages, cast_rays_at, rays_of_images, render_posture
 from lightopt.scene import Scene
 
@@ -55,21 +57,38 @@ class RecordedRays:
                 yield query, origins[part], directions[part], reach[part]
 
 
+class _RecordingCaster(RayCaster):
+    """Casts every ray, also those that are proven free, and keeps them."""
+
+    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
+        self.recorded: dict[str, list[tuple[Float32, Float32]]] = {"INTERSECT": [], "OCCLUDED": []}
+        super().__init__(vertices, faces)
+
+    def first_hit(self, origin: Any, directions: Any, *, neighbours: bool = False) -> Any:
+        return self._run("INTERSECT", *_primary_rays(self._local(origin), directions))
+
+    def visible(self, points: Any, normals: Any, targets: Any, *, candidates: Any, outside: bool = False) -> Any:
+        begins = _begins(points, normals, self.centre, self.radius)
+        point, target = (index.astype(np.int32) for index in np.nonzero(candidates.T))
+        seen = candidates.copy()
+        seen[target, point] = self._run("OCCLUDED", *_rays_of_pairs(begins, self._local(targets), point, target)) < 0
+        return seen
+
+    def _run(self, query: str, origins: Float32, directions: Float32) -> Any:
+        self.recorded[query].append((origins, directions))
+        return super()._run(query, origins, directions)
+
+
 def record_rays(scene: Scene) -> RecordedRays:
     """Render once on one thread and record every ray that Embree is given."""
-    recorded: dict[str, list[tuple[Float32, Float32]]] = {"INTERSECT": [], "OCCLUDED": []}
-
-    def record(query: str, origins: Float32, directions: Float32) -> None:
-        recorded[query].append((origins, directions))
-
-    caster = RayCaster(scene.mesh.vertices, scene.mesh.faces, recorder=record)
-    for batches in recorded.values():
+    caster = _RecordingCaster(scene.mesh.vertices, scene.mesh.faces)
+    for batches in caster.recorded.values():
         batches.clear()  # the ray that commits the scene
     render_posture(scene, scene.postures[0], caster=caster, threads=1)
     local = ((scene.mesh.vertices - caster.centre) / caster.radius).astype(np.float32)
     camera, shadow = (
         (np.concatenate([o for o, _ in batches]), np.concatenate([d for _, d in batches]))
-        for batches in recorded.values()
+        for batches in caster.recorded.values()
     )
     return RecordedRays(local, np.ascontiguousarray(scene.mesh.faces, np.int32), camera, shadow)
 
