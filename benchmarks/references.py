@@ -302,7 +302,7 @@ def count(
             if reference == "model":
                 levels = view.level, view.predicted, view.limit, view.deviation
                 refuse_mismatch(*levels, some_pixels(view.clean), path.stem)
-            inspector = Inspector(rig, part, options, None, calibration, RunContext(threads=1))
+            inspector = Inspector(rig, part, options, PredictionCache(), calibration, RunContext(threads=1))
             result = inspector.inspect_registered(registered, path.stem)
         except InputError:
             refused += 1
