@@ -2,10 +2,9 @@
 
 What a smooth piece of surface sees of a panel varies smoothly over it: over most of a penumbra, far from the body that
 casts it, by a share of a per cent from one pixel to the next. A square of samples is worked out at 3 × 3 of them, and
-the quadratic through these predicts the middles of its four quarters. These, worked out as well, show the third powers
-that the quadratic lacks. Where all four agree with both, these serve for the whole square. Where they do not, or where
-the surface is not smooth, the quarters are squares of their own, whose middles are known already; the smallest ones are
-worked out sample by sample.
+the quadratic through these predicts the middles of its four quarters. Where these, worked out as well, agree with the
+prediction, it serves for the whole square. Where they do not, or where the surface is not smooth, the quarters are
+squares of their own, whose middles are known already; the smallest ones are worked out sample by sample.
 
 What the functions share
 ------------------------
@@ -31,12 +30,8 @@ from lightopt.rendering._surface import PointRows, SurfacePoint, point_at
 
 SIDES = (16, 8, 4)  # of the squares, one after the other; of any smaller one all samples would be worked out
 
-# a prediction may be off by 0.01 level + 0.01 % where it is tested: elsewhere in the square it may be off by more
-LEVEL_TOLERANCE, RELATIVE_TOLERANCE = 0.01, 0.0001
-
-# the quadratic alone may be off there by so many times as much: what it lacks of a cubic is added
-MOST_BENT = 4.0
-
+# a prediction may be off by 0.015 level + 0.015 % where it is tested: elsewhere in the square it may be off by more
+LEVEL_TOLERANCE, RELATIVE_TOLERANCE = 0.015, 0.00015
 
 # the whole panel's diffuse light may be off by this share where only the visible share of it is interpolated: faces
 # show in it, and at a crease it is far from a quadratic
@@ -207,7 +202,9 @@ def interpolate(
     crossed: Which points the edge of a shadow crosses the panel of, shape (k,)
     """
     weights = quadratic_weights(side)
-    panel, seen, bends = np.empty((2, len(_PLACES))), np.empty((2, len(_PLACES))), np.empty((2, 2))
+    levels = light.diffuse_level, light.specular_level
+    panel, seen = np.empty((2, len(_PLACES))), np.empty((2, len(_PLACES)))
+    step = side // 4
     for q in range(len(corners)):
         top, left = corners[q, 0], corners[q, 1]
         any_crossed = False
@@ -216,83 +213,35 @@ def interpolate(
             any_crossed |= crossed[i]
             for term in range(2):
                 panel[term, place], seen[term, place] = whole[i, term], visible[i, term]
-        for term in range(2):
-            _set_bends(panel[term], seen[term], weights, bends[term])
-        samples = at[top : top + side + 1, left : left + side + 1]
-        if not (
-            _middles_agree(panel, seen, weights, bends, light) and _whole_agrees(panel, weights, samples, whole, light)
-        ):
+        served = True
+        for place in range(_NODES, len(_PLACES)):
+            y, x = step * _PLACES[place, 0], step * _PLACES[place, 1]
+            error = level = 0.0
+            for term in range(2):
+                light_there = panel[term, place] * _visible_share(panel[term], seen[term], weights, y, x)
+                error += levels[term] * abs(light_there - seen[term, place])
+                level += levels[term] * seen[term, place]
+            served &= error <= LEVEL_TOLERANCE + RELATIVE_TOLERANCE * level
+        for y in range(side + 1):
+            if not served:
+                break
+            for x in range(side + 1):
+                for term in range(2):
+                    level = levels[term] * whole[at[top + y, left + x], term]
+                    error = abs(levels[term] * _predicted(panel[term], weights, y, x) - level)
+                    allowed = RELATIVE_TOLERANCE if term == 1 else DIFFUSE_TOLERANCE
+                    served &= error <= LEVEL_TOLERANCE + allowed * level
+        if not served:
             continue
         for y in range(side + 1):
             for x in range(side + 1):
-                i = samples[y, x]
+                i = at[top + y, left + x]
                 if not done[i]:
                     for term in range(2):
-                        share = _bent_share(panel[term], seen[term], weights, bends[term], y, x)
-                        visible[i, term] = whole[i, term] * share
+                        visible[i, term] = whole[i, term] * _visible_share(panel[term], seen[term], weights, y, x)
                     share = _visible_share(panel[0], seen[0], weights, y, x)
                     crossed[i] = any_crossed and EDGE_SHARE < share < 1.0 - EDGE_SHARE
                     done[i] = True
-
-
-@kernel
-def _set_bends(panel: Float64, seen: Float64, weights: Float64, bends: Float64) -> None:
-    # third powers of the visible share along x and along y, by what the middles of the quarters add to the quadratic
-    step = (len(weights) - 1) // 4
-    bends[:] = 0.0
-    for place in range(_NODES, len(_PLACES)):
-        row, column = _PLACES[place]
-        if panel[place] > 0.0:
-            share = _visible_share(panel, seen, weights, step * row, step * column)
-            off = 0.25 * (seen[place] / panel[place] - share)
-            bends[0] += off if column == 1 else -off
-            bends[1] += off if row == 1 else -off
-
-
-@kernel
-def _middles_agree(panel: Float64, seen: Float64, weights: Float64, bends: Float64, light: ConvergedLight) -> bool:
-    levels, step = (light.diffuse_level, light.specular_level), (len(weights) - 1) // 4
-    for place in range(_NODES, len(_PLACES)):
-        y, x = step * _PLACES[place, 0], step * _PLACES[place, 1]
-        error = plain = level = 0.0
-        for term in range(2):
-            share = _bent_share(panel[term], seen[term], weights, bends[term], y, x)
-            error += levels[term] * abs(panel[term, place] * share - seen[term, place])
-            share = _visible_share(panel[term], seen[term], weights, y, x)
-            plain += levels[term] * abs(panel[term, place] * share - seen[term, place])
-            level += levels[term] * seen[term, place]
-        allowed = LEVEL_TOLERANCE + RELATIVE_TOLERANCE * level
-        if error > allowed or plain > MOST_BENT * allowed:
-            return False
-    return True
-
-
-@kernel
-def _whole_agrees(panel: Float64, weights: Float64, samples: Int32, whole: Float64, light: ConvergedLight) -> bool:
-    # whether the quadratic serves for the light of the whole panel at each sample
-    levels = light.diffuse_level, light.specular_level
-    for y in range(len(samples)):
-        for x in range(len(samples)):
-            for term in range(2):
-                level = levels[term] * whole[samples[y, x], term]
-                error = abs(levels[term] * _predicted(panel[term], weights, y, x) - level)
-                allowed = RELATIVE_TOLERANCE if term == 1 else DIFFUSE_TOLERANCE
-                if error > LEVEL_TOLERANCE + allowed * level:
-                    return False
-    return True
-
-
-@kernel
-def _bent_share(panel: Float64, seen: Float64, weights: Float64, bends: Float64, y: int, x: int) -> float:
-    share = _visible_share(panel, seen, weights, y, x)
-    return min(max(share + bends[0] * _bend(x, len(weights) - 1) + bends[1] * _bend(y, len(weights) - 1), 0.0), 1.0)
-
-
-@kernel
-def _bend(k: int, side: int) -> float:
-    # the cubic that is 0 at the start, the middle and the end of a side, and 1 at a quarter of it
-    x = k / side
-    return x * (x - 0.5) * (x - 1.0) * (64.0 / 3.0)
 
 
 @kernel
