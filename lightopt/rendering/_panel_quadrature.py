@@ -37,7 +37,7 @@ from lightopt.optics import (
     specular_divisor,
     square_across,
 )
-from lightopt.rendering._point_lights import diffuse_only, point_terms
+from lightopt.rendering._point_lights import diffuse_only, point_terms, round_lobe_numbers
 from lightopt.rendering._surface import SurfacePoint
 
 # most Gauss–Legendre nodes along a side; only a view or a light that grazes the surface asks for as many
@@ -351,7 +351,7 @@ def _tailed_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: 
     # of a lobe with tails, whose width is α = 2σ in δ: (2 + exponent)/2 is to the power of −2
     horizon = _horizon(at, panel, area)
     few = nodes_of_tail(at, panel, area, lobe, panel_nodes)
-    if few <= _FEW_NODES:
+    if few < MAX_NODES:
         return _tail_light(at, panel, area, lobe, few if horizon.lowest > 0.0 else few + _NODES_OF_MASKING, horizon)
     least_s = math.ceil(panel_nodes * (area.s1 - area.s0)) + 1
     least_t = math.ceil(panel_nodes * (area.t1 - area.t0)) + 1
@@ -408,11 +408,7 @@ def nodes_of_tail(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: 
     centre = panel_point(panel, 0.5 * (area.s0 + area.s1), 0.5 * (area.t0 + area.t1))
     along, across = (area.s1 - area.s0) * length(panel.across), (area.t1 - area.t0) * length(panel.along)
     half, spread = half_vector_cone(at, centre, 0.5 * math.hypot(along, across))
-    away = length(minus(at.n, half))
-    nearest = max(0.0, away - spread)
-    error = tail_error(nearest * nearest * lobe.inverse, PEAK_ERROR)
-    least = max(2, math.ceil(panel_nodes * (area.s1 - area.s0))) if error < _FEW_NODES_ERROR else 2
-    return max(smooth_nodes_within(away, spread, lobe, error, NEGLIGIBLE_EXPONENT), least)
+    return few_tail_nodes(length(minus(at.n, half)), spread, lobe, math.ceil(panel_nodes * (area.s1 - area.s0)))
 
 
 @kernel
@@ -440,10 +436,8 @@ def tail_at(at: SurfacePoint, panel: PanelNumbers, s: float, t: float, weight: f
     light = minus(panel_point(panel, s, t), at.p)
     r2 = dot(light, light)
     light = scaled(light, 1.0 / math.sqrt(r2))
-    half = plus(light, at.v)
-    size = math.sqrt(dot(half, half))
-    away = minus(at.n, scaled(half, 1.0 / size))
-    value = round_ggx(dot(away, away), dot(at.n, light), lobe.inverse)
+    chord, n_dot_l, size = round_lobe_numbers(at.n, at.v, light)
+    value = round_ggx(chord, n_dot_l, lobe.inverse)
     if lobe.n > 0.0:
         value *= fresnel_factor(size, lobe.n, lobe.k, lobe.normal_reflectance)
     return value * attenuated(weight, panel, r2, dot(panel.outward, light))

@@ -33,7 +33,7 @@ from lightopt.geometry import RayCaster, Silhouettes, triangles_before, triangle
 from lightopt.lights import PanelNumbers, panel_point
 from lightopt.optics import DiffuseForm, Lobe, lobe_at
 from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
-from lightopt.rendering._surface import PointRows, SurfacePoints, point_at
+from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at
 from lightopt.rendering._tail_polynomial import MOST_TERMS, polynomial_light, tail_polynomial
 
 # what a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle
@@ -69,6 +69,13 @@ class Squares(NamedTuple):
     s: Float64  # lower corner along s, in units of the panel's sides, from 0 to 1; shape (q,)
     t: Float64  # lower corner along t, in units of the panel's sides, from 0 to 1; shape (q,)
     cell: float  # side of the grid's cells, in the same units
+
+
+class Tails(NamedTuple):
+    """The tails of GGX over some squares as polynomials, where they are smooth all over them."""
+
+    terms: Int64  # a side of each square's polynomial; 0 where it has none; shape (q,)
+    polynomials: Float64  # shape (q, MOST_TERMS, MOST_TERMS), of none if the lobe has no tails
 
 
 class Shadow(NamedTuple):
@@ -139,22 +146,32 @@ def places_beside_chords(edge: Edge, stake: Float64) -> tuple[Bool, Int64, Float
 
 
 @kernel
+def tails_over(rows: PointRows, light: ConvergedLight, squares: Squares, n: int) -> Tails:
+    """The tails over squares that are divided into n × n cells."""
+    points, frames, views, _, _ = rows
+    terms = np.zeros(len(squares.point), np.int64)
+    polynomials = np.empty((len(terms) if light.lobe.ggx else 0, MOST_TERMS, MOST_TERMS))
+    for i in range(len(polynomials)):
+        at = point_at(points, frames, views, squares.point[i])
+        terms[i] = tail_polynomial(at, light.panel, _area(squares, i, n), light.lobe, light.nodes, polynomials[i])
+    return Tails(terms, polynomials)
+
+
+@kernel
 def add_visible_cells(
-    rows: PointRows, light: ConvergedLight, squares: Squares, state: UInt8, terms: Float64
+    rows: PointRows, light: ConvergedLight, squares: Squares, state: UInt8, tails: Tails, terms: Float64
 ) -> Float64:
     """Add the light of the visible cells to `terms`; return the levels of the whole of each crossed one, (q, n, n)."""
     point, s, t, cell = squares
     points, frames, views, _, _ = rows
     panel = light.panel
     q, n = len(point), state.shape[1] - 1
-    stake, polynomial = np.zeros((q, n, n)), np.empty((MOST_TERMS, MOST_TERMS))
+    stake = np.zeros((q, n, n))
     few = math.ceil(2.0 * light.nodes * cell)
     for i in range(q):
         k = point[i]
         at, lobe = point_at(points, frames, views, k), lobe_at(light.lobe, frames, k)
         glossy = at.n_dot_v > 0.0 and not out_of_reach(at, panel, lobe)
-        square = _area(squares, i, n)
-        tail = tail_polynomial(at, panel, square, lobe, light.nodes, polynomial) if glossy else 0
         for row in range(n):
             t0 = t[i] + row * cell - 0.5
             column = 0
@@ -170,10 +187,7 @@ def add_visible_cells(
                 area = Rectangle(s[i] + column * cell - 0.5, s[i] + end * cell - 0.5, t0, t0 + cell)
                 order = max(2, math.ceil(light.nodes * (area.s1 - area.s0))) if kind == VISIBLE else few
                 d = rectangle_diffuse(at, panel, area, light.form, order)
-                if tail > 0:
-                    g = polynomial_light(polynomial, tail, square, area)
-                else:
-                    g = rectangle_specular(at, panel, area, lobe, light.nodes) if glossy else 0.0
+                g = _specular(at, light, lobe, area, squares, tails, i, n) if glossy else 0.0
                 if kind == VISIBLE:
                     terms[k, 0] += d
                     terms[k, 1] += g
@@ -185,26 +199,30 @@ def add_visible_cells(
 
 @kernel
 def add_crossed_cells(
-    rows: PointRows, light: ConvergedLight, squares: Squares, edge: Edge, stake: Float64, left_out: Bool, terms: Float64
+    rows: PointRows,
+    light: ConvergedLight,
+    squares: Squares,
+    edge: Edge,
+    stake: Float64,
+    left_out: Bool,
+    tails: Tails,
+    terms: Float64,
 ) -> None:
     """Add the light of the visible part of the crossed cells, except those `left_out`, to `terms`."""
     point, s, t, cell = squares
     points, frames, views, _, _ = rows
     panel = light.panel
     q, n = len(point), edge.state.shape[1] - 1
-    runs, polynomial = np.empty((4 * MOST_STRIPS, 4)), np.empty((MOST_TERMS, MOST_TERMS))
+    runs = np.empty((4 * MOST_STRIPS, 4))
     few = math.ceil(2.0 * light.nodes * cell)
     for i in range(q):
         k = point[i]
         at, lobe = point_at(points, frames, views, k), lobe_at(light.lobe, frames, k)
         glossy = at.n_dot_v > 0.0 and not out_of_reach(at, panel, lobe)
-        square, tail = _area(squares, i, n), -1
         for row in range(n):
             for column in range(n):
                 if _cell_kind(edge.state, i, row, column) != 0 or left_out[i, row, column]:
                     continue
-                if tail < 0:
-                    tail = tail_polynomial(at, panel, square, lobe, light.nodes, polynomial) if glossy else 0
                 strips = math.ceil(math.sqrt(STRIP_SHARE * stake[i, row, column]))
                 strips = min(max(strips, LEAST_STRIPS), MOST_STRIPS)
                 count = _visible_strips(edge, i, row, column, strips, runs)
@@ -213,10 +231,18 @@ def add_crossed_cells(
                     t0, t1 = t[i] + runs[j, 2] * cell - 0.5, t[i] + runs[j, 3] * cell - 0.5
                     area = Rectangle(s0, s1, t0, t1)
                     terms[k, 0] += rectangle_diffuse(at, panel, area, light.form, few)
-                    if tail > 0:
-                        terms[k, 1] += polynomial_light(polynomial, tail, square, area)
-                    elif glossy:
-                        terms[k, 1] += rectangle_specular(at, panel, area, lobe, light.nodes)
+                    if glossy:
+                        terms[k, 1] += _specular(at, light, lobe, area, squares, tails, i, n)
+
+
+@kernel
+def _specular(
+    at: SurfacePoint, light: ConvergedLight, lobe: Lobe, area: Rectangle, squares: Squares, tails: Tails, i: int, n: int
+) -> float:
+    # of an area of square i
+    if tails.terms[i] > 0:
+        return polynomial_light(tails.polynomials[i], tails.terms[i], _area(squares, i, n), area)
+    return rectangle_specular(at, light.panel, area, lobe, light.nodes)
 
 
 @kernel
@@ -414,7 +440,8 @@ def _shade_squares(work: _Work, squares: Squares, *, depth: int) -> Bool:
     # adds the light of the visible area of squares; returns which of them the edge of a shadow crosses
     given = work.surface.rows, work.light, squares
     state = _states_at_corners(work, squares, GRIDS[depth])
-    stake = add_visible_cells(*given, state, work.terms)
+    tails = tails_over(*given, GRIDS[depth])
+    stake = add_visible_cells(*given, state, tails, work.terms)
     if depth == 0:
         level = work.terms @ (work.light.diffuse_level, work.light.specular_level) + 0.5 * stake.sum(axis=(1, 2))
         work.tolerance[:] = LEVEL_TOLERANCE + RELATIVE_TOLERANCE * level
@@ -423,7 +450,7 @@ def _shade_squares(work: _Work, squares: Squares, *, depth: int) -> Bool:
     edge = Edge(state, across, along)
     last = depth + 1 == len(GRIDS)
     bent = np.zeros(stake.shape, np.bool_) if last else _bent_edges(work, squares, edge, stake)
-    add_crossed_cells(*given, edge, stake, bent, work.terms)
+    add_crossed_cells(*given, edge, stake, bent, tails, work.terms)
     if bent.any():
         for finer in _finer_squares(squares, bent, divisions=GRIDS[depth + 1]):
             _shade_squares(work, finer, depth=depth + 1)

@@ -46,7 +46,8 @@ SMOOTH_RISE = 0.12
 # vectors of the panel span: a narrower one sees less of the panel, and shadows are sharper in it
 GLOSSY_LEVEL = 0.01
 LEAST_LOBE = 1.0 / 3.0
-LEAST_TAIL = 0.5
+# so far from the peak, in that angle, the tail of GGX is as even as a Gaussian lobe of that width
+LEAST_AWAY = 1.5
 
 EDGE_SHARE = 1e-3  # a panel of which less than this is hidden, or seen, counts as wholly visible, or hidden
 
@@ -148,7 +149,7 @@ def _smoothly_lit(point: SurfacePoint, specular: float, light: ConvergedLight) -
     if light.specular_level * specular <= GLOSSY_LEVEL:
         return True
     half, spread = half_vector_cone(point, panel.centre, half_diagonal(panel))
-    if light.lobe.ggx and length(minus(point.n, half)) >= (1.0 + LEAST_TAIL) * spread:
+    if light.lobe.ggx and length(minus(point.n, half)) >= LEAST_AWAY * spread:
         return True
     return 0.5 / light.lobe.inverse >= (LEAST_LOBE * spread) ** 2
 

@@ -73,6 +73,15 @@ def point_terms(at: SurfacePoint, q: Vector, panel: PanelNumbers, lobe: Lobe, fo
 
 
 @kernel
+def round_lobe_numbers(n: Vector, v: Vector, light: Vector) -> tuple[float, float, float]:
+    """|N − H|², N·L and |L + V|, on which a lobe depends that is alike all round; parameters as of `lobe_towards`."""
+    half = plus(light, v)
+    size = math.sqrt(dot(half, half))
+    chord = minus(n, scaled(half, 1.0 / size))
+    return dot(chord, chord), dot(n, light), size
+
+
+@kernel
 def lobe_towards(n: Vector, v: Vector, light: Vector, lobe: Lobe) -> float:
     """Specular component of light from a direction above the horizon per unit of R_s, but for the view's divisor.
 

@@ -6,10 +6,11 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import Vector, column_at, dot, length, minus, plus, scaled
+from lightopt.core.vectors import Vector, column_at, dot, length, minus, scaled
 from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
 from lightopt.optics import (
     MAX_LOBE_EXPONENT,
+    NARROW_CHORD_SQUARED,
     Lobe,
     is_lambert,
     lambert,
@@ -34,7 +35,7 @@ from lightopt.rendering._panel_quadrature import (
     smooth_nodes_within,
 )
 from lightopt.rendering._penumbra import ConvergedLight
-from lightopt.rendering._point_lights import diffuse_only, lobe_towards, point_terms, round_lobes
+from lightopt.rendering._point_lights import diffuse_only, lobe_towards, point_terms, round_lobe_numbers, round_lobes
 from lightopt.rendering._surface import PointRows, SurfacePoint, point_at, surface_point
 
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
@@ -66,11 +67,8 @@ def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Flo
                 f[axis, j] = facets[i, axis]
         for j in range(count):
             at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
-            reach = 0.5 * (abs(dot(at.n, panel.across)) + abs(dot(at.n, panel.along)))
-            facet = column_at(f, j)
-            face_reach = 0.5 * (abs(dot(facet, panel.across)) + abs(dot(facet, panel.along)))
             towards = minus(panel.centre, at.p)
-            above[j] = (dot(at.n, towards) > reach) & (dot(facet, towards) > face_reach)
+            above[j] = _is_above(at.n, towards, panel) & _is_above(column_at(f, j), towards, panel)
             near[j] = True
             specular[j] = 0.0
             diffuse[j] = 0.0
@@ -97,6 +95,12 @@ def whole_panel(rows: PointRows, index: Int32, light: ConvergedLight, terms: Flo
             terms[i, 0], terms[i, 1] = diffuse[j], specular[j]
             if near[j]:
                 terms[i, 1] = rectangle_specular(at, panel, WHOLE_PANEL, lobe_at(lobe, frames, i), nodes)
+
+
+@kernel
+def _is_above(normal: Vector, towards: Vector, panel: PanelNumbers) -> bool:
+    # whether all of a panel is above the plane of a normal; towards: From the surface point to the panel's centre
+    return dot(normal, towards) > 0.5 * (abs(dot(normal, panel.across)) + abs(dot(normal, panel.along)))
 
 
 @kernel
@@ -181,16 +185,11 @@ def _add_node(
     for k in range(count):
         towards = minus(q, column_at(p, k))
         towards = scaled(towards, 1.0 / math.sqrt(dot(towards, towards)))
-        half = plus(towards, column_at(v, k))
-        size = math.sqrt(dot(half, half))
-        away = minus(column_at(n, k), scaled(half, 1.0 / size))
-        chord[k], n_dot_l[k], half_size[k] = dot(away, away), dot(column_at(n, k), towards), size
+        chord[k], n_dot_l[k], half_size[k] = round_lobe_numbers(column_at(n, k), column_at(v, k), towards)
     round_lobes(values, chord, n_dot_l, half_size, count, lobe)
-    if panel.inverse_square or panel.emission_exponent > 0.0:
+    if _fades(panel):
         for k in range(count):
-            towards = minus(q, column_at(p, k))
-            r2 = dot(towards, towards)
-            values[k] = attenuated(values[k], panel, r2, dot(panel.outward, towards) / math.sqrt(r2))
+            values[k] *= _faded(panel, minus(q, column_at(p, k)))
     for k in range(count):
         total[k] += weight * values[k]
 
@@ -207,9 +206,11 @@ def add_spread_points(rows: PointRows, clear: Bool, cells: int, light: Converged
     points, frames, views, _, _ = rows
     panel, lobe, form = light.panel, light.lobe, light.form
     reach, share = half_diagonal(panel), 1.0 / (cells * cells)
-    together = is_lambert(form) and lobe.widening == 1.0 and (lobe.ggx or series_reach(lobe.inverse) > 1.0)
+    # the series of Gaussian lobes serves at all angles, as the form of GGX does
+    everywhere = lobe.ggx or series_reach(lobe.inverse) > NARROW_CHORD_SQUARED
+    together = is_lambert(form) and lobe.widening == 1.0 and everywhere
     p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
-    places, index, work = np.empty((2, _AT_ONCE)), np.empty(_AT_ONCE, np.int64), np.empty((6, _AT_ONCE))
+    places, index = np.empty((2, _AT_ONCE)), np.empty(_AT_ONCE, np.int64)
     count = 0
     for i in range(len(points)):
         if clear[i]:
@@ -236,59 +237,51 @@ def add_spread_points(rows: PointRows, clear: Bool, cells: int, light: Converged
                         terms[i, 0] += share * diffuse
                         terms[i, 1] += share * specular
         if count == _AT_ONCE or (i + 1 == len(points) and count > 0):
-            spare = (
-                work[0, :count],
-                work[1, :count],
-                work[2, :count],
-                work[3, :count],
-                work[4, :count],
-                work[5, :count],
-            )
-            _add_spread((p, n, v), places, cells, panel, lobe, spare)
+            sums = _spread_light((p, n, v), places[:, :count], cells, panel, lobe)
             for j in range(count):
-                at = surface_point(column_at(p, j), column_at(n, j), column_at(v, j))
-                terms[index[j], 0] += share * work[4, j]
-                if at.n_dot_v > 0.0:
-                    terms[index[j], 1] += share * work[5, j] / specular_divisor(at.n_dot_v, 0.0, lobe)
+                n_dot_v = dot(column_at(n, j), column_at(v, j))
+                terms[index[j], 0] += share * sums[0][j]
+                if n_dot_v > 0.0:
+                    terms[index[j], 1] += share * sums[1][j] / specular_divisor(n_dot_v, 0.0, lobe)
             count = 0
 
 
 @kernel
-def _add_spread(
-    columns: tuple[Float64, Float64, Float64],
-    places: Float64,
-    cells: int,
-    panel: PanelNumbers,
-    lobe: Lobe,
-    work: tuple[Float64, Float64, Float64, Float64, Float64, Float64],
-) -> None:
-    # sets the last two of `work`, the sums of diffuse light and of specular light but for its divisor over places in
-    # cells × cells of the panel; in loops as those of `_add_node`
-    (p, n, v), (chord, n_dot_l, half_size, values, diffuse, specular) = columns, work
-    for k in range(len(diffuse)):
-        diffuse[k] = specular[k] = 0.0
+def _spread_light(
+    columns: tuple[Float64, Float64, Float64], places: Float64, cells: int, panel: PanelNumbers, lobe: Lobe
+) -> tuple[Float64, Float64]:
+    # sums of diffuse light, and of specular light but for its divisor, over a place in each of cells × cells of the
+    # panel; in loops as those of `_add_node`
+    (p, n, v), count = columns, places.shape[1]
+    chord, n_dot_l, half_size, values = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    weights, diffuse, specular = np.ones(count), np.zeros(count), np.zeros(count)
     for a in range(cells):
         for b in range(cells):
-            for k in range(len(diffuse)):
+            for k in range(count):
                 q = panel_point(panel, (a + places[0, k]) / cells - 0.5, (b + places[1, k]) / cells - 0.5)
                 towards = minus(q, column_at(p, k))
                 towards = scaled(towards, 1.0 / math.sqrt(dot(towards, towards)))
-                half = plus(towards, column_at(v, k))
-                size = math.sqrt(dot(half, half))
-                away = minus(column_at(n, k), scaled(half, 1.0 / size))
-                chord[k], n_dot_l[k], half_size[k] = dot(away, away), dot(column_at(n, k), towards), size
-            for k in range(len(diffuse)):
+                chord[k], n_dot_l[k], half_size[k] = round_lobe_numbers(column_at(n, k), column_at(v, k), towards)
                 n_dot_l[k] = lambert(n_dot_l[k])
-            round_lobes(values, chord, n_dot_l, half_size, len(diffuse), lobe)
-            if panel.inverse_square or panel.emission_exponent > 0.0:
-                for k in range(len(diffuse)):
+            if _fades(panel):
+                for k in range(count):
                     q = panel_point(panel, (a + places[0, k]) / cells - 0.5, (b + places[1, k]) / cells - 0.5)
-                    towards = minus(q, column_at(p, k))
-                    r2 = dot(towards, towards)
-                    weight = attenuated(1.0, panel, r2, dot(panel.outward, towards) / math.sqrt(r2))
-                    diffuse[k] += weight * n_dot_l[k]
-                    specular[k] += weight * values[k] if n_dot_l[k] > 0.0 else 0.0
-            else:
-                for k in range(len(diffuse)):
-                    diffuse[k] += n_dot_l[k]
-                    specular[k] += values[k] if n_dot_l[k] > 0.0 else 0.0
+                    weights[k] = _faded(panel, minus(q, column_at(p, k)))
+            round_lobes(values, chord, n_dot_l, half_size, count, lobe)
+            for k in range(count):
+                diffuse[k] += weights[k] * n_dot_l[k]
+                specular[k] += weights[k] * values[k] if n_dot_l[k] > 0.0 else 0.0
+    return diffuse, specular
+
+
+@kernel
+def _fades(panel: PanelNumbers) -> bool:
+    # whether a panel's light depends on the distance or the direction
+    return panel.inverse_square or panel.emission_exponent > 0.0
+
+
+@kernel
+def _faded(panel: PanelNumbers, towards: Vector) -> float:
+    # what is left of the light of a place, from a surface point towards it [mm]
+    r2 = dot(towards, towards)
+    return attenuated(1.0, panel, r2, dot(panel.outward, towards) / math.sqrt(r2))
