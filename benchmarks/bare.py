@@ -57,38 +57,33 @@ class RecordedRays:
                 yield query, origins[part], directions[part], reach[part]
 
 
-class _RecordingCaster(RayCaster):
-    """Casts every ray, also those that are proven free, and keeps them."""
+class RecordingCaster(RayCaster):
+    """A ray caster that keeps the rays to what cameras and surface points see, also those that are proven free."""
 
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
-        self.recorded: dict[str, list[tuple[Float32, Float32]]] = {"INTERSECT": [], "OCCLUDED": []}
         super().__init__(vertices, faces)
+        self.camera: list[tuple[Float32, Float32]] = []
+        self.shadow: list[tuple[Float32, Float32]] = []
 
-    def first_hit(self, origin: Any, directions: Any, *, neighbours: bool = False) -> Any:
-        return self._run("INTERSECT", *_primary_rays(self._local(origin), directions))
+    def first_hit(self, origin: Any, directions: Any, **how: Any) -> Any:
+        self.camera.append(_primary_rays(self._local(origin), directions))
+        return super().first_hit(origin, directions, **how)
 
-    def visible(self, points: Any, normals: Any, targets: Any, *, candidates: Any, outside: bool = False) -> Any:
+    def visible(self, points: Any, normals: Any, targets: Any, *, candidates: Any, **how: Any) -> Any:
         begins = _begins(points, normals, self.centre, self.radius)
         point, target = (index.astype(np.int32) for index in np.nonzero(candidates.T))
-        seen = candidates.copy()
-        seen[target, point] = self._run("OCCLUDED", *_rays_of_pairs(begins, self._local(targets), point, target)) < 0
-        return seen
-
-    def _run(self, query: str, origins: Float32, directions: Float32) -> Any:
-        self.recorded[query].append((origins, directions))
-        return super()._run(query, origins, directions)
+        self.shadow.append(_rays_of_pairs(begins, self._local(targets), point, target))
+        return super().visible(points, normals, targets, candidates=candidates, **how)
 
 
 def record_rays(scene: Scene) -> RecordedRays:
     """Render once on one thread and record every ray that Embree is given."""
-    caster = _RecordingCaster(scene.mesh.vertices, scene.mesh.faces)
-    for batches in caster.recorded.values():
-        batches.clear()  # the ray that commits the scene
+    caster = RecordingCaster(scene.mesh.vertices, scene.mesh.faces)
     render_posture(scene, scene.postures[0], caster=caster, threads=1)
     local = ((scene.mesh.vertices - caster.centre) / caster.radius).astype(np.float32)
     camera, shadow = (
         (np.concatenate([o for o, _ in batches]), np.concatenate([d for _, d in batches]))
-        for batches in caster.recorded.values()
+        for batches in (caster.camera, caster.shadow)
     )
     return RecordedRays(local, np.ascontiguousarray(scene.mesh.faces, np.int32), camera, shadow)
 

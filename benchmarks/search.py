@@ -7,16 +7,14 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh as EmbreeMesh
-from numpy.typing import NDArray
 
 from benchmarks._case import CONFIGS, RIG, Size
 from benchmarks._report import Report, Table, ratios, rounds
-from benchmarks.bare import THREADS
+from benchmarks.bare import THREADS, RecordingCaster
 from lightopt import build_scene, load_rig
 from lightopt.design import (
     OBJECTIVES,
@@ -27,8 +25,6 @@ from lightopt.design import (
     luminance_matrix,
     search,
 )
-from lightopt.geometry import RayCaster
-from lightopt.geometry._caster import _begins, _rays_of_pairs  # pyright: ignore[reportPrivateUsage]
 from lightopt.lights import PanelLight
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.scene import Scene
@@ -211,21 +207,12 @@ def matrix_row(
         tuple(light[k] for k in np.linspace(0, len(light) - 1, scale.ray_positions).astype(int)) for light in panels
     )
     posture = scene.postures[0]
-    recorded: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
-
-    class Recorder(RayCaster):
-        def visible(self, points: Any, normals: Any, targets: Any, *, candidates: Any, **how: Any) -> Any:
-            point, target = (index.astype(np.int32) for index in np.nonzero(candidates.T))
-            begins, local = _begins(points, normals, self.centre, self.radius), (targets - self.centre) / self.radius
-            recorded.append(_rays_of_pairs(begins, local, point, target))
-            return super().visible(points, normals, targets, candidates=candidates, **how)
-
-    recorder = Recorder(scene.mesh.vertices, scene.mesh.faces)
+    recorder = RecordingCaster(scene.mesh.vertices, scene.mesh.faces)
     luminance_matrix(scene, table, posture, some, caster=recorder, threads=1)
     local = ((scene.mesh.vertices - recorder.centre) / recorder.radius).astype(np.float32)
     faces = np.ascontiguousarray(scene.mesh.faces, np.int32)
-    origins, directions = (np.concatenate([pair[i] for pair in recorded]) for i in (0, 1))
-    recorded.clear()
+    origins, directions = (np.concatenate([pair[i] for pair in recorder.shadow]) for i in (0, 1))
+    recorder.shadow.clear()
     reach = np.ones(len(origins), np.float32)
     blocks = [slice(start, start + BLOCK_RAYS) for start in range(0, len(origins), BLOCK_RAYS)]
 
