@@ -102,7 +102,7 @@ class BlockerMaps:
         """Which rays no map proves free, of the candidates; shape (t, n).
 
         targets: In the mesh's radii from its centre, shape (t, 3)
-        begins: Of the rays, all outside all solids, in the same units, shape (3, n)
+        begins: Of the rays to each, all outside all solids, in the same units, shape (t, 3, n)
         candidates: Shape (t, n)
         """
         with self._lock:
@@ -110,9 +110,9 @@ class BlockerMaps:
         if not any(found):
             return candidates
         rest = candidates.copy()
-        for row, blockers in zip(rest, found, strict=True):
+        for row, own, blockers in zip(rest, begins, found, strict=True):
             if blockers is not None:
-                _drop_proven(*blockers, begins, row)
+                _drop_proven(*blockers, own, row)
         return rest
 
     def make(self, targets: Float64, *, rays: int, moving: bool = False, threads: int | None = None) -> None:

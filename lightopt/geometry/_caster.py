@@ -100,9 +100,12 @@ class RayCaster:
         directions: Shape (k, 3), any length
         """
         begins = _begins(points, normals, self.centre, self.radius).T
-        return self._run(
-            "INTERSECT", np.ascontiguousarray(begins, np.float32), np.ascontiguousarray(directions, np.float32)
-        )
+        rays = np.ascontiguousarray(begins, np.float32), np.ascontiguousarray(directions, np.float32)
+        if self._packets is None:
+            return self._run("INTERSECT", *rays)
+        with self._lock:
+            self._rays_cast += len(directions)
+        return self._packets.first_hit(*rays, doubtful=self._maps.doubtful, scattered=True)
 
     def occluded(
         self, points: Float64, normals: Float64, targets: Float64, *, point_index: Int32, target_index: Int32
@@ -131,18 +134,44 @@ class RayCaster:
         outside: Whether all points are seen, from the side of their normals, from outside the mesh's bounding sphere:
             then none lies inside a solid, and :meth:`map_blockers` serves them
         """
-        begins, local = _begins(points, normals, self.centre, self.radius), self._local(targets)
+        begins = _begins(points, normals, self.centre, self.radius)
+        of_targets = np.broadcast_to(begins, (len(targets), *begins.shape))
+        return self._unblocked(of_targets, targets, candidates, outside=outside, scattered=False)
+
+    def visible_in_turn(
+        self, points: Float64, normals: Float64, targets: Float64, *, candidates: Bool, outside: bool = False
+    ) -> Bool:
+        """Whether each surface point i of some candidates sees target i mod t, shape (n,).
+
+        points, normals, targets, outside: As in :meth:`visible`
+        candidates: Shape (n,)
+        """
+        turns, n = len(targets), len(points)
+        rounds = -(-n // turns)
+        begins, chosen = np.zeros((3, rounds * turns)), np.zeros(rounds * turns, np.bool_)
+        begins[:, :n], chosen[:n] = _begins(points, normals, self.centre, self.radius), candidates
+        of_targets = np.ascontiguousarray(begins.reshape(3, rounds, turns).transpose(2, 0, 1))
+        chosen = np.ascontiguousarray(chosen.reshape(rounds, turns).T)
+        return self._unblocked(of_targets, targets, chosen, outside=outside, scattered=True).T.ravel()[:n]
+
+    def _unblocked(
+        self, begins: Float64, targets: Float64, candidates: Bool, *, outside: bool, scattered: bool
+    ) -> Bool:
+        # begins of the rays to each target, shape (t, 3, n)
+        local = self._local(targets)
         cast = self._maps.unproven(local, begins, candidates) if outside else candidates
         with self._lock:
             self._rays_free += int(np.count_nonzero(candidates) - np.count_nonzero(cast))
         if self._packets is not None:
-            blocked = self._packets.blocked(begins, local, cast)
+            blocked = self._packets.blocked(begins, local, cast, scattered=scattered)
             with self._lock:
                 self._rays_cast += int(np.count_nonzero(cast))
             return candidates & ~blocked
-        point, target = (index.astype(np.int32) for index in np.nonzero(cast.T))
+        point, target = np.nonzero(cast.T)
+        origins = begins[target, :, point]
+        rays = origins.astype(np.float32), (local[target] - origins).astype(np.float32)
         seen = candidates.copy()
-        seen[target, point] = self._run("OCCLUDED", *_rays_of_pairs(begins, local, point, target)) < 0
+        seen[target, point] = self._run("OCCLUDED", *rays) < 0
         return seen
 
     def silhouettes(self, points: Float64, normals: Float64, corner: Float64, sides: Float64) -> Silhouettes:

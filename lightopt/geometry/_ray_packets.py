@@ -212,29 +212,31 @@ class PacketScene:
         if scene := getattr(self, "_scene", None):
             self._library.rtcReleaseScene(scene)
 
-    def first_hit(self, origins: Float32, directions: Float32, *, doubtful: Bool | None = None) -> Int32:
+    def first_hit(
+        self, origins: Float32, directions: Float32, *, doubtful: Bool | None = None, scattered: bool = False
+    ) -> Int32:
         """Index of the first triangle that each ray meets, −1 where none; shape (k,).
 
         doubtful: Triangles that may be met at exactly the same distance as another one that does not share an edge
             with them, shape (m,): then packets are cast; None casts the rays one by one
+        scattered: Whether rays of a packet go rather different ways, for which Embree has another way through
         """
+        arguments = self._scattered_address if scattered else self._argument_address
         if doubtful is None:
-            return _nearest_of_each(self._single, self._scene, self._argument_address, origins, directions)
-        functions = self._packet, self._single, self._scene, self._argument_address
+            return _nearest_of_each(self._single, self._scene, arguments, origins, directions)
+        functions = self._packet, self._single, self._scene, arguments
         return _nearest_in_packets(functions, self._width, origins, directions, doubtful)
 
     def occluded(self, origins: Float32, directions: Float32) -> Int32:
         """0 where anything lies within the length of a direction, −1 where nothing does; shape (k,)."""
-        # from many points to many targets: Embree has a way through the hierarchy for rays that go different ways
         return _blocked(self._shadow_packet, self._scene, self._scattered_address, self._width, origins, directions)
 
-    def blocked(self, begins: Float64, targets: Float64, cast: Bool) -> Bool:
-        """Whether anything lies on the ways from points (3, n) to targets (t, 3) that are to `cast`; shape (t, n)."""
+    def blocked(self, begins: Float64, targets: Float64, cast: Bool, *, scattered: bool) -> Bool:
+        """Whether anything lies on the ways from points (t, 3, n) to targets (t, 3), of those to `cast`; (t, n)."""
+        arguments = self._scattered_address if scattered else self._argument_address
         found = np.zeros(cast.shape, np.bool_)
-        for target, some, answer in zip(targets, cast, found, strict=True):
-            _blocked_ways(
-                self._shadow_packet, self._scene, self._argument_address, self._width, begins, target, some, answer
-            )
+        for own, target, some, answer in zip(begins, targets, cast, found, strict=True):
+            _blocked_ways(self._shadow_packet, self._scene, arguments, self._width, own, target, some, answer)
         return found
 
 

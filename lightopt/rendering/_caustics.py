@@ -9,6 +9,7 @@ nothing is random.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -210,6 +211,7 @@ def caustic_levels(
     areas, reach = footprints(camera, surface, at, first, spacing)
     image, seen = np.zeros(at.shape), at >= 0
     image[seen] = areas[at[seen]]
+    around = [blurred(image, window) for window in WINDOWS]
     levels = np.zeros((len(landed), len(surface)))
     for own, light in zip(levels, landed, strict=True):
         column, row, depth = project(camera, light.points)
@@ -226,7 +228,7 @@ def caustic_levels(
         image_light, squares = np.zeros(at.shape), np.zeros(at.shape)
         np.add.at(image_light.ravel(), cell, light.light[index])
         np.add.at(squares.ravel(), cell, light.light[index] ** 2)
-        own[at[seen]] = np.where(image > 0.0, _spread(image, image_light, squares), 0.0)[seen]
+        own[at[seen]] = np.where(image > 0.0, _spread(around, image_light, squares), 0.0)[seen]
     return levels
 
 
@@ -256,15 +258,16 @@ def footprints(
     return areas, reach
 
 
-def _spread(areas: Float64, light: Float64, squares: Float64) -> Float64:
-    # levels of samples, over which light is spread as far around each as enough rays are, so that its sum is kept
+def _spread(areas: Sequence[Float64], light: Float64, squares: Float64) -> Float64:
+    # levels of samples, over which light is spread as far around each as enough rays are, so that its sum is kept;
+    # areas: means over each of the windows
     levels, left = np.zeros(light.shape), light != 0.0
-    for window in WINDOWS:
+    for window, area in zip(WINDOWS, areas, strict=True):
         total, off = (blurred(image, window) * window**2 for image in (light, squares))
         own = left if window == WINDOWS[-1] else left & (total**2 >= ENOUGH * off)
         if own.any():
             share = np.zeros(light.shape)
-            share[own] = light[own] / blurred(areas, window)[own]
+            share[own] = light[own] / area[own]
             levels += blurred(share, window)
             left &= ~own
     return levels

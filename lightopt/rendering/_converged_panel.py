@@ -24,7 +24,7 @@ from lightopt.optics import LAMBERT, Reflectance
 from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
 from lightopt.rendering._penumbra import ConvergedLight, shade_penumbra
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
-from lightopt.rendering._point_lights import clear_targets, facing_targets, shade_points
+from lightopt.rendering._point_lights import clear_in_turn, clear_targets, facing_targets, shade_points
 from lightopt.rendering._surface import SurfacePoint, SurfacePoints
 from lightopt.rendering._surface_light import shade_surface_lights
 from lightopt.rendering._whole_panel import add_spread_points, whole_panel
@@ -250,11 +250,7 @@ def _shade_by_one_ray(
     # each point sees all of a panel or nothing, by a ray to one of its places in turn
     seen: Bool = surface.front
     if caster is not None:
-        targets = ray_targets(light)
-        own = np.arange(len(surface)) % len(targets) == np.arange(len(targets))[:, None]
-        own &= facing_targets(surface, targets, geometric=True)
-        free = caster.visible(surface.points, surface.facets, targets, candidates=own, outside=surface.outside)
-        seen = np.any(free, axis=0)
+        seen = clear_in_turn(surface, ray_targets(light), caster)
     terms = np.zeros((len(surface), 2))
     if not isinstance(light, ConvergedPanel):
         index = np.flatnonzero(seen)

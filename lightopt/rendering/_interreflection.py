@@ -176,31 +176,12 @@ class PartLight:
             some = surface.take(slice(start, start + step))
             point, u, turn = _cells(len(some), cells)
             wide = np.full(len(point), 2.0 * angle)
-            values, near = factor * self._seen(
-                some, rays, (point, u, turn, wide), lambda met: self._hints(met, shown, angle)
-            )
-            limit = CHANGE + RELATIVE_CHANGE * area * _sums(point, values, len(some))
-            spread = np.maximum(_differences(values.reshape(-1, len(some), *cells)).reshape(values.shape), near)
-            off = area * np.max(spread / limit[:, point], axis=0)
-            sides = np.clip(np.ceil(off ** (2.0 / 3.0)), np.where(off > LEAST_SHARE, 2, 1), MOST_SIDES).astype(np.intp)
+            first = self._seen(some, rays, (point, u, turn, wide), lambda met: self._hints(met, shown, angle))
+            sides = _sides(factor * area * first, cells)
             cell, u, turn = _divided(some.points, point, u, turn, sides, cells)
             places = point[cell], u, turn, 2.0 * angle / sides[cell]
-            (values,) = factor * self._seen(
-                some, rays, places, lambda met: self._levels(met, self.scene.bounces, shown)
-            )
-            number = sides[cell] ** 2
-            added = area * values / number
-            small = np.minimum(added, most)
-            # of the mean of values that differ as those of their cell do; of one alone, from nothing
-            means = _sums(cell, small, len(point)) / sides**2
-            off = small - np.where(number > 1, means[:, cell], 0.0)
-            return np.stack(
-                [
-                    _sums(point[cell], small, len(some)),
-                    np.sqrt(_sums(point[cell], off**2, len(some))),
-                    _sums(point[cell], added - small, len(some)),
-                ]
-            )
+            (values,) = self._seen(some, rays, places, lambda met: self._levels(met, self.scene.bounces, shown))
+            return _gathered(factor * area * values, sides, len(some), most)
 
         if factor == 0.0:
             return np.zeros((3, len(self.lights), len(surface)))
@@ -220,14 +201,16 @@ class PartLight:
         point, u, turn, width = places
         directions, weights = rays(surface.rows, point, u, turn)
         own = np.flatnonzero(weights > 0.0)
-        origins, ways = surface.points[point[own]], directions[own]
-        faces = self.caster.next_hit(origins, surface.facets[point[own]], ways)
+        begun = point[own]
+        origins, ways = surface.points.take(begun, axis=0), directions.take(own, axis=0)
+        faces = self.caster.next_hit(origins, surface.facets.take(begun, axis=0), ways)
         hits = resolve_hits(faces, origins, ways, self.scene.mesh.vertices, self.scene.mesh.faces)
         met = own[hits.ray]
         other = surface_at(hits, self.scene.mesh, hits.points - directions[met], outside=surface.outside)
         found = levels(other)
         seen = np.zeros((*found.shape[:2], len(point)))
-        seen[0][:, own] = self.weights[:, None] * self.surroundings(origins, ways, width[own])
+        if self.scene.is_surrounded:
+            seen[0][:, own] = self.weights[:, None] * self.surroundings(origins, ways, width[own])
         seen[..., met] = found
         return seen * weights
 
@@ -343,19 +326,59 @@ def _divided(
     return cell, new_u, new_turn
 
 
-def _sums(point: Index, values: Float64, count: int) -> Float64:
-    # over the rays of each point, shape (lights, count)
-    return np.stack([np.bincount(point, row, count).astype(np.float64) for row in values])
+@kernel
+def _sides(first: Float64, cells: tuple[int, int]) -> Index:
+    # rays along each side of the cells of points, by what their first rays add to the level, and highlights that may be
+    # beside them, shape (2, lights, cells): cells that differ from those beside them get more
+    (_, lights, count), (rows, columns) = first.shape, cells
+    sides, off = np.ones(count, np.intp), np.empty((rows, columns))
+    for begin in range(0, count, rows * columns):
+        off[:] = 0.0
+        for light in range(lights):
+            values = first[0, light, begin : begin + rows * columns].reshape(cells)
+            near = first[1, light, begin : begin + rows * columns].reshape(cells)
+            limit = CHANGE + RELATIVE_CHANGE * np.sum(values)
+            for row in range(rows):
+                for column in range(columns):
+                    # turns have no end
+                    own, spread = values[row, column], near[row, column]
+                    spread = max(spread, abs(own - values[row, column - 1]))
+                    spread = max(spread, abs(own - values[row, (column + 1) % columns]))
+                    spread = max(spread, abs(own - values[max(row - 1, 0), column]))
+                    spread = max(spread, abs(own - values[min(row + 1, rows - 1), column]))
+                    off[row, column] = max(off[row, column], spread / limit)
+        for row in range(rows):
+            for column in range(columns):
+                number = 2 if off[row, column] > LEAST_SHARE else 1
+                while 1 < number < MOST_SIDES and number**1.5 < off[row, column]:
+                    number += 1
+                sides[begin + row * columns + column] = number
+    return sides
 
 
-def _differences(values: Float64) -> Float64:
-    # greatest difference of each cell from those beside it, shape (lights, k, rows, columns); turns have no end
-    beside = np.abs(values - np.roll(values, 1, axis=3))
-    greatest = np.maximum(beside, np.roll(beside, -1, axis=3))
-    above = np.abs(np.diff(values, axis=2))
-    np.maximum(greatest[:, :, 1:], above, out=greatest[:, :, 1:])
-    np.maximum(greatest[:, :, :-1], above, out=greatest[:, :, :-1])
-    return greatest
+@kernel
+def _gathered(values: Float64, sides: Index, count: int, most: float) -> Float64:
+    # what rays add to the levels of so many points, about its error, and what single rays add beyond the most, shape
+    # (3, lights, count); values: of the sides² rays of each cell, cell by cell, shape (lights, rays)
+    found, cells = np.zeros((3, len(values), count)), len(sides) // count
+    for light in range(len(values)):
+        k = 0
+        for c in range(len(sides)):
+            number = sides[c] ** 2
+            sum_of_all = sum_of_squares = beyond = 0.0
+            for value in values[light, k : k + number]:
+                small = min(value / number, most)
+                sum_of_all += small
+                sum_of_squares += small * small
+                beyond += value / number - small
+            # of the mean of values that differ as those of their cell do; of one alone, from nothing
+            mean = sum_of_all / number if number > 1 else 0.0
+            k += number
+            found[0, light, c // cells] += sum_of_all
+            found[1, light, c // cells] += max(0.0, sum_of_squares - number * mean * mean)
+            found[2, light, c // cells] += beyond
+    found[1] = np.sqrt(found[1])
+    return found
 
 
 @kernel

@@ -177,6 +177,12 @@ def clear_targets(surface: SurfacePoints, targets: Float64, caster: RayCaster | 
     return caster.visible(surface.points, surface.facets, targets, candidates=facing, outside=surface.outside)
 
 
+def clear_in_turn(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> Bool:
+    """Whether light arrives at each point i from target i mod m, above the face's own plane, too; shape (k,)."""
+    facing = _facing_in_turn(surface.points, surface.normals, surface.facets, surface.front, targets)
+    return caster.visible_in_turn(surface.points, surface.facets, targets, candidates=facing, outside=surface.outside)
+
+
 def visible_counts(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> tuple[Index, Index]:
     """How many targets each point sees, and how many are above its interpolated horizon; two arrays of shape (k,).
 
@@ -185,6 +191,15 @@ def visible_counts(surface: SurfacePoints, targets: Float64, caster: RayCaster) 
     clear = clear_targets(surface, targets, caster, geometric=True)
     above = facing_targets(surface, targets, geometric=False)
     return clear.sum(axis=0), above.sum(axis=0)
+
+
+@kernel
+def _facing_in_turn(points: Float64, normals: Float64, facets: Float64, front: Bool, targets: Float64) -> Bool:
+    found = np.empty(len(points), np.bool_)
+    for i in range(len(points)):
+        light = minus(vector_at(targets, i % len(targets)), vector_at(points, i))
+        found[i] = front[i] & (dot(vector_at(facets, i), light) > 0.0) & (dot(vector_at(normals, i), light) > 0.0)
+    return found
 
 
 @kernel

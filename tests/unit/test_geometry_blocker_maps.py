@@ -109,7 +109,11 @@ def cast_with_and_without(caster, arrays, facing, *, map_at=None):
     caster.map_blockers(arrays[2] if map_at is None else map_at, rays=10**9, moving=map_at is not None, threads=2)
     mapped = ~caster.visible(*arrays, candidates=facing, outside=True)
     assert mapped[~facing].all()
-    return plain, mapped[facing], between - before, caster.rays_cast - between
+    after = caster.rays_cast
+    each = np.arange(facing.shape[1])
+    in_turn = caster.visible_in_turn(*arrays, candidates=facing[each % len(facing), each], outside=True)
+    np.testing.assert_array_equal(in_turn, ~mapped[each % len(facing), each])
+    return plain, mapped[facing], between - before, after - between
 
 
 @pytest.mark.parametrize("name", CLOSED)
