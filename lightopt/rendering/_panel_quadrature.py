@@ -368,28 +368,45 @@ def _tailed_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: 
     if not whole:
         # masking ends the light there, within about α
         count_s, count_t = 2 * count_s, 2 * count_t
-    places, weights, values = np.empty(count_s), np.empty(count_s), np.empty(count_s)
-    total = 0.0
+    places, across = np.empty(count_s), np.empty(count_s)
+    s, t, weights = (np.empty(count_s * count_t), np.empty(count_s * count_t), np.empty(count_s * count_t))
+    number = 0
     for i in range(count_t):
-        w = w0 + (w1 - w0) * NODES[count_t, i]
-        at_t = centre_t + width_t * math.sinh(w)
+        sinh, cosh = _hyperbolic(w0 + (w1 - w0) * NODES[count_t, i])
+        at_t = centre_t + width_t * sinh
         r0, r1 = _row_above_horizon(horizon, at_t, area)
         if r0 >= r1:
             continue
         if not whole:
             u0, u1 = math.asinh((r0 - centre_s) / width_s), math.asinh((r1 - centre_s) / width_s)
-        if not whole or i == 0:
-            for j in range(count_s):
-                u = u0 + (u1 - u0) * NODES[count_s, j]
-                places[j] = centre_s + width_s * math.sinh(u)
-                weights[j] = WEIGHTS[count_s, j] * math.cosh(u)
+        along = width_t * (w1 - w0) * WEIGHTS[count_t, i] * cosh
+        for j in range(count_s if number == 0 or not whole else 0):
+            sinh, cosh = _hyperbolic(u0 + (u1 - u0) * NODES[count_s, j])
+            places[j] = centre_s + width_s * sinh
+            across[j] = width_s * (u1 - u0) * WEIGHTS[count_s, j] * cosh
         for j in range(count_s):
-            values[j] = tail_at(at, panel, places[j], at_t, weights[j], lobe)
-        row = 0.0
-        for j in range(count_s):
-            row += values[j]
-        total += WEIGHTS[count_t, i] * math.cosh(w) * row * (u1 - u0)
-    return total * width_s * width_t * (w1 - w0) / specular_divisor(at.n_dot_v, 0.0, lobe)
+            s[number + j], t[number + j], weights[number + j] = places[j], at_t, along * across[j]
+        number += count_s
+    return _tails_together(at, panel, (s, t, weights), number, lobe)
+
+
+@kernel
+def _hyperbolic(u: float) -> tuple[float, float]:
+    # sine and cosine, by one exponential
+    up = math.exp(u)
+    return 0.5 * (up - 1.0 / up), 0.5 * (up + 1.0 / up)
+
+
+@kernel
+def _tails_together(
+    at: SurfacePoint, panel: PanelNumbers, places: tuple[Float64, Float64, Float64], count: int, lobe: Lobe
+) -> float:
+    # specular light of places (s, t) of a panel, with their weights, of which so many count
+    (s, t, weights), values, total = places, np.empty(count), 0.0
+    tail_values(at, panel, s, t, values, lobe)
+    for k in range(count):
+        total += weights[k] * values[k]
+    return total / specular_divisor(at.n_dot_v, 0.0, lobe)
 
 
 @kernel
@@ -416,31 +433,56 @@ def _tail_light(
     at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, count: int, horizon: _Horizon
 ) -> float:
     # as the specular term of `_integrals`, for a lobe alike all round
-    ends, total = _broken_rows(horizon, area), 0.0
+    ends, number = _broken_rows(horizon, area), 0
+    most = count * count * (len(ends) if horizon.lowest <= 0.0 else 1)
+    s, t, weights = np.empty(most), np.empty(most), np.empty(most)
     for k in range(len(ends)):
         low, high = ends[k - 1] if k > 0 else area.t0, ends[k]
         for i in range(count if low < high else 0):
-            t = low + (high - low) * NODES[count, i]
-            r0, r1 = _row_above_horizon(horizon, t, area)
+            row = low + (high - low) * NODES[count, i]
+            r0, r1 = _row_above_horizon(horizon, row, area)
             if r0 < r1:
                 weight = WEIGHTS[count, i] * (high - low) * (r1 - r0)
                 for j in range(count):
-                    s = r0 + (r1 - r0) * NODES[count, j]
-                    total += tail_at(at, panel, s, t, weight * WEIGHTS[count, j], lobe)
-    return total / specular_divisor(at.n_dot_v, 0.0, lobe)
+                    s[number], t[number] = r0 + (r1 - r0) * NODES[count, j], row
+                    weights[number] = weight * WEIGHTS[count, j]
+                    number += 1
+    return _tails_together(at, panel, (s, t, weights), number, lobe)
 
 
 @kernel
-def tail_at(at: SurfacePoint, panel: PanelNumbers, s: float, t: float, weight: float, lobe: Lobe) -> float:
-    """Specular light of a place of a panel above the horizon, but for the view's divisor; of GGX alike all round."""
-    light = minus(panel_point(panel, s, t), at.p)
-    r2 = dot(light, light)
-    light = scaled(light, 1.0 / math.sqrt(r2))
-    chord, n_dot_l, size = round_lobe_numbers(at.n, at.v, light)
-    value = round_ggx(chord, n_dot_l, lobe.inverse)
-    if lobe.n > 0.0:
-        value *= fresnel_factor(size, lobe.n, lobe.k, lobe.normal_reflectance)
-    return value * attenuated(weight, panel, r2, dot(panel.outward, light))
+def tail_values(at: SurfacePoint, panel: PanelNumbers, s: Float64, t: Float64, values: Float64, lobe: Lobe) -> None:
+    """Set the specular light of places of a panel above the horizon, but for the view's divisor, shape (k,).
+
+    Of GGX that is alike all round. Loops of few numbers: the processor takes several places at once.
+
+    s, t: Of the places, of which the first k count
+    """
+    for k in range(len(values)):
+        light = minus(panel_point(panel, s[k], t[k]), at.p)
+        light = scaled(light, 1.0 / math.sqrt(dot(light, light)))
+        chord, n_dot_l, _ = round_lobe_numbers(at.n, at.v, light)
+        values[k] = round_ggx(chord, n_dot_l, lobe.inverse)
+    for k in range(len(values) if lobe.n > 0.0 else 0):
+        light = minus(panel_point(panel, s[k], t[k]), at.p)
+        light = scaled(light, 1.0 / math.sqrt(dot(light, light)))
+        _, _, size = round_lobe_numbers(at.n, at.v, light)
+        values[k] *= fresnel_factor(size, lobe.n, lobe.k, lobe.normal_reflectance)
+    for k in range(len(values) if fades(panel) else 0):
+        values[k] *= faded(panel, minus(panel_point(panel, s[k], t[k]), at.p))
+
+
+@kernel
+def fades(panel: PanelNumbers) -> bool:
+    """Whether a panel's light depends on the distance or the direction."""
+    return panel.inverse_square or panel.emission_exponent > 0.0
+
+
+@kernel
+def faded(panel: PanelNumbers, towards: Vector) -> float:
+    """What is left of the light of a place, from a surface point towards it [mm]."""
+    r2 = dot(towards, towards)
+    return attenuated(1.0, panel, r2, dot(panel.outward, towards) / math.sqrt(r2))
 
 
 @kernel

@@ -10,7 +10,7 @@ from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.lights import PanelNumbers
 from lightopt.optics import Lobe, specular_divisor
-from lightopt.rendering._panel_quadrature import NODES, Rectangle, above_masking, nodes_of_tail, tail_at
+from lightopt.rendering._panel_quadrature import NODES, Rectangle, above_masking, nodes_of_tail, tail_values
 from lightopt.rendering._surface import SurfacePoint
 
 MOST_TERMS = 5  # of a polynomial along a side
@@ -43,13 +43,14 @@ def tail_polynomial(
     terms = 2 * nodes_of_tail(at, panel, area, lobe, panel_nodes) - 1
     if terms > MOST_TERMS:
         return 0
-    values, half = np.empty((MOST_TERMS, MOST_TERMS)), np.empty((MOST_TERMS, MOST_TERMS))
-    divisor = specular_divisor(at.n_dot_v, 0.0, lobe)
+    values, half = np.empty((terms, terms)), np.empty((terms, terms))
+    s, t = np.empty(terms * terms), np.empty(terms * terms)
     for i in range(terms):
-        s = area.s0 + (area.s1 - area.s0) * NODES[terms, i]
         for j in range(terms):
-            t = area.t0 + (area.t1 - area.t0) * NODES[terms, j]
-            values[i, j] = tail_at(at, panel, s, t, 1.0, lobe) / divisor
+            s[i * terms + j] = area.s0 + (area.s1 - area.s0) * NODES[terms, i]
+            t[i * terms + j] = area.t0 + (area.t1 - area.t0) * NODES[terms, j]
+    tail_values(at, panel, s, t, values.reshape(-1), lobe)
+    divisor = specular_divisor(at.n_dot_v, 0.0, lobe)
     for i in range(terms):
         for j in range(terms):
             total = 0.0
@@ -61,7 +62,7 @@ def tail_polynomial(
             total = 0.0
             for k in range(terms):
                 total += half[i, k] * _POWERS[terms, j, k]
-            found[i, j] = total
+            found[i, j] = total / divisor
     return terms
 
 

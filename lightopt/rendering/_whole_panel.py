@@ -25,6 +25,8 @@ from lightopt.rendering._panel_quadrature import (
     TAIL_ERROR,
     WEIGHTS,
     WHOLE_PANEL,
+    faded,
+    fades,
     few_tail_nodes,
     gaussian_nodes,
     half_vector_cone,
@@ -187,9 +189,9 @@ def _add_node(
         towards = scaled(towards, 1.0 / math.sqrt(dot(towards, towards)))
         chord[k], n_dot_l[k], half_size[k] = round_lobe_numbers(column_at(n, k), column_at(v, k), towards)
     round_lobes(values, chord, n_dot_l, half_size, count, lobe)
-    if _fades(panel):
+    if fades(panel):
         for k in range(count):
-            values[k] *= _faded(panel, minus(q, column_at(p, k)))
+            values[k] *= faded(panel, minus(q, column_at(p, k)))
     for k in range(count):
         total[k] += weight * values[k]
 
@@ -263,25 +265,12 @@ def _spread_light(
                 towards = scaled(towards, 1.0 / math.sqrt(dot(towards, towards)))
                 chord[k], n_dot_l[k], half_size[k] = round_lobe_numbers(column_at(n, k), column_at(v, k), towards)
                 n_dot_l[k] = lambert(n_dot_l[k])
-            if _fades(panel):
+            if fades(panel):
                 for k in range(count):
                     q = panel_point(panel, (a + places[0, k]) / cells - 0.5, (b + places[1, k]) / cells - 0.5)
-                    weights[k] = _faded(panel, minus(q, column_at(p, k)))
+                    weights[k] = faded(panel, minus(q, column_at(p, k)))
             round_lobes(values, chord, n_dot_l, half_size, count, lobe)
             for k in range(count):
                 diffuse[k] += weights[k] * n_dot_l[k]
                 specular[k] += weights[k] * values[k] if n_dot_l[k] > 0.0 else 0.0
     return diffuse, specular
-
-
-@kernel
-def _fades(panel: PanelNumbers) -> bool:
-    # whether a panel's light depends on the distance or the direction
-    return panel.inverse_square or panel.emission_exponent > 0.0
-
-
-@kernel
-def _faded(panel: PanelNumbers, towards: Vector) -> float:
-    # what is left of the light of a place, from a surface point towards it [mm]
-    r2 = dot(towards, towards)
-    return attenuated(1.0, panel, r2, dot(panel.outward, towards) / math.sqrt(r2))
