@@ -7,7 +7,8 @@ before any place, if one ray tells it for one place (Laine et al. 2005, doi:10.1
 one by one: the mesh may be open, and its faces may disagree in direction.
 
 Edges are held in a hierarchy of boxes with cones of their triangles' normals: a box is left out where it lies beside
-all ways to the rectangle, or where all its triangles show the point the same side.
+all ways to the rectangle, or where all its triangles show the point the same side. Points near each other have nearly
+the same edges: those that may be silhouettes for any of a group of points are found together.
 
 What the functions share
 ------------------------
@@ -28,7 +29,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32, Int64
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import Vector, dot
+from lightopt.core.vectors import Vector, column_at, dot, minus, plus, scaled
 from lightopt.geometry._topology import corners_by_edge, next_corner
 
 _BRANCHES = 8  # edges of a leaf, and children of any other node
@@ -39,6 +40,7 @@ _SLACK = np.float32(1e-5)  # of places in float32, per unit of the point's heigh
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 MOST_LEAVES = 1024  # of a search: of more, rays take less time
+_GROUP, _GROUP_SIDE = 32, 0.02  # most points of a group, and the longest side of the box around them [radii]
 _ROWS = 16  # rows of the rectangle, whose edges are kept together
 _NEAREST = 1e-9  # edges nearer to a point than this share of its distance from the rectangle are cut off there
 
@@ -75,6 +77,15 @@ class _View(NamedTuple):
     hand: float  # 1 if the axes are right-handed, −1 if not
 
 
+class _Box(NamedTuple):
+    """Around one or several points, in the mesh's frame and in coordinates of a view."""
+
+    middle: Vector
+    half: Vector
+    place: Vector
+    half_place: Vector
+
+
 class SilhouetteEdges:
     """A hierarchy of the edges of a mesh."""
 
@@ -103,7 +114,8 @@ class SilhouetteEdges:
         hand = -float(np.copysign(1.0, normal @ corner))
         axes = np.stack([across / (across @ across), along / (along @ along), hand * normal / np.linalg.norm(normal)])
         view = _View(*(Vector(*row.tolist()) for row in (*axes, axes @ corner)), hand=hand)
-        return _silhouettes(self._tree, begins, view)
+        order = np.argsort(_curve_keys(np.ascontiguousarray(begins.T, np.float32)), kind="stable")
+        return _silhouettes(self._tree, begins, view, order)
 
 
 @kernel
@@ -291,23 +303,62 @@ def _write_cone(boxes: Float32, i: int, cone: bool, ax: float, ay: float, az: fl
 
 
 @kernel
-def _silhouettes(tree: _Tree, begins: Float64, view: _View) -> Silhouettes:
+def _silhouettes(tree: _Tree, begins: Float64, view: _View, order: Int64) -> Silhouettes:
+    # order: of the points, in which neighbours follow each other
     k = begins.shape[1]
     first, found = np.zeros((k, _ROWS + 2), np.int64), np.zeros(k, np.bool_)
     edges, count = np.empty((64 * k, 5)), 0
     near, seen = np.empty(MOST_LEAVES, np.int64), np.empty((MOST_LEAVES * _BRANCHES, 5))
-    for i in range(k):
-        p = Vector(begins[0, i], begins[1, i], begins[2, i])
-        at = _in_view(view, p)
-        leaves = _leaves_near(tree, p, at, view, near) if at.z > 0.0 else -1
-        found[i] = leaves >= 0
-        shown = _project(tree, near, max(0, leaves), p, at, view, seen)
-        _count_rows(seen, shown, count, first, i)
-        count = first[i, _ROWS + 1]
-        while count > len(edges):
-            edges = _twice(edges)
-        _write_rows(seen, shown, first, i, edges)
+    some = np.empty(MOST_LEAVES * _BRANCHES, np.int64)
+    planes, left = np.empty((8, len(some)), np.float32), np.empty(len(some), np.int32)
+    before, ahead = np.empty(k, np.int64), 0  # those before the rectangle
+    for i in order:
+        before[ahead] = i
+        ahead += _in_view(view, column_at(begins, i)).z > 0.0
+    start = 0
+    while start < ahead:
+        end, box = _group(begins, view, before[:ahead], start, _GROUP)
+        leaves = _leaves_near(tree, box, view, near)
+        if leaves < 0:
+            end, box = _group(begins, view, before[:ahead], start, 1)
+            leaves = _leaves_near(tree, box, view, near)
+        possible = _edges_near(tree.leaves, near, max(0, leaves), box, some, planes)
+        for i in before[start:end]:
+            found[i] = leaves >= 0
+            _count_left(planes, column_at(begins, i), left[:possible])
+            shown = _project(tree, some[:possible], left, column_at(begins, i), view, seen)
+            _count_rows(seen, shown, count, first, i)
+            count = first[i, _ROWS + 1]
+            while count > len(edges):
+                edges = _twice(edges)
+            _write_rows(seen, shown, first, i, edges)
+        start = end
     return Silhouettes(first, edges[:count].copy(), found)
+
+
+@kernel
+def _group(begins: Float64, view: _View, order: Int64, start: int, most: int) -> tuple[int, _Box]:
+    # the end of the group of points that begins with number `start`, and the box around them
+    low = high = column_at(begins, order[start])
+    end = start + 1
+    while end < min(start + most, len(order)):
+        p = column_at(begins, order[end])
+        lower = Vector(min(low.x, p.x), min(low.y, p.y), min(low.z, p.z))
+        higher = Vector(max(high.x, p.x), max(high.y, p.y), max(high.z, p.z))
+        if max(higher.x - lower.x, higher.y - lower.y, higher.z - lower.z) > _GROUP_SIDE:
+            break
+        low, high, end = lower, higher, end + 1
+    middle, half = scaled(plus(low, high), 0.5), scaled(minus(high, low), 0.5)
+    if end > start + 1:
+        half = plus(half, Vector(_BOX_MARGIN, _BOX_MARGIN, _BOX_MARGIN))
+    reach = Vector(_reach(view.across, half), _reach(view.along, half), _reach(view.upward, half))
+    return end, _Box(middle, half, _in_view(view, middle), reach)
+
+
+@kernel
+def _reach(axis: Vector, half: Vector) -> float:
+    # how far a box reaches from its middle along an axis
+    return abs(axis.x) * half.x + abs(axis.y) * half.y + abs(axis.z) * half.z
 
 
 @kernel
@@ -335,10 +386,11 @@ def _single(v: Vector) -> Vector:
 
 
 @kernel
-def _leaves_near(tree: _Tree, p: Vector, at: Vector, view: _View, near: Int64) -> int:
-    # the leaves that may have silhouettes for a point; how many, or −1 where they are too many
+def _leaves_near(tree: _Tree, box: _Box, view: _View, near: Int64) -> int:
+    # the leaves that may have silhouettes for the points in a box; how many, or −1 where they are too many
     nodes, begins = tree.nodes, tree.begins
-    point, place, origin = _single(p), _single(at), _single(view.origin)
+    points = _Box(_single(box.middle), _single(box.half), _single(box.place), _single(box.half_place))
+    origin = _single(view.origin)
     axes = _View(_single(view.across), _single(view.along), _single(view.upward), origin, view.hand)
     stack, last = np.empty((len(begins) * _BRANCHES, 2), np.int64), 1
     stack[0, 0] = stack[0, 1] = 0  # level, number of the node in it
@@ -346,7 +398,7 @@ def _leaves_near(tree: _Tree, p: Vector, at: Vector, view: _View, near: Int64) -
     while last > 0:
         last -= 1
         level, number = stack[last, 0], stack[last, 1]
-        mask = _children_near(nodes, begins[level] + number, point, place, axes)
+        mask = _children_near(nodes, begins[level] + number, points, axes)
         child = _BRANCHES * number
         while mask != 0:
             if mask & 1 == 1 and child < begins[level + 2] - begins[level + 1]:
@@ -364,31 +416,38 @@ def _leaves_near(tree: _Tree, p: Vector, at: Vector, view: _View, near: Int64) -
 
 
 @kernel
-def _children_near(nodes: Float32, node: int, p: Vector, at: Vector, view: _View) -> int:
-    # bit k: whether edges of child k may change what a point sees; without branches, so that all children are worked
-    # out at once. The way from a point at x, height z, through a place at u, height w, meets the rectangle at
+def _children_near(nodes: Float32, node: int, points: _Box, view: _View) -> int:
+    # bit k: whether edges of child k may change what a point of a box sees; without branches, so that all children are
+    # worked out at once. The way from a point at x, height z, through a place at u, height w, meets the rectangle at
     # (u·z − x·w) / (z − w): outside for all places of a box, if the greatest u·z is below the least x·w; likewise
     # counted from the opposite side
     across, along, upward, origin = view.across, view.along, view.upward, view.origin
-    slack, mask = _SLACK * at.z, 0
+    p, half, at, reach = points.middle, points.half, points.place, points.half_place
+    lowest, highest = at.z - reach.z, at.z + reach.z
+    first_x, last_x = at.x - reach.x, _ONE - at.x - reach.x
+    first_y, last_y = at.y - reach.y, _ONE - at.y - reach.y
+    slack, mask = _SLACK * highest, 0
     for k in range(_BRANCHES):
         mx, my, mz = nodes[node, 0, k], nodes[node, 1, k], nodes[node, 2, k]
         hx, hy, hz = nodes[node, 3, k], nodes[node, 4, k], nodes[node, 5, k]
         height = upward.x * mx + upward.y * my + upward.z * mz - origin.z
         deep = abs(upward.x) * hx + abs(upward.y) * hy + abs(upward.z) * hz + slack
         least, most = max(height - deep, _ZERO), height + deep
-        near = (height - deep <= at.z) & (most >= _ZERO)  # not behind the point, nor beyond the rectangle
+        near = (height - deep <= highest) & (most >= _ZERO)  # not behind the points, nor beyond the rectangle
         u = across.x * mx + across.y * my + across.z * mz - origin.x
         wide = abs(across.x) * hx + abs(across.y) * hy + abs(across.z) * hz + slack
-        near &= (u + wide) * at.z >= min(at.x * least, at.x * most)
-        near &= (_ONE - u + wide) * at.z >= min((_ONE - at.x) * least, (_ONE - at.x) * most)
+        up, down = u + wide, _ONE - u + wide
+        near &= max(up * lowest, up * highest) >= min(first_x * least, first_x * most)
+        near &= max(down * lowest, down * highest) >= min(last_x * least, last_x * most)
         u = along.x * mx + along.y * my + along.z * mz - origin.y
         wide = abs(along.x) * hx + abs(along.y) * hy + abs(along.z) * hz + slack
-        near &= (u + wide) * at.z >= min(at.y * least, at.y * most)
-        near &= (_ONE - u + wide) * at.z >= min((_ONE - at.y) * least, (_ONE - at.y) * most)
+        up, down = u + wide, _ONE - u + wide
+        near &= max(up * lowest, up * highest) >= min(first_y * least, first_y * most)
+        near &= max(down * lowest, down * highest) >= min(last_y * least, last_y * most)
         # all normals are less than 90° from all ways, or all more: angle of the axis < 90° − cone − what the ways span
         sine = nodes[node, 9, k]
         dx, dy, dz = mx - p.x, my - p.y, mz - p.z
+        hx, hy, hz = hx + half.x, hy + half.y, hz + half.z
         around = hx * hx + hy * hy + hz * hz
         free = np.sqrt(max(_ZERO, dx * dx + dy * dy + dz * dz - around))
         around = np.sqrt(around)
@@ -400,44 +459,68 @@ def _children_near(nodes: Float32, node: int, p: Vector, at: Vector, view: _View
 
 
 @kernel
-def _silhouettes_of(leaves: Float32, leaf: int, p: Vector) -> int:
-    # three bits for each edge of a leaf: 3 more than the number of its triangles that lie on its left less those on its
-    # right, seen from a point, or 0 where these are as many; without branches, so that all are worked out at once
-    found = 0
-    for k in range(_BRANCHES):
-        one = leaves[leaf, 0, k] * p.x + leaves[leaf, 1, k] * p.y + leaves[leaf, 2, k] * p.z - leaves[leaf, 3, k]
-        two = leaves[leaf, 4, k] * p.x + leaves[leaf, 5, k] * p.y + leaves[leaf, 6, k] * p.z - leaves[leaf, 7, k]
-        left = (1 if one > 0.0 else 0) - (1 if one < 0.0 else 0) + (1 if two > 0.0 else 0) - (1 if two < 0.0 else 0)
-        found |= (left + 3 if left != 0 else 0) << 3 * k
-    return found
+def _edges_near(leaves: Float32, near: Int64, count: int, box: _Box, some: Int64, planes: Float32) -> int:
+    # the edges of some leaves that may be silhouettes for points in a box, and their planes, shape (8, m); how many
+    kept = 0
+    for j in range(count):
+        mask, k = _possible_silhouettes(leaves, near[j], box.middle, box.half), 0
+        while mask != 0:
+            if mask & 1 == 1:
+                some[kept] = _BRANCHES * near[j] + k
+                for number in range(8):
+                    planes[number, kept] = leaves[near[j], number, k]
+                kept += 1
+            mask >>= 1
+            k += 1
+    return kept
 
 
 @kernel
-def _project(tree: _Tree, near: Int64, count: int, p: Vector, at: Vector, view: _View, seen: Float64) -> int:
-    # the edges of some leaves that are silhouettes for a point, projected from it onto the rectangle; how many
-    vertices, faces, corners, leaves = tree.vertices, tree.faces, tree.corners, tree.leaves
-    shown = 0
-    for j in range(count):
-        found, edge = _silhouettes_of(leaves, near[j], p), _BRANCHES * near[j]
-        while found != 0:
-            left, corner = found & 7, corners[edge, 0]
-            found >>= 3
-            edge += 1
-            if left == 0:
-                continue
-            f, k = corner // 3, corner % 3
-            a, b = _place(vertices, faces[f, k], view), _place(vertices, faces[f, (k + 1) % 3], view)
-            # what is before the point, and before the rectangle
-            begin, end = _between(a.z, b.z, _NEAREST * at.z, at.z)
-            if begin >= end:
-                continue
-            s0, t0 = _projected(a, b, begin, at)
-            s1, t1 = _projected(a, b, end, at)
-            if max(s0, s1) <= 0.0 or min(s0, s1) > 1.0 or max(t0, t1) <= 0.0 or min(t0, t1) > 1.0:
-                continue
-            seen[shown, 0], seen[shown, 1], seen[shown, 2], seen[shown, 3] = s0, t0, s1, t1
-            seen[shown, 4] = (left - 3) * view.hand
-            shown += 1
+def _possible_silhouettes(leaves: Float32, leaf: int, p: Vector, half: Vector) -> int:
+    # bit k: whether edge k of a leaf may be one for points in a box, from its middle and half sides: it is none if all
+    # of the box is above the plane of one triangle and below that of the other, which is turned over. Without branches,
+    # so that all are worked out at once
+    mask = 0
+    for k in range(_BRANCHES):
+        a, b, c, d = leaves[leaf, 0, k], leaves[leaf, 1, k], leaves[leaf, 2, k], leaves[leaf, 3, k]
+        one, reach_one = a * p.x + b * p.y + c * p.z - d, abs(a) * half.x + abs(b) * half.y + abs(c) * half.z
+        a, b, c, d = leaves[leaf, 4, k], leaves[leaf, 5, k], leaves[leaf, 6, k], leaves[leaf, 7, k]
+        two, reach_two = a * p.x + b * p.y + c * p.z - d, abs(a) * half.x + abs(b) * half.y + abs(c) * half.z
+        none = (one > reach_one) & (two < -reach_two) | (one < -reach_one) & (two > reach_two)
+        mask |= (0 if none else 1) << k
+    return mask
+
+
+@kernel
+def _count_left(planes: Float32, p: Vector, left: Int32) -> None:
+    # of edges, the number of their triangles that lie on their left less those on their right, seen from a point
+    for k in range(len(left)):
+        one = planes[0, k] * p.x + planes[1, k] * p.y + planes[2, k] * p.z - planes[3, k]
+        two = planes[4, k] * p.x + planes[5, k] * p.y + planes[6, k] * p.z - planes[7, k]
+        left[k] = (1 if one > 0.0 else 0) - (1 if one < 0.0 else 0) + (1 if two > 0.0 else 0) - (1 if two < 0.0 else 0)
+
+
+@kernel
+def _project(tree: _Tree, some: Int64, left: Int32, p: Vector, view: _View, seen: Float64) -> int:
+    # those of some edges that are silhouettes for a point, projected from it onto the rectangle; how many
+    vertices, faces, corners = tree.vertices, tree.faces, tree.corners
+    at, shown = _in_view(view, p), 0
+    for j in range(len(some)):
+        if left[j] == 0:
+            continue
+        f, k = corners[some[j], 0] // 3, corners[some[j], 0] % 3
+        a, b = _place(vertices, faces[f, k], view), _place(vertices, faces[f, (k + 1) % 3], view)
+        # what is before the point, and before the rectangle
+        begin, end = _between(a.z, b.z, _NEAREST * at.z, at.z)
+        if begin >= end:
+            continue
+        s0, t0 = _projected(a, b, begin, at)
+        s1, t1 = _projected(a, b, end, at)
+        if max(s0, s1) <= 0.0 or min(s0, s1) > 1.0 or max(t0, t1) <= 0.0 or min(t0, t1) > 1.0:
+            continue
+        seen[shown, 0], seen[shown, 1], seen[shown, 2], seen[shown, 3] = s0, t0, s1, t1
+        seen[shown, 4] = left[j] * view.hand
+        shown += 1
     return shown
 
 

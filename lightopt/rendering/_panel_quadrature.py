@@ -97,7 +97,7 @@ class Rectangle(NamedTuple):
 WHOLE_PANEL = Rectangle(-0.5, 0.5, -0.5, 0.5)
 
 
-class _Plane(NamedTuple):
+class Plane(NamedTuple):
     """Height of the panel above a plane through the surface point, level + rise_s·s + rise_t·t."""
 
     level: float
@@ -108,8 +108,8 @@ class _Plane(NamedTuple):
 class _Horizon(NamedTuple):
     """Height of the panel above the surface's tangent plane and above the plane of its face."""
 
-    tangent: _Plane
-    face: _Plane
+    tangent: Plane
+    face: Plane
     lowest: float  # the least height above either, on an area
 
 
@@ -181,21 +181,22 @@ def _integrals(
 
 @kernel
 def _horizon(at: SurfacePoint, panel: PanelNumbers, area: Rectangle) -> _Horizon:
-    tangent = _plane(at.n, at, panel)
+    tangent = plane_over(at.n, at.p, panel)
     lowest = _lowest(tangent, area)
     if at.facet.x == at.n.x and at.facet.y == at.n.y and at.facet.z == at.n.z:
         return _Horizon(tangent, tangent, lowest)
-    face = _plane(at.facet, at, panel)
+    face = plane_over(at.facet, at.p, panel)
     return _Horizon(tangent, face, min(lowest, _lowest(face, area)))
 
 
 @kernel
-def _plane(normal: Vector, at: SurfacePoint, panel: PanelNumbers) -> _Plane:
-    return _Plane(dot(normal, minus(panel.centre, at.p)), dot(normal, panel.across), dot(normal, panel.along))
+def plane_over(normal: Vector, p: Vector, panel: PanelNumbers) -> Plane:
+    """Height of a panel above the plane through a surface point that is perpendicular to a unit normal."""
+    return Plane(dot(normal, minus(panel.centre, p)), dot(normal, panel.across), dot(normal, panel.along))
 
 
 @kernel
-def _lowest(plane: _Plane, area: Rectangle) -> float:
+def _lowest(plane: Plane, area: Rectangle) -> float:
     level, rise_s, rise_t = plane
     return level + min(rise_s * area.s0, rise_s * area.s1) + min(rise_t * area.t0, rise_t * area.t1)
 
@@ -221,7 +222,7 @@ def _broken_rows(horizon: _Horizon, area: Rectangle) -> tuple[float, float, floa
 
 
 @kernel
-def _breaks(plane: _Plane, area: Rectangle) -> tuple[float, float]:
+def _breaks(plane: Plane, area: Rectangle) -> tuple[float, float]:
     # where the border of what is above a plane meets the rectangle's sides s0 and s1, in order
     level, rise_s, rise_t = plane
     if rise_t == 0.0:
@@ -251,7 +252,7 @@ def _row_above_horizon(horizon: _Horizon, t: float, area: Rectangle) -> tuple[fl
 
 
 @kernel
-def _row_above(plane: _Plane, t: float, s0: float, s1: float) -> tuple[float, float]:
+def _row_above(plane: Plane, t: float, s0: float, s1: float) -> tuple[float, float]:
     height = plane.level + plane.rise_t * t
     if plane.rise_s > 0.0:
         return max(s0, -height / plane.rise_s), s1

@@ -32,7 +32,14 @@ from lightopt.core.vectors import dot, minus, vector_at
 from lightopt.geometry import RayCaster, Silhouettes, triangles_before, triangles_in_row
 from lightopt.lights import PanelNumbers, panel_point
 from lightopt.optics import DiffuseForm, Lobe, lobe_at
-from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
+from lightopt.rendering._panel_quadrature import (
+    Plane,
+    Rectangle,
+    out_of_reach,
+    plane_over,
+    rectangle_diffuse,
+    rectangle_specular,
+)
 from lightopt.rendering._surface import PointRows, SurfacePoint, SurfacePoints, point_at
 from lightopt.rendering._tail_polynomial import MOST_TERMS, polynomial_light, tail_polynomial
 
@@ -342,6 +349,13 @@ _FEWEST, _MOST = 0, 1
 _NO_PLACE = np.iinfo(np.int64).max // 2  # triangles before a place that the horizon hides; no place has as many
 
 
+class _Sight(NamedTuple):
+    """Height of the panel above a point's tangent plane and above the plane of its face."""
+
+    tangent: Plane
+    face: Plane
+
+
 @dataclass(frozen=True)
 class _Work:
     """What is shaded, and the sums so far: the two terms (k, 2) and the levels of error allowed (k,)."""
@@ -399,10 +413,11 @@ def _reference_places(
         if not silhouettes.found[i]:
             continue
         fewest, most = _NO_PLACE, -_NO_PLACE
+        sight = _sight(rows, panel, i)
         for row in range(n):
             triangles_in_row(silhouettes, i, 0.0, 1.0 / (n - 1), row / (n - 1), found[row])
             for column in range(n):
-                if _horizon(rows, panel, i, column / (n - 1), row / (n - 1)) == 0:
+                if _horizon(sight, column / (n - 1), row / (n - 1)) == 0:
                     fewest, most = min(fewest, found[row, column]), max(most, found[row, column])
                 else:
                     found[row, column] = _NO_PLACE
@@ -500,13 +515,13 @@ def _known_corners(rows: PointRows, panel: PanelNumbers, shadow: Shadow, squares
     counts = np.empty(n + 1, np.int64)
     for j in range(len(squares.point)):
         i = squares.point[j]
-        seen, hidden = shadow.counts[i, 0], shadow.counts[i, 1]
+        sight, seen, hidden = _sight(rows, panel, i), shadow.counts[i, 0], shadow.counts[i, 1]
         for row in range(n + 1):
             s, t = _place(squares, j, 0.0, float(row))
             if hidden < _NO_PLACE:
                 triangles_in_row(shadow.silhouettes, i, s, squares.cell, t, counts)
             for column in range(n + 1):
-                state[j, row, column] = _horizon(rows, panel, i, *_place(squares, j, float(column), float(row)))
+                state[j, row, column] = _horizon(sight, *_place(squares, j, float(column), float(row)))
                 if state[j, row, column] == 0 and hidden < _NO_PLACE:
                     state[j, row, column] = _by_count(counts[column], seen, hidden)
     return state
@@ -533,10 +548,11 @@ def _known_states(
     targets = np.empty((len(square), 3))
     m = 0
     for j in range(len(square)):
-        state[j] = _known_state(rows, panel, shadow, squares, square[j], float(x[j]), float(y[j]))
+        i = squares.point[square[j]]
+        s, t = _place(squares, square[j], float(x[j]), float(y[j]))
+        state[j] = _known_state(_sight(rows, panel, i), shadow, i, s, t)
         if state[j] == 0:
-            undecided[m], origin[m] = j, squares.point[square[j]]
-            s, t = _place(squares, square[j], float(x[j]), float(y[j]))
+            undecided[m], origin[m] = j, i
             targets[m, 0], targets[m, 1], targets[m, 2] = panel_point(panel, s - 0.5, t - 0.5)
             m += 1
     return state, undecided[:m].copy(), origin[:m].copy(), targets[:m].copy()
@@ -549,13 +565,9 @@ def _place(squares: Squares, square: int, x: float, y: float) -> tuple[float, fl
 
 
 @kernel
-def _known_state(
-    rows: PointRows, panel: PanelNumbers, shadow: Shadow, squares: Squares, square: int, x: float, y: float
-) -> int:
+def _known_state(sight: _Sight, shadow: Shadow, i: int, s: float, t: float) -> int:
     # 0 where neither the horizon nor the silhouettes tell
-    i = squares.point[square]
-    s, t = _place(squares, square, x, y)
-    state = _horizon(rows, panel, i, s, t)
+    state = _horizon(sight, s, t)
     seen, hidden = shadow.counts[i, 0], shadow.counts[i, 1]
     if state != 0 or hidden >= _NO_PLACE:
         return state
@@ -569,13 +581,19 @@ def _by_count(count: int, seen: int, hidden: int) -> int:
 
 
 @kernel
-def _horizon(rows: PointRows, panel: PanelNumbers, i: int, s: float, t: float) -> int:
-    # below the interpolated horizon there is no light, below the face's own plane the face is in the way; 0 above both
+def _sight(rows: PointRows, panel: PanelNumbers, i: int) -> _Sight:
     points, frames, _, facets, _ = rows
-    towards = minus(panel_point(panel, s - 0.5, t - 0.5), vector_at(points, i))
-    if dot(vector_at(frames, i), towards) <= 0.0:
+    p = vector_at(points, i)
+    return _Sight(plane_over(vector_at(frames, i), p, panel), plane_over(vector_at(facets, i), p, panel))
+
+
+@kernel
+def _horizon(sight: _Sight, s: float, t: float) -> int:
+    # below the interpolated horizon there is no light, below the face's own plane the face is in the way; 0 above both
+    tangent, face = sight
+    if tangent.level + tangent.rise_s * (s - 0.5) + tangent.rise_t * (t - 0.5) <= 0.0:
         return BELOW
-    return BLOCKED if dot(vector_at(facets, i), towards) <= 0.0 else 0
+    return BLOCKED if face.level + face.rise_s * (s - 0.5) + face.rise_t * (t - 0.5) <= 0.0 else 0
 
 
 def _edge_crossings(work: _Work, squares: Squares, state: UInt8, stake: Float64, *, vertical: bool) -> Float64:
@@ -617,22 +635,25 @@ def _halve(
     index, x, y = np.empty(len(square), np.int64), np.empty(len(square)), np.empty(len(square))
     m = 0
     for j in range(len(square)):
+        i, begin, end, state = squares.point[square[j]], low[j], high[j], int(answer[j])
+        sight = _sight(rows, panel, i)
         while steps[j] > 0:
-            middle = 0.5 * (low[j] + high[j])
+            middle = 0.5 * (begin + end)
             x[m] = column[j] + (0.0 if vertical else middle)
             y[m] = row[j] + (middle if vertical else 0.0)
-            state, answer[j] = answer[j], 0
             if state == 0:
-                state = _known_state(rows, panel, shadow, squares, square[j], x[m], y[m])
+                state = _known_state(sight, shadow, i, *_place(squares, square[j], x[m], y[m]))
             if state == 0:
                 index[m] = j
                 m += 1
                 break
             if (state == BLOCKED) == from_blocked[j]:
-                low[j] = middle
+                begin = middle
             else:
-                high[j] = middle
+                end = middle
+            state = 0
             steps[j] -= 1
+        low[j], high[j], answer[j] = begin, end, 0
     return index[:m].copy(), x[:m].copy(), y[:m].copy()
 
 

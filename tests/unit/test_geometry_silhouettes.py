@@ -109,6 +109,25 @@ def test_the_places_of_a_row_are_what_each_is(name):
     assert some > 20
 
 
+@pytest.mark.parametrize("name", MESHES)
+def test_points_near_each_other_see_what_each_sees_alone(name):
+    mesh, rng = MESHES[name], np.random.default_rng(11)
+    caster = RayCaster(np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32))
+    corner, sides = rectangle(rng, caster)
+    points, normals = points_of(rng, mesh, 6)
+    # groups of 60, of which some are wider than a box may be
+    points = np.repeat(points, 60, axis=0) + caster.radius * rng.uniform(-0.02, 0.02, (360, 3))
+    order, normals = rng.permutation(360), np.repeat(normals, 60, axis=0)
+    together = caster.silhouettes(points[order], normals[order], corner, sides)
+    assert together.found.all()
+    places = rng.random((12, 2))
+    for i, number in enumerate(order):
+        alone = caster.silhouettes(points[[number]], normals[[number]], corner, sides)
+        assert alone.first[0, -1] == together.first[i, -1] - together.first[i, 0]
+        found = [triangles_before(together, i, s, t) for s, t in places]
+        assert found == [triangles_before(alone, 0, s, t) for s, t in places]
+
+
 def test_a_point_behind_the_rectangle_and_one_with_too_many_edges_are_left_to_rays():
     caster = RayCaster(np.asarray(BALL.vertices, float), np.asarray(BALL.faces, np.int32))
     corner, sides = np.array([-0.5, -0.5, 2.0]), np.eye(3)[:2]
