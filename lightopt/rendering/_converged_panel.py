@@ -431,18 +431,17 @@ def _disagreeing(coarse: UInt8, sample: Index, shape: tuple[int, int]) -> Bool:
     return near_clear & near_hidden & (coarse != _DARK)
 
 
-@kernel
 def _neighbours(flags: Bool, sample: Index, shape: tuple[int, int]) -> Bool:
     # whether any of the 3 × 3 samples around each point is flagged
-    near = np.zeros((shape[0] + 2, shape[1] + 2), np.bool_)
-    for i in range(len(sample)):
-        if flags[i]:
-            row, column = sample[i] // shape[1], sample[i] % shape[1]
-            near[row : row + 3, column : column + 3] = True
-    found = np.empty(len(sample), np.bool_)
-    for i in range(len(sample)):
-        found[i] = near[sample[i] // shape[1] + 1, sample[i] % shape[1] + 1]
-    return found
+    flagged = np.zeros(shape, np.bool_)
+    flagged.ravel()[sample] = flags
+    across = flagged.copy()
+    across[:, 1:] |= flagged[:, :-1]
+    across[:, :-1] |= flagged[:, 1:]
+    near = across.copy()
+    near[1:] |= across[:-1]
+    near[:-1] |= across[1:]
+    return near.ravel()[sample]
 
 
 def highlight_level(scene: Scene, light: PanelLight) -> float:
