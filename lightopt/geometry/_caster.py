@@ -138,21 +138,21 @@ class RayCaster:
         of_targets = np.broadcast_to(begins, (len(targets), *begins.shape))
         return self._unblocked(of_targets, targets, candidates, outside=outside, scattered=False)
 
-    def visible_in_turn(
-        self, points: Float64, normals: Float64, targets: Float64, *, candidates: Bool, outside: bool = False
+    def sees_one(
+        self, points: Float64, normals: Float64, targets: Float64, *, chosen: Int32, outside: bool = False
     ) -> Bool:
-        """Whether each surface point i of some candidates sees target i mod t, shape (n,).
+        """Whether each surface point sees the one target that is chosen for it, shape (n,).
 
         points, normals, targets, outside: As in :meth:`visible`
-        candidates: Shape (n,)
+        chosen: Number of each point's target, −1 for none, shape (n,)
         """
-        turns, n = len(targets), len(points)
-        rounds = -(-n // turns)
-        begins, chosen = np.zeros((3, rounds * turns)), np.zeros(rounds * turns, np.bool_)
-        begins[:, :n], chosen[:n] = _begins(points, normals, self.centre, self.radius), candidates
-        of_targets = np.ascontiguousarray(begins.reshape(3, rounds, turns).transpose(2, 0, 1))
-        chosen = np.ascontiguousarray(chosen.reshape(rounds, turns).T)
-        return self._unblocked(of_targets, targets, chosen, outside=outside, scattered=True).T.ravel()[:n]
+        begins, seen = _begins(points, normals, self.centre, self.radius), np.zeros(len(points), np.bool_)
+        for number in range(len(targets)):
+            index = np.flatnonzero(chosen == number)
+            every = np.ones((1, len(index)), np.bool_)
+            own = begins.take(index, axis=1)[None], targets[number : number + 1]
+            seen[index] = self._unblocked(*own, every, outside=outside, scattered=True)[0]
+        return seen
 
     def _unblocked(
         self, begins: Float64, targets: Float64, candidates: Bool, *, outside: bool, scattered: bool

@@ -79,6 +79,7 @@ PEAK_ERROR = 2e-7
 _FEW_NODES_ERROR = 1e-3  # share of the light of tails from which on two nodes do for fall-off and emission
 _FEW_NODES = 8  # a side of a rectangle that a tail is smooth over
 _NODES_OF_MASKING = 2  # further ones where the horizon crosses it
+_MOST_TAIL_NODES, _TAIL_PIECES = 24, 4  # a side of a rectangle; and pieces a side of one that takes more
 _EVEN = 1e3  # width, in sides, from which a lobe is the same all along one
 
 # of the Gauss–Legendre rules on [0, 1]; row n has the rule of n nodes, shape (MAX_NODES + 1, MAX_NODES)
@@ -111,6 +112,7 @@ class _Horizon(NamedTuple):
     tangent: Plane
     face: Plane
     lowest: float  # the least height above either, on an area
+    highest: float  # the greatest height above the one that the area is less above
 
 
 @kernel
@@ -182,11 +184,12 @@ def _integrals(
 @kernel
 def _horizon(at: SurfacePoint, panel: PanelNumbers, area: Rectangle) -> _Horizon:
     tangent = plane_over(at.n, at.p, panel)
-    lowest = _lowest(tangent, area)
+    lowest, highest = _heights(tangent, area)
     if at.facet.x == at.n.x and at.facet.y == at.n.y and at.facet.z == at.n.z:
-        return _Horizon(tangent, tangent, lowest)
+        return _Horizon(tangent, tangent, lowest, highest)
     face = plane_over(at.facet, at.p, panel)
-    return _Horizon(tangent, face, min(lowest, _lowest(face, area)))
+    low, high = _heights(face, area)
+    return _Horizon(tangent, face, min(lowest, low), min(highest, high))
 
 
 @kernel
@@ -196,9 +199,10 @@ def plane_over(normal: Vector, p: Vector, panel: PanelNumbers) -> Plane:
 
 
 @kernel
-def _lowest(plane: Plane, area: Rectangle) -> float:
-    level, rise_s, rise_t = plane
-    return level + min(rise_s * area.s0, rise_s * area.s1) + min(rise_t * area.t0, rise_t * area.t1)
+def _heights(plane: Plane, area: Rectangle) -> tuple[float, float]:
+    # the least and the greatest one on an area
+    a, b, c, d = plane.rise_s * area.s0, plane.rise_s * area.s1, plane.rise_t * area.t0, plane.rise_t * area.t1
+    return plane.level + min(a, b) + min(c, d), plane.level + max(a, b) + max(c, d)
 
 
 @kernel
@@ -349,45 +353,70 @@ def _gaussian_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe
 
 @kernel
 def _tailed_light(at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int) -> float:
-    # of a lobe with tails, whose width is α = 2σ in δ: (2 + exponent)/2 is to the power of −2
+    # of a lobe with tails
+    light = _tail_about_peak(at, panel, area, lobe, panel_nodes, _MOST_TAIL_NODES)
+    if light >= 0.0:
+        return light
+    light = 0.0
+    for k in range(_TAIL_PIECES * _TAIL_PIECES):
+        piece = piece_of(area, k, _TAIL_PIECES, _TAIL_PIECES)
+        light += _tail_about_peak(at, panel, piece, lobe, panel_nodes, MAX_NODES)
+    return light
+
+
+@kernel
+def _tail_about_peak(
+    at: SurfacePoint, panel: PanelNumbers, area: Rectangle, lobe: Lobe, panel_nodes: int, most: int
+) -> float:
+    # light of a rectangle with at most so many nodes a side; −1 where it takes more, but for MAX_NODES. The lobe's
+    # width is α = 2σ in δ: (2 + exponent)/2 is to the power of −2
     horizon = _horizon(at, panel, area)
-    few = nodes_of_tail(at, panel, area, lobe, panel_nodes)
+    if horizon.highest <= 0.0:
+        return 0.0
+    whole, few = horizon.lowest > 0.0, nodes_of_tail(at, panel, area, lobe, panel_nodes)
     if few < MAX_NODES:
-        return _tail_light(at, panel, area, lobe, few if horizon.lowest > 0.0 else few + _NODES_OF_MASKING, horizon)
-    least_s = math.ceil(panel_nodes * (area.s1 - area.s0)) + 1
-    least_t = math.ceil(panel_nodes * (area.t1 - area.t0)) + 1
+        return _tail_light(at, panel, area, lobe, few if whole else few + _NODES_OF_MASKING, horizon)
     s, t, a, b, c, gs, gt, least = _nearest(at, panel, area, lobe, EVERYWHERE)
     centre_s, width_s = peak(a, gs, least, s, area.s0, area.s1)
     centre_t, width_t = peak(c, gt, least, t, area.t0, area.t1)
     u0, u1 = math.asinh((area.s0 - centre_s) / width_s), math.asinh((area.s1 - centre_s) / width_s)
     w0, w1 = math.asinh((area.t0 - centre_t) / width_t), math.asinh((area.t1 - centre_t) / width_t)
     # the lobe is singular in u at ±iπ/2, and nearer where it leans across the sides
-    leaning = 0.5 * math.pi / (1.0 + 2.0 * abs(b) / math.sqrt(max(a * c, 1e-30)))
-    count_s = max(min(tail_nodes(u0, u1, leaning, TAIL_ERROR), MAX_NODES // 2), least_s)
-    count_t = max(min(tail_nodes(w0, w1, leaning, TAIL_ERROR), MAX_NODES // 2), least_t)
-    whole = horizon.lowest > 0.0
+    slant = min(1.0, abs(b) / math.sqrt(max(a * c, 1e-30)))
+    leaning = min(0.5 * math.pi / (1.0 + 2.0 * slant), math.acos(slant))
+    count_s, count_t = tail_nodes(u0, u1, leaning, TAIL_ERROR), tail_nodes(w0, w1, leaning, TAIL_ERROR)
+    if max(count_s, count_t) > most:
+        return -1.0
+    count_s = max(count_s, math.ceil(panel_nodes * (area.s1 - area.s0)) + 1)
+    count_t = max(count_t, math.ceil(panel_nodes * (area.t1 - area.t0)) + 1)
     if not whole:
         # masking ends the light there, within about α
-        count_s, count_t = 2 * count_s, 2 * count_t
-    places, across = np.empty(count_s), np.empty(count_s)
-    s, t, weights = (np.empty(count_s * count_t), np.empty(count_s * count_t), np.empty(count_s * count_t))
+        count_s, count_t = min(2 * count_s, MAX_NODES), min(2 * count_t, MAX_NODES)
+    places, across, ends = np.empty(count_s), np.empty(count_s), _broken_rows(horizon, area)
+    room = count_s * count_t * (1 if whole else len(ends))
+    s, t, weights = np.empty(room), np.empty(room), np.empty(room)
     number = 0
-    for i in range(count_t):
-        sinh, cosh = _hyperbolic(w0 + (w1 - w0) * NODES[count_t, i])
-        at_t = centre_t + width_t * sinh
-        r0, r1 = _row_above_horizon(horizon, at_t, area)
-        if r0 >= r1:
+    for k in range(len(ends)):
+        low, high = ends[k - 1] if k > 0 else area.t0, ends[k]
+        if low >= high:
             continue
-        if not whole:
-            u0, u1 = math.asinh((r0 - centre_s) / width_s), math.asinh((r1 - centre_s) / width_s)
-        along = width_t * (w1 - w0) * WEIGHTS[count_t, i] * cosh
-        for j in range(count_s if number == 0 or not whole else 0):
-            sinh, cosh = _hyperbolic(u0 + (u1 - u0) * NODES[count_s, j])
-            places[j] = centre_s + width_s * sinh
-            across[j] = width_s * (u1 - u0) * WEIGHTS[count_s, j] * cosh
-        for j in range(count_s):
-            s[number + j], t[number + j], weights[number + j] = places[j], at_t, along * across[j]
-        number += count_s
+        w0, w1 = math.asinh((low - centre_t) / width_t), math.asinh((high - centre_t) / width_t)
+        for i in range(count_t):
+            sinh, cosh = _hyperbolic(w0 + (w1 - w0) * NODES[count_t, i])
+            at_t = centre_t + width_t * sinh
+            r0, r1 = _row_above_horizon(horizon, at_t, area)
+            if r0 >= r1:
+                continue
+            if not whole:
+                u0, u1 = math.asinh((r0 - centre_s) / width_s), math.asinh((r1 - centre_s) / width_s)
+            along = width_t * (w1 - w0) * WEIGHTS[count_t, i] * cosh
+            for j in range(count_s if number == 0 or not whole else 0):
+                sinh, cosh = _hyperbolic(u0 + (u1 - u0) * NODES[count_s, j])
+                places[j] = centre_s + width_s * sinh
+                across[j] = width_s * (u1 - u0) * WEIGHTS[count_s, j] * cosh
+            for j in range(count_s):
+                s[number + j], t[number + j], weights[number + j] = places[j], at_t, along * across[j]
+            number += count_s
     return _tails_together(at, panel, (s, t, weights), number, lobe)
 
 

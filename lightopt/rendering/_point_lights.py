@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Index
+from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.core.vectors import Vector, column_at, dot, minus, plus, scaled, vector_at
@@ -178,9 +178,9 @@ def clear_targets(surface: SurfacePoints, targets: Float64, caster: RayCaster | 
 
 
 def clear_in_turn(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> Bool:
-    """Whether light arrives at each point i from target i mod m, above the face's own plane, too; shape (k,)."""
-    facing = _facing_in_turn(surface.points, surface.normals, surface.facets, surface.front, targets)
-    return caster.visible_in_turn(surface.points, surface.facets, targets, candidates=facing, outside=surface.outside)
+    """Whether nothing is in the way of one target of each point, in turn of those above its horizons; shape (k,)."""
+    chosen = _facing_in_turn(surface.points, surface.normals, surface.facets, surface.front, targets)
+    return caster.sees_one(surface.points, surface.facets, targets, chosen=chosen, outside=surface.outside)
 
 
 def visible_counts(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> tuple[Index, Index]:
@@ -194,11 +194,17 @@ def visible_counts(surface: SurfacePoints, targets: Float64, caster: RayCaster) 
 
 
 @kernel
-def _facing_in_turn(points: Float64, normals: Float64, facets: Float64, front: Bool, targets: Float64) -> Bool:
-    found = np.empty(len(points), np.bool_)
+def _facing_in_turn(points: Float64, normals: Float64, facets: Float64, front: Bool, targets: Float64) -> Int32:
+    # number i, in turn, of the targets from which light can arrive at point i; −1 where there is none
+    found, facing = np.full(len(points), -1, np.int32), np.empty(len(targets), np.int32)
     for i in range(len(points)):
-        light = minus(vector_at(targets, i % len(targets)), vector_at(points, i))
-        found[i] = front[i] & (dot(vector_at(facets, i), light) > 0.0) & (dot(vector_at(normals, i), light) > 0.0)
+        p, n, facet, count = vector_at(points, i), vector_at(normals, i), vector_at(facets, i), 0
+        for k in range(len(targets)):
+            light = minus(vector_at(targets, k), p)
+            facing[count] = k
+            count += (dot(facet, light) > 0.0) & (dot(n, light) > 0.0)
+        if front[i] and count > 0:
+            found[i] = facing[i % count]
     return found
 
 

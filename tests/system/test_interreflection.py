@@ -15,14 +15,15 @@ from lightopt import build_scene, render
 from lightopt.config import PartConfig, load_rig
 from lightopt.config._rig import VirtualBenchConfig
 from lightopt.core.errors import InputError
-from lightopt.geometry import StraightBrushing, TriangleMesh
+from lightopt.geometry import RayCaster, StraightBrushing, TriangleMesh
 from lightopt.geometry._blocker_maps import BlockerMaps
-from lightopt.lights import panel_grid
+from lightopt.lights import panel_grid, place_light
 from lightopt.optics import Reflectance, SpecularModel, white_level
 from lightopt.optics._albedo import DEFAULT_ALBEDO
-from lightopt.rendering import SurfacePoints, cast_rays_at, render_posture
+from lightopt.rendering import SurfacePoints, cast_rays_at, render_posture, shade_isolated
 from lightopt.rendering._caustics import caustic_levels, footprints, landed_light
-from lightopt.rendering._interreflection import PartLight
+from lightopt.rendering._converged_panel import isolated_levels
+from lightopt.rendering._interreflection import PartLight, _mirrored_light
 from lightopt.rendering._surface import trace_samples
 from lightopt.rig.capture._wiring import bench_truth
 from lightopt.rig.simulated._bench_process import BenchTruth
@@ -215,6 +216,27 @@ def small_spout(**options):
     )
     camera = replace(scene.camera, width=96, height=72, pixel_size=50 / 3 * scene.camera.pixel_size)
     return replace(scene, camera=camera, postures=scene.postures[:1])
+
+
+@pytest.mark.parametrize("size", [60.0, 300.0])
+@pytest.mark.parametrize("points", ["auto", 36])
+@pytest.mark.parametrize(
+    "own", [Reflectance(**MATTE), Reflectance(R_d=0.0, R_s=1000.0, sigma=0.1, model=SpecularModel(name="ggx"))]
+)
+def test_a_panel_across_the_horizon_of_met_points_lights_them_as_in_images(size, points, own):
+    """Half of the panel is below the plane of the points, where it is left out once."""
+    mesh = rectangle((0, -20, 0), (40, 0, 0), (0, 40, 0))
+    caster = RayCaster(mesh.vertices, mesh.faces)
+    rng = np.random.default_rng(0)
+    places = np.column_stack([rng.uniform(5.0, 15.0, 4000), rng.uniform(-5.0, 5.0, 4000)])
+    surface = floor_points(places, np.tile([-0.8, 0.0, 0.6], (4000, 1)))
+    light = place_light(
+        name="panel", distance=330.0, elevation=math.radians(3.0), azimuth=0.0, size=(size, size), points=points
+    )
+    expected = shade_isolated(surface, [light], reflectances=[own], caster=caster, shadows=True).mean()
+    mirrored = [_mirrored_light(light, own.sigma, caster)]
+    found = isolated_levels(surface, mirrored, [own], caster, penumbrae=False).mean()
+    np.testing.assert_allclose(found, expected, rtol=0.01)
 
 
 def test_images_are_the_same_with_any_number_of_threads_and_have_their_layers():

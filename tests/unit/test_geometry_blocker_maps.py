@@ -111,8 +111,9 @@ def cast_with_and_without(caster, arrays, facing, *, map_at=None):
     assert mapped[~facing].all()
     after = caster.rays_cast
     each = np.arange(facing.shape[1])
-    in_turn = caster.visible_in_turn(*arrays, candidates=facing[each % len(facing), each], outside=True)
-    np.testing.assert_array_equal(in_turn, ~mapped[each % len(facing), each])
+    chosen = np.where(facing[each % len(facing), each], each % len(facing), -1).astype(np.int32)
+    one = caster.sees_one(*arrays, chosen=chosen, outside=True)
+    np.testing.assert_array_equal(one, ~mapped[each % len(facing), each])
     return plain, mapped[facing], between - before, after - between
 
 

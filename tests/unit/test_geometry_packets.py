@@ -53,12 +53,12 @@ def test_packets_answer_as_single_rays(monkeypatch, mesh, count, rays):
     assert packets.rays_cast == 3 * count
     met = packets.next_hit(points, normals, targets[pairs["target_index"]] - points)
     np.testing.assert_array_equal(met, single.next_hit(points, normals, targets[pairs["target_index"]] - points))
-    chosen = rng.random(count) < 0.7
-    seen = packets.visible_in_turn(points, normals, targets, candidates=chosen)
+    chosen = rng.integers(-1, 5, count).astype(np.int32)
+    seen = packets.sees_one(points, normals, targets, chosen=chosen)
     of_all = packets.visible(points, normals, targets, candidates=np.ones((5, count), np.bool_))
-    np.testing.assert_array_equal(seen, chosen & of_all[np.arange(count) % 5, np.arange(count)])
-    np.testing.assert_array_equal(seen, single.visible_in_turn(points, normals, targets, candidates=chosen))
-    assert packets.rays_cast == 9 * count + np.count_nonzero(chosen)
+    np.testing.assert_array_equal(seen, (chosen >= 0) & of_all[chosen, np.arange(count)])
+    np.testing.assert_array_equal(seen, single.sees_one(points, normals, targets, chosen=chosen))
+    assert packets.rays_cast == 9 * count + np.count_nonzero(chosen >= 0)
 
 
 @pytest.mark.parametrize("height", [0.0, 0.5])
