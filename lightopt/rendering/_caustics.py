@@ -94,7 +94,8 @@ def _followed(
         stratum = np.clip(np.searchsorted(before, at, "right") - 1, 0, STRATA - 1)
         area = ends[-1] / STRATA * (stratum + (at - before[stratum]) / share[stratum])
         face = np.clip(np.searchsorted(ends, area, "right") - 1, 0, len(ends) - 2).astype(np.int32)
-        places = (0.5 + _STEPS[:, None] * number) % 1.0
+        places = 0.5 + _STEPS[:, None] * number
+        places -= np.floor(places)
         weight = ends[-1] / (STRATA * share[stratum] * rays)
         points, facets, landed, ray = _thrown(part, light, eye, face, weight, places)
         return points, facets, landed, stratum[ray]
@@ -110,8 +111,9 @@ def _thrown(
     # points, facets and light of what lands, and by which of the rays. places: in the unit cube, shape (6, rays)
     mesh = part.scene.mesh
     u, v = np.sqrt(places[0]) * (1.0 - places[1]), np.sqrt(places[0]) * places[1]
-    corners = mesh.vertices[mesh.faces[face]]
-    points = np.einsum("ki,kij->kj", np.stack([1.0 - u - v, u, v], axis=1), corners)
+    points = np.zeros((len(face), 3))
+    for corner, share in zip(mesh.faces.take(face, axis=0).T, (1.0 - u - v, u, v), strict=True):
+        points += share[:, None] * mesh.vertices.take(corner, axis=0)
     lamps, shining = _lamps(light, points, places[2], places[3])
     begins = Hits(np.arange(len(face), dtype=np.int32), face, u, v, points, np.zeros(len(face)))
     surface = surface_at(begins, mesh, lamps, outside=False)
@@ -261,16 +263,22 @@ def footprints(
 def _spread(areas: Sequence[Float64], light: Float64, squares: Float64) -> Float64:
     # levels of samples, over which light is spread as far around each as enough rays are, so that its sum is kept;
     # areas: means over each of the windows
-    levels, left = np.zeros(light.shape), light != 0.0
+    whole = np.zeros(light.shape)
+    lit = ndimage.find_objects((light != 0.0).astype(np.uint8))
+    if not lit:
+        return whole
+    box = tuple(slice(max(0, side.start - WINDOWS[-1]), side.stop + WINDOWS[-1]) for side in lit[0])
+    light, squares, levels = light[box], squares[box], whole[box]
+    left = light != 0.0
     for window, area in zip(WINDOWS, areas, strict=True):
         total, off = (blurred(image, window) * window**2 for image in (light, squares))
         own = left if window == WINDOWS[-1] else left & (total**2 >= ENOUGH * off)
         if own.any():
             share = np.zeros(light.shape)
-            share[own] = light[own] / area[own]
+            share[own] = light[own] / area[box][own]
             levels += blurred(share, window)
             left &= ~own
-    return levels
+    return whole
 
 
 def blurred(image: Float64, window: int) -> Float64:

@@ -50,6 +50,7 @@ LOBE_CELLS, DIFFUSE_CELLS, NESTED_CELLS = (4, 6), (6, 8), (2, 4)
 CHANGE, RELATIVE_CHANGE = 0.4, 0.03
 MOST_SIDES = 8
 LEAST_SHARE = 0.05  # of that error, above which a cell gets more than one further ray
+FAINT = 0.15  # of what a ray adds at most: all cells then get one ray, and no first one [grey level]
 SPREAD = 1.4  # width of the directions of the lobe's rays, in those of the lobe
 MOST_OF_A_RAY = 0.3  # of what a ray of diffuse light adds at once [grey level]
 LEAST_POINTS, MOST_POINTS = 2, 6  # a side, that stand for panels; those of more points are whole
@@ -161,11 +162,11 @@ class PartLight:
         # sees says how many more it takes, and is no part of the mean, which would miss what first rays missed
         factor, rays = self._ways(own, by_lobe=by_lobe)
         cells, most = LOBE_CELLS if by_lobe else DIFFUSE_CELLS, math.inf
+        faint = not by_lobe and self._is_faint(factor, cells)
         step, area = max(1, _RAYS_AT_ONCE // (cells[0] * cells[1])), 1.0 / (cells[0] * cells[1])
         if not by_lobe and self.scene.bounces > 1:
             # light of the surroundings is no glint, however bright these are
-            around = max(self.scene.environment, 0.0 if self.housings is None else self.housings.level)
-            most = MOST_OF_A_RAY + 2.0 * factor * area * around * float(self.weights.max(initial=0.0))
+            most = MOST_OF_A_RAY + 2.0 * factor * area * self._around * float(self.weights.max(initial=0.0))
         # what the lobe throws on diffuse surface are caustics
         shown = self.scene.reflectances
         if not by_lobe:
@@ -176,8 +177,11 @@ class PartLight:
             some = surface.take(slice(start, start + step))
             point, u, turn = _cells(len(some), cells)
             wide = np.full(len(point), 2.0 * angle)
-            first = self._seen(some, rays, (point, u, turn, wide), lambda met: self._hints(met, shown, angle))
-            sides = _sides(factor * area * first, cells)
+            if faint:
+                sides = np.ones(len(point), np.intp)
+            else:
+                first = self._seen(some, rays, (point, u, turn, wide), lambda met: self._hints(met, shown, angle))
+                sides = _sides(factor * area * first, cells)
             cell, u, turn = _divided(some.points, point, u, turn, sides, cells)
             places = point[cell], u, turn, 2.0 * angle / sides[cell]
             (values,) = self._seen(some, rays, places, lambda met: self._levels(met, self.scene.bounces, shown))
@@ -187,6 +191,18 @@ class PartLight:
             return np.zeros((3, len(self.lights), len(surface)))
         chunks = in_threads(chunk, range(0, len(surface), step), threads)
         return np.concatenate([np.zeros((3, len(self.lights), 0)), *chunks], axis=2)
+
+    def _is_faint(self, factor: float, cells: tuple[int, int]) -> bool:
+        # whether a ray of diffuse light in each cell adds little: others show their R_d by direct light, or there are
+        # the surroundings
+        brightest = max(own.R_d for own in self.scene.reflectances) + self._around
+        brightest *= float(self.weights.max(initial=0.0))
+        return self.scene.bounces <= 1 and factor * brightest <= FAINT * cells[0] * cells[1]
+
+    @property
+    def _around(self) -> float:
+        # the brightest level of the surroundings under a light of weight 1
+        return max(self.scene.environment, 0.0 if self.housings is None else self.housings.level)
 
     def _seen(self, surface: SurfacePoints, rays: _Rays, places: _Places, levels: _Levels) -> Float64:
         # weight times the levels that a ray from each of the points meets, shape (arrays of levels, lights, rays)

@@ -317,7 +317,7 @@ def test_regions_of_a_part_light_each_other_by_their_own_reflectances(bright):
     """Of a matt floor and a matt wall, one reflects twice as much: the floor gets, or shows, twice the wall's light."""
     lamp = ref.Light(distance=330, elevation=50, azimuth=5, size=(60, 60), k=3)
     scene = scene_from_mesh(CAMERA, [lamp], floor_and_wall(20.0, 20.0), reflectance=SATIN)
-    matt = replace(scene.reflectance, R_s=0.0, white_level=400.0)
+    matt = replace(scene.reflectance, R_s=0.0, white_level=200.0)
     scene = replace(scene, bounces=1, reflectance=matt)
     on_floor = np.abs(scene.mesh.vertices[scene.mesh.faces][..., 2]).max(axis=1) < 1e-6
     mesh = replace(scene.mesh, material=(on_floor == (bright == "floor")).astype(np.uint8))
