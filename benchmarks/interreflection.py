@@ -2,10 +2,9 @@
 
 ``python -m benchmarks.interreflection [--parts spout dish] [--samples N] [--page]``. Needs ``mitsuba``, but for
 ``--times``: the processor time of direct light and of one bounce, the least of three rounds, under the four lights of
-the sample rig. The
-reflection model is a BSDF of Mitsuba's, the panel an area light of the same radiance. The bounce is the image of paths
-of depth 3 without those of depth 2. Differences are of means over the part, and rms over blocks of pixels, where
-Mitsuba's noise is that of two independent halves.
+the sample rig. The reflection model is a BSDF of Mitsuba's, the panel an area light of the same radiance. The bounce is
+the image of paths of depth 3 without those of depth 2. Differences are of means over the part, and rms over blocks of
+pixels, where Mitsuba's noise is that of two independent halves.
 """
 
 from __future__ import annotations

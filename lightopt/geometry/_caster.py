@@ -56,7 +56,7 @@ class RayCaster:
             self._scene: Any = rtcore_scene.EmbreeScene(robust=True)  # pyright: ignore[reportAttributeAccessIssue]
             self._mesh = EmbreeMesh(self._scene, local, faces)
             # the first query commits the scene; done here, so that threads only ever read it
-            self._run("INTERSECT", np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+            self._first(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
         how = "one by one, by embreex" if self._packets is None else "in packets"
         _log.info("hierarchy over %s triangles; rays are cast %s", f"{len(faces):,}", how)
 
@@ -86,11 +86,7 @@ class RayCaster:
         neighbours: Whether rays that follow each other go nearly the same way: they are then cast together
         """
         rays = _primary_rays(self._local(origin), directions)
-        if self._packets is None:
-            return self._run("INTERSECT", *rays)
-        with self._lock:
-            self._rays_cast += len(directions)
-        return self._packets.first_hit(*rays, doubtful=self._maps.doubtful if neighbours else None)
+        return self._first(*rays, doubtful=self._maps.doubtful if neighbours else None)
 
     def next_hit(self, points: Float64, normals: Float64, directions: Float64) -> Int32:
         """Index of the first face that each ray from the surface meets, −1 where none; shape (k,).
@@ -101,11 +97,7 @@ class RayCaster:
         """
         begins = _begins(points, normals, self.centre, self.radius).T
         rays = np.ascontiguousarray(begins, np.float32), np.ascontiguousarray(directions, np.float32)
-        if self._packets is None:
-            return self._run("INTERSECT", *rays)
-        with self._lock:
-            self._rays_cast += len(directions)
-        return self._packets.first_hit(*rays, doubtful=self._maps.doubtful, scattered=True)
+        return self._first(*rays, doubtful=self._maps.doubtful, scattered=True)
 
     def occluded(
         self, points: Float64, normals: Float64, targets: Float64, *, point_index: Int32, target_index: Int32
@@ -120,7 +112,7 @@ class RayCaster:
         point_index, target_index: Shape (k,)
         """
         begins = _begins(points, normals, self.centre, self.radius)
-        return self._run("OCCLUDED", *_rays_of_pairs(begins, self._local(targets), point_index, target_index)) >= 0
+        return self._are_blocked(*_rays_of_pairs(begins, self._local(targets), point_index, target_index))
 
     def visible(
         self, points: Float64, normals: Float64, targets: Float64, *, candidates: Bool, outside: bool = False
@@ -171,7 +163,7 @@ class RayCaster:
         origins = begins[target, :, point]
         rays = origins.astype(np.float32), (local[target] - origins).astype(np.float32)
         seen = candidates.copy()
-        seen[target, point] = self._run("OCCLUDED", *rays) < 0
+        seen[target, point] = ~self._are_blocked(*rays)
         return seen
 
     def silhouettes(self, points: Float64, normals: Float64, corner: Float64, sides: Float64) -> Silhouettes:
@@ -199,15 +191,22 @@ class RayCaster:
     def _local(self, points: Float64) -> Float64:
         return (points - self.centre) / self.radius
 
-    def _run(self, query: str, origins: Float32, directions: Float32) -> Int32:
+    def _first(
+        self, origins: Float32, directions: Float32, *, doubtful: Bool | None = None, scattered: bool = False
+    ) -> Int32:
+        with self._lock:
+            self._rays_cast += len(origins)
+        if self._packets is None:
+            return self._scene.run(origins, directions, query="INTERSECT")
+        return self._packets.first_hit(origins, directions, doubtful=doubtful, scattered=scattered)
+
+    def _are_blocked(self, origins: Float32, directions: Float32) -> Bool:
         with self._lock:
             self._rays_cast += len(origins)
         if self._packets is not None:
-            query_function = self._packets.occluded if query == "OCCLUDED" else self._packets.first_hit
-            return query_function(origins, directions)
+            return self._packets.occluded(origins, directions) >= 0
         # directions end at the target, so that a shadow ray reaches from 0 to 1 of its length
-        reach = [np.ones(len(origins), np.float32)] if query == "OCCLUDED" else []
-        return self._scene.run(origins, directions, *reach, query=query)
+        return self._scene.run(origins, directions, np.ones(len(origins), np.float32), query="OCCLUDED") >= 0
 
 
 @kernel

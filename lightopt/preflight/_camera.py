@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lightopt.optics import depth_of_field
+from lightopt.optics import airy_diameter, depth_of_field
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, Level, percent
 from lightopt.rendering import too_few_pixels
 from lightopt.scene import MOST_MOTION_PX, blur_diameter, build_sensor, motion_blur, pixel_footprint, view_size
@@ -142,7 +142,13 @@ def check_focus(checked: CheckedScene) -> Iterator[Finding]:
             text += f", {percent(share)} of the surface seen over more than {FOCUS_PX:g} px"
         level: Level = "warning" if share > MOST_OUT_OF_FOCUS else "ok"
         if level == "warning":
-            text += "; stop the aperture down, or change focus_distance_mm. Fits take all that is seen to be in focus"
+            cutoff = camera.diffraction_cutoff
+            diffracted = cutoff is not None and airy_diameter(cutoff) > math.sqrt(0.5) * largest
+            if diffracted:
+                text += ", most of it by diffraction; open the aperture"
+            else:
+                text += "; stop the aperture down, or change focus_distance_mm"
+            text += ". Fits take all that is seen to be in focus"
         yield checked.of_posture(sample, level, "focus", text, largest_px=largest, out_of_focus_share=share)
 
 

@@ -83,7 +83,7 @@ def point_spacing(light: PanelLight, sigma: float) -> PointSpacing | None:
 def coarse_points(light: PanelLight, reflectance: Reflectance) -> str | None:
     """A warning where a panel's points are too few for the middle of a lobe, None where they are enough."""
     found = point_spacing(light, reflectance.sigma)
-    if found is None or abs(found.area_error) <= COARSE_SHARE:
+    if reflectance.R_s == 0.0 or found is None or abs(found.area_error) <= COARSE_SHARE:
         return None
     size = "small" if found.area_error < 0 else "large"
     error = f"overexposed areas about {100.0 * abs(found.area_error):.0f} % too {size}"

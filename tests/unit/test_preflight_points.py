@@ -83,6 +83,10 @@ def test_enough_points_are_not_warned_of(points, sigma):
     assert coarse_points(panel(points), of_width(sigma)) is None
 
 
+def test_without_a_lobe_no_points_are_too_few():
+    assert coarse_points(panel(4), replace(of_width(0.01), R_d=80.0, R_s=0.0)) is None
+
+
 def test_auto_has_no_spacing():
     assert point_spacing(panel("auto"), 0.003) is None
 

@@ -258,6 +258,11 @@ def test_share_out_of_focus(check):
     assert found.level == "warning"
     assert found.values["largest_px"] == pytest.approx(aperture * 55 * (1 / 520 - 1 / 540) / 0.0044, rel=0.06)
     assert found.values["out_of_focus_share"] == pytest.approx(0.5, abs=0.12)
+    assert "stop the aperture down" in found.text
+    stopped_down = make_rig(camera={"aperture": 90, "focus_distance_mm": 530, "wavelength_nm": 550})
+    diffracted = next(f for f in check(blocks, rig=stopped_down).findings if "lens blurs" in f.text)
+    assert diffracted.level == "warning"
+    assert "by diffraction; open the aperture" in diffracted.text
     sharp = check(blocks, rig=make_rig(camera={"aperture": 200, "focus_distance_mm": 530}))
     assert [f.level for f in sharp.findings if "lens blurs" in f.text] == ["ok"]
     assert not [f for f in check(blocks).findings if f.topic == "focus"]

@@ -155,8 +155,8 @@ def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False
             "but is neither noise nor dust"
         )
         yield (
-            f"{left}. The values are those of least squares over all pixels, which predict such images best, and the "
-            f"intervals come from the scatter between {found.scatter}. {_reasons(found, placed=placed)}"
+            f"{left}. The values are those of least squares over all pixels taken, which predict such images best, and "
+            f"the intervals come from the scatter between {found.scatter}. {_reasons(found, placed=placed)}"
         )
     elif quality.poor:
         yield (
@@ -183,6 +183,7 @@ def _reasons(found: Estimate, *, placed: bool) -> str:
         reasons.append("a light's gain (fit the gains)")
     if DARK not in found.free:
         reasons.append("the dark level (fit it)")
+    reasons.append("light from the part to itself, which fits leave out (lightopt check says how much it mirrors)")
     reasons.append("the number of points of the panels")
     return f"Possible reasons: {', '.join(reasons)}"
 
