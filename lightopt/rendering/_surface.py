@@ -95,7 +95,7 @@ class SurfacePoints:
 
     def take(self, index: Index | slice) -> SurfacePoints:
         """The points at `index`, shape (j,), or those of a slice, which are not copied."""
-        if isinstance(index, slice) or index.dtype == np.bool_:
+        if isinstance(index, slice) or np.asarray(index).dtype == np.bool_:
             return self._mapped(lambda _, value: value[index])
         return self._mapped(lambda _, value: value.take(index, axis=0))  # quicker than by brackets
 
