@@ -35,14 +35,14 @@ LEAST_BEND = 0.05  # edges where the normal turns by less than this share of σ 
 
 def check_points(checked: CheckedScene) -> Iterator[Finding]:
     """The panels' point lights against σ; like panels are reported together."""
+    if checked.scene.sharpest.R_s == 0.0:
+        return  # without a lobe few points are enough
     for indices in like_panels(checked.scene.lights):
         if isinstance(checked.scene.lights[indices[0]], SurfaceLight):
             continue  # integrated whatever σ is
         light = checked.scene.lights[indices[0]]
         names = ", ".join(checked.scene.lights[i].name for i in indices)
         own = checked.rig.lights[indices[0]].points is not None
-        if checked.scene.sharpest.R_s == 0.0:
-            continue  # without a lobe few points are enough
         keys = ("lights", indices[0], "points") if own else ("light_source", "points")
         yield _points(replace(light, name=names), checked.scene.sharpest, checked.rig.source.at(*keys))
 

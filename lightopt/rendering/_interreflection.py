@@ -176,10 +176,10 @@ class PartLight:
         def chunk(start: int) -> Float64:
             some = surface.take(slice(start, start + step))
             point, u, turn = _cells(len(some), cells)
-            wide = np.full(len(point), 2.0 * angle)
             if faint:
                 sides = np.ones(len(point), np.intp)
             else:
+                wide = np.full(len(point), 2.0 * angle)
                 first = self._seen(some, rays, (point, u, turn, wide), lambda met: self._hints(met, shown, angle))
                 sides = _sides(factor * area * first, cells)
             cell, u, turn = _divided(some.points, point, u, turn, sides, cells)

@@ -349,7 +349,7 @@ _FEWEST, _MOST = 0, 1
 _NO_PLACE = np.iinfo(np.int64).max // 2  # triangles before a place that the horizon hides; no place has as many
 
 
-class _Sight(NamedTuple):
+class _Horizons(NamedTuple):
     """Height of the panel above a point's tangent plane and above the plane of its face."""
 
     tangent: Plane
@@ -413,11 +413,11 @@ def _reference_places(
         if not silhouettes.found[i]:
             continue
         fewest, most = _NO_PLACE, -_NO_PLACE
-        sight = _sight(rows, panel, i)
+        horizons = _horizons(rows, panel, i)
         for row in range(n):
             triangles_in_row(silhouettes, i, 0.0, 1.0 / (n - 1), row / (n - 1), found[row])
             for column in range(n):
-                if _horizon(sight, column / (n - 1), row / (n - 1)) == 0:
+                if _state_by_horizons(horizons, column / (n - 1), row / (n - 1)) == 0:
                     fewest, most = min(fewest, found[row, column]), max(most, found[row, column])
                 else:
                     found[row, column] = _NO_PLACE
@@ -515,13 +515,13 @@ def _known_corners(rows: PointRows, panel: PanelNumbers, shadow: Shadow, squares
     counts = np.empty(n + 1, np.int64)
     for j in range(len(squares.point)):
         i = squares.point[j]
-        sight, seen, hidden = _sight(rows, panel, i), shadow.counts[i, 0], shadow.counts[i, 1]
+        horizons, seen, hidden = _horizons(rows, panel, i), shadow.counts[i, 0], shadow.counts[i, 1]
         for row in range(n + 1):
             s, t = _place(squares, j, 0.0, float(row))
             if hidden < _NO_PLACE:
                 triangles_in_row(shadow.silhouettes, i, s, squares.cell, t, counts)
             for column in range(n + 1):
-                state[j, row, column] = _horizon(sight, *_place(squares, j, float(column), float(row)))
+                state[j, row, column] = _state_by_horizons(horizons, *_place(squares, j, float(column), float(row)))
                 if state[j, row, column] == 0 and hidden < _NO_PLACE:
                     state[j, row, column] = _by_count(counts[column], seen, hidden)
     return state
@@ -550,7 +550,7 @@ def _known_states(
     for j in range(len(square)):
         i = squares.point[square[j]]
         s, t = _place(squares, square[j], float(x[j]), float(y[j]))
-        state[j] = _known_state(_sight(rows, panel, i), shadow, i, s, t)
+        state[j] = _known_state(_horizons(rows, panel, i), shadow, i, s, t)
         if state[j] == 0:
             undecided[m], origin[m] = j, i
             targets[m, 0], targets[m, 1], targets[m, 2] = panel_point(panel, s - 0.5, t - 0.5)
@@ -565,9 +565,9 @@ def _place(squares: Squares, square: int, x: float, y: float) -> tuple[float, fl
 
 
 @kernel
-def _known_state(sight: _Sight, shadow: Shadow, i: int, s: float, t: float) -> int:
+def _known_state(horizons: _Horizons, shadow: Shadow, i: int, s: float, t: float) -> int:
     # 0 where neither the horizon nor the silhouettes tell
-    state = _horizon(sight, s, t)
+    state = _state_by_horizons(horizons, s, t)
     seen, hidden = shadow.counts[i, 0], shadow.counts[i, 1]
     if state != 0 or hidden >= _NO_PLACE:
         return state
@@ -581,16 +581,16 @@ def _by_count(count: int, seen: int, hidden: int) -> int:
 
 
 @kernel
-def _sight(rows: PointRows, panel: PanelNumbers, i: int) -> _Sight:
+def _horizons(rows: PointRows, panel: PanelNumbers, i: int) -> _Horizons:
     points, frames, _, facets, _ = rows
     p = vector_at(points, i)
-    return _Sight(plane_over(vector_at(frames, i), p, panel), plane_over(vector_at(facets, i), p, panel))
+    return _Horizons(plane_over(vector_at(frames, i), p, panel), plane_over(vector_at(facets, i), p, panel))
 
 
 @kernel
-def _horizon(sight: _Sight, s: float, t: float) -> int:
+def _state_by_horizons(horizons: _Horizons, s: float, t: float) -> int:
     # below the interpolated horizon there is no light, below the face's own plane the face is in the way; 0 above both
-    tangent, face = sight
+    tangent, face = horizons
     if tangent.level + tangent.rise_s * (s - 0.5) + tangent.rise_t * (t - 0.5) <= 0.0:
         return BELOW
     return BLOCKED if face.level + face.rise_s * (s - 0.5) + face.rise_t * (t - 0.5) <= 0.0 else 0
@@ -636,13 +636,13 @@ def _halve(
     m = 0
     for j in range(len(square)):
         i, begin, end, state = squares.point[square[j]], low[j], high[j], int(answer[j])
-        sight = _sight(rows, panel, i)
+        horizons = _horizons(rows, panel, i)
         while steps[j] > 0:
             middle = 0.5 * (begin + end)
             x[m] = column[j] + (0.0 if vertical else middle)
             y[m] = row[j] + (middle if vertical else 0.0)
             if state == 0:
-                state = _known_state(sight, shadow, i, *_place(squares, square[j], x[m], y[m]))
+                state = _known_state(horizons, shadow, i, *_place(squares, square[j], x[m], y[m]))
             if state == 0:
                 index[m] = j
                 m += 1
